@@ -1,0 +1,130 @@
+"""The frozen records that travel between modules."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold.errors import BandMismatchError
+
+Array = NDArray[Any]
+
+RGB_NAMES = ("R", "G", "B")
+
+
+@dataclass(frozen=True)
+class Bands:
+    """The spectral axis of a BRDF: B wavelengths, or the three channels of linear sRGB.
+
+    Attributes:
+        wavelengths_nm: band centres in nm, strictly increasing, shape (B,); None for RGB.
+    """
+
+    wavelengths_nm: tuple[float, ...] | None
+
+    @classmethod
+    def from_array(cls, wavelengths_nm: Array | None) -> Bands:
+        """Bands of a wavelength array in nm, shape (B,), or of RGB for None."""
+        if wavelengths_nm is None:
+            return cls(None)
+        return cls(tuple(float(w) for w in wavelengths_nm))
+
+    @property
+    def is_rgb(self) -> bool:
+        """Whether the bands are the three channels of linear sRGB."""
+        return self.wavelengths_nm is None
+
+    @property
+    def count(self) -> int:
+        """B."""
+        return 3 if self.wavelengths_nm is None else len(self.wavelengths_nm)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One name per band: `R`, `G`, `B`, or the wavelength with its unit."""
+        if self.wavelengths_nm is None:
+            return RGB_NAMES
+        return tuple(f"{w:.1f} nm" for w in self.wavelengths_nm)
+
+    def __str__(self) -> str:
+        if self.wavelengths_nm is None:
+            return "RGB"
+        return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
+
+    def require_same(self, other: Bands, where: str, remedy: str) -> None:
+        """Raise BandMismatchError unless `other` has the very same bands."""
+        if self != other:
+            raise BandMismatchError(f"{where}: found {other}, expected {self}; {remedy}")
+
+
+@dataclass(frozen=True, eq=False)
+class BsdfFile:
+    """One RGL tensor file. P incident azimuths, T incident elevations, B bands.
+
+    Attributes:
+        name: the material's name (the file name without `_spec.bsdf` or `_rgb.bsdf`).
+        description: free text of the file.
+        version: version of the pipeline that wrote a spectral file; RGB files say (1, 0).
+        phi_i_rad: incident azimuths in radians, float32, shape (P,); P = 1 is isotropic.
+        theta_i_rad: incident elevations in radians, float32, increasing, shape (T,).
+        wavelengths_nm: band centres in nm, float32, increasing, shape (B,); None in an RGB file.
+        sigma: projected microfacet area, float32, shape (rows = phi, columns = theta).
+        ndf: normal distribution, float32, shape (rows = phi, columns = theta).
+        vndf: distribution of visible normals, float32, shape (P, T, rows, columns).
+        luminance: relative luminance on the warped grid, float32, shape (P, T, H, W).
+        spectra: measured values on the warped grid, float32, shape (P, T, B, H, W); `rgb` in an RGB file.
+        jacobian: whether values are multiplied by ndf / (4 sigma) to give f_cos in 1/sr.
+        valid: the mask as the file holds it (uint8, usually packed bits); see `measured_mask`.
+        extra: fields this package does not interpret, by name.
+    """
+
+    name: str
+    description: str
+    version: tuple[int, ...]
+    phi_i_rad: Array
+    theta_i_rad: Array
+    wavelengths_nm: Array | None
+    sigma: Array
+    ndf: Array
+    vndf: Array
+    luminance: Array
+    spectra: Array
+    jacobian: bool
+    valid: Array
+    extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+
+    @cached_property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return Bands.from_array(self.wavelengths_nm)
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the file looks normals up relative to the incident azimuth (Mitsuba's rule: P <= 2)."""
+        return self.phi_i_rad.shape[0] <= 2
+
+    @cached_property
+    def measured_mask(self) -> Array:
+        """Which cells were measured, bool, shape (P, T, H, W).
+
+        The bits mean "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on,
+        and RGB files do not say which: the reading that marks fewer all-zero cells as measured wins.
+        Without bits, the non-zero cells count as measured.
+        """
+        shape = self.luminance.shape
+        count = int(np.prod(shape))
+        non_zero = np.any(self.spectra != 0, axis=2)  # (P, T, H, W)
+        if self.valid.size * 8 >= count > self.valid.size:
+            bits = np.unpackbits(self.valid.reshape(-1))[:count].reshape(shape).astype(bool)
+        elif self.valid.size == count:
+            bits = self.valid.reshape(shape) != 0
+        else:
+            return non_zero
+        agreement = np.count_nonzero(bits == non_zero)
+        return bits if 2 * agreement >= count else ~bits

@@ -1,0 +1,30 @@
+"""Fixtures that many tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The one source of randomness in tests."""
+    return np.random.default_rng(20261121)
+
+
+def real_rgl_folder() -> Path | None:
+    """The folder of real RGL files: `MANIFOLD_RGL_DIR`, else `../shared/rgl/real`, else None."""
+    named = os.environ.get("MANIFOLD_RGL_DIR")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "rgl" / "real"
+    return folder if folder.is_dir() and any(folder.glob("*.bsdf")) else None
+
+
+def real_rgl_files() -> list[Path]:
+    """The real RGL files at hand, possibly none."""
+    folder = real_rgl_folder()
+    return [] if folder is None else sorted(folder.glob("*.bsdf"))

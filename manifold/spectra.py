@@ -1,0 +1,298 @@
+"""Spectra: measured indices of metals, measured reflectances, and the way from bands to colour.
+
+Indices come from the tables that Mitsuba ships, reflectances, illuminants and colour-matching functions
+from colour-science. Both are read on first use: importing this module costs nothing.
+"""
+
+from __future__ import annotations
+
+import difflib
+import warnings
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.records import Array, Bands
+
+OBSERVER = "CIE 1931 2 Degree Standard Observer"
+"""The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
+
+# CIE's names of the fluorescent illuminants, which colour-science calls FL1 to FL12.
+_CIE_FLUORESCENT = {f"F{i}": f"FL{i}" for i in range(1, 13)}
+
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
+
+def rgl_wavelengths_nm() -> Array:
+    """The 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
+
+    Rounded to float32, as the files hold them, and returned as float64.
+    """
+    return np.linspace(358.63, 1001.89, 195).astype(np.float32).astype(np.float64)
+
+
+def metal_names() -> tuple[str, ...]:
+    """The materials `metal_ior` knows, sorted: element symbols and formulas such as `Au`, `Cr`, `TiN`."""
+    return tuple(sorted(_ior_files()))
+
+
+def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
+    """Complex index of refraction eta + i k of a metal or crystal, relative to vacuum.
+
+    Interpolated linearly between the table's wavelengths and held constant outside them: most tables end
+    between 750 and 900 nm, so the last infrared bands of RGL files repeat the table's end.
+
+    Args:
+        name: one of `metal_names()`, such as `Au`.
+        wavelengths_nm: wavelengths in nm, any shape.
+    Returns:
+        eta and k, both in the shape of `wavelengths_nm`.
+    Raises:
+        UsageError: there is no such table.
+        FileFormatError: a table does not hold pairs of numbers.
+    Source: the tables `data/ior/*.spd` of Mitsuba 3 (luxpop.com, SOPRA, Palik).
+    """
+    files = _ior_files()
+    if name not in files:
+        raise UsageError(f"no index of refraction named {name!r}; known: {', '.join(sorted(files))}")
+    eta, k = (_read_spd(path) for path in files[name])
+    return _interpolate(wavelengths_nm, *eta), _interpolate(wavelengths_nm, *k)
+
+
+def diffuse_reflectance_names() -> tuple[str, ...]:
+    """The spectra `diffuse_reflectance` knows, as `set/name`.
+
+    Sets: `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
+    fruit, grass and other objects of daily life), `tcs` (CIE test colour samples), `vs` (NIST colour
+    quality samples).
+    """
+    return tuple(_reflectances())
+
+
+def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
+    """A measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
+
+    Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`),
+    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared
+    bands of RGL files are continuations, not measurements.
+
+    Args:
+        name: one of `diffuse_reflectance_names()`, or its part after the slash, which means the first set
+            that has it (`dark skin` is `ohta/dark skin`).
+        wavelengths_nm: wavelengths in nm, any shape.
+    Raises:
+        UsageError: there is no such spectrum.
+    Source: colour-science's `SDS_COLOURCHECKERS`, `SDS_TCS`, `SDS_VS`.
+    """
+    known = _reflectances()
+    key = name if name in known else next((k for k in known if k.split("/", 1)[1] == name), None)
+    if key is None:
+        plain = [k.split("/", 1)[1] for k in known]
+        raise UsageError(f"no reflectance named {name!r}; {_near(name, [*known, *plain])}")
+    return np.clip(_interpolate(wavelengths_nm, *known[key]), 0.0, 1.0)
+
+
+def illuminant_names() -> tuple[str, ...]:
+    """The illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
+    return (*_colour().SDS_ILLUMINANTS, *_CIE_FLUORESCENT)
+
+
+def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
+    """CIE XYZ of reflectance-like spectra; a perfect diffuser has Y = 1 under every illuminant.
+
+    The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated
+    at 1 nm against the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry
+    no spectrum: they are converted by the sRGB matrix, and the illuminant is only checked to exist.
+
+    Args:
+        values: spectra, shape (..., B).
+        bands: their B bands.
+        illuminant: one of `illuminant_names()`.
+    Returns:
+        XYZ, shape (..., 3).
+    Raises:
+        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+        ShapeError: the last axis of `values` is not B.
+    """
+    return _require_bands(values, bands) @ xyz_weights(bands, illuminant)
+
+
+def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool = True) -> Array:
+    """Linear sRGB (Rec. 709 primaries, not clipped) of reflectance-like spectra, shape (..., 3).
+
+    With `adapt` the illuminant's white is adapted to D65 (Bradford), so a perfect diffuser is (1, 1, 1)
+    under every illuminant, as it is for the eye; without it, things lit by illuminant A look orange. RGB
+    bands are linear sRGB already and are returned as they are.
+
+    Args, raises: as `to_xyz`.
+    """
+    values = _require_bands(values, bands)
+    weights = xyz_weights(bands, illuminant)
+    if bands.is_rgb:
+        return values.copy()
+    to_rgb = np.linalg.inv(_srgb_to_xyz())
+    if adapt:
+        to_rgb = to_rgb @ _adaptation(weights.sum(axis=0), _srgb_to_xyz().sum(axis=1))
+    return values @ (weights @ to_rgb.T)
+
+
+def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
+    """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
+
+    D65 is the choice that agrees with the Y of linear sRGB, so spectral and RGB materials compare.
+
+    Args, raises: as `to_xyz`.
+    """
+    return _require_bands(values, bands) @ xyz_weights(bands, illuminant)[:, 1]
+
+
+def xyz_weights(bands: Bands, illuminant: str = "D65") -> Array:
+    """The read-only matrix (B, 3) that takes band values to XYZ; see `to_xyz`.
+
+    Raises:
+        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+    """
+    return _xyz_weights(bands, _illuminant_key(illuminant))
+
+
+@lru_cache(maxsize=64)
+def _xyz_weights(bands: Bands, illuminant: str) -> Array:
+    if bands.is_rgb:
+        return _frozen(_srgb_to_xyz().T.copy())
+    nodes, matching = _spectral_distribution(_colour().MSDS_CMFS[OBSERVER])
+    lamp_nm, lamp = _spectral_distribution(_colour().SDS_ILLUMINANTS[illuminant])
+    # A lamp is dark where its table ends; all but a few photographic ones reach past the observer's range.
+    stimulus = np.interp(nodes, lamp_nm, lamp, left=0.0, right=0.0)[:, None] * matching
+    total = stimulus[:, 1].sum()
+    if total <= 0.0:
+        raise UsageError(f"illuminant {illuminant!r} gives no visible light; choose another, such as D65")
+    return _frozen(_hat_functions(nodes, np.asarray(bands.wavelengths_nm)).T @ stimulus / total)
+
+
+def _hat_functions(x: Array, nodes: Array) -> Array:
+    """Linear interpolation as a matrix (len(x), len(nodes)), constant outside the nodes; rows sum to 1."""
+    hats = np.zeros((x.size, nodes.size))
+    if nodes.size == 1:
+        hats[:] = 1.0
+        return hats
+    left = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
+    t = np.clip((x - nodes[left]) / (nodes[left + 1] - nodes[left]), 0.0, 1.0)
+    rows = np.arange(x.size)
+    hats[rows, left] = 1.0 - t
+    hats[rows, left + 1] = t
+    return hats
+
+
+@lru_cache(maxsize=1)
+def _srgb_to_xyz() -> Array:
+    """The matrix (3, 3) from linear sRGB to XYZ, from the primaries and white: the standard rounds it."""
+    colour = _colour()
+    srgb = colour.RGB_COLOURSPACES["sRGB"]
+    return _frozen(np.asarray(colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint), float))
+
+
+def _adaptation(white: Array, target: Array) -> Array:
+    """Bradford's matrix (3, 3) that takes XYZ seen under one white to XYZ seen under another."""
+    return np.linalg.solve(_BRADFORD, ((_BRADFORD @ target) / (_BRADFORD @ white))[:, None] * _BRADFORD)
+
+
+def _illuminant_key(name: str) -> str:
+    key = _CIE_FLUORESCENT.get(name, name)
+    # colour's mappings ignore case in look-ups; membership by list keeps one spelling per illuminant.
+    if key not in list(_colour().SDS_ILLUMINANTS):
+        raise UsageError(f"no illuminant named {name!r}; {_near(name, illuminant_names())}")
+    return key
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    """`did you mean ...?`, or the known names where none is near."""
+    by_lower = {k.lower(): k for k in known}
+    near = [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, n=5, cutoff=0.5)]
+    if near:
+        return f"did you mean {', '.join(near)}?"
+    return f"known: {', '.join(sorted(by_lower.values()))}"
+
+
+def _require_bands(values: Array, bands: Bands) -> Array:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim == 0 or values.shape[-1] != bands.count:
+        raise ShapeError(f"values have shape {values.shape}, expected (..., {bands.count}) for {bands}")
+    return values
+
+
+def _frozen(a: Array) -> Array:
+    """The same array, read-only: cached arrays are shared."""
+    a.setflags(write=False)
+    return a
+
+
+@lru_cache(maxsize=1)
+def _colour() -> ModuleType:
+    """The package colour-science, imported without its remarks on optional packages."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
+        import colour.quality
+    return colour
+
+
+def _spectral_distribution(table: object) -> tuple[Array, Array]:
+    """Wavelengths in nm and values of one of colour-science's distributions, as plain arrays."""
+    return np.asarray(table.wavelengths, float), np.asarray(table.values, float)  # type: ignore[attr-defined]
+
+
+@lru_cache(maxsize=1)
+def _reflectances() -> dict[str, tuple[Array, Array]]:
+    """All measured reflectances by `set/name`: wavelengths in nm and values."""
+    colour = _colour()
+    from colour.quality.datasets import SDS_TCS, SDS_VS
+
+    checkers = colour.SDS_COLOURCHECKERS
+    sets = {
+        "ohta": checkers["ColorChecker N Ohta"],
+        "pmc": checkers["PMC"],
+        "tcs": SDS_TCS["CIE 1995"],
+        "vs": SDS_VS["NIST CQS 9.0"],
+        "babel": checkers["BabelColor Average"],
+        "iso17321": checkers["ISO 17321-1"],
+    }
+    return {
+        f"{s}/{name}": _spectral_distribution(t) for s, table in sets.items() for name, t in table.items()
+    }
+
+
+@lru_cache(maxsize=1)
+def _ior_files() -> dict[str, tuple[Path, Path]]:
+    """The files of eta and k by material. Only Mitsuba's folder is looked up; Mitsuba is not imported."""
+    spec = find_spec("mitsuba")
+    folders = [Path(p) / "data" / "ior" for p in (spec.submodule_search_locations or [])] if spec else []
+    found = {
+        path.name.removesuffix(".eta.spd"): (path, path.with_name(path.name.replace(".eta.", ".k.")))
+        for folder in folders
+        for path in folder.glob("*.eta.spd")
+    }
+    if not found:
+        raise FileFormatError("mitsuba: found no data/ior/*.eta.spd in the package; reinstall mitsuba>=3.6")
+    return {name: pair for name, pair in found.items() if pair[1].is_file()}
+
+
+@lru_cache(maxsize=256)
+def _read_spd(path: Path) -> tuple[Array, Array]:
+    """Wavelengths in nm, increasing, and values of a file of `wavelength value` lines."""
+    try:
+        table = np.loadtxt(path, comments="#", ndmin=2)
+    except ValueError as error:
+        raise FileFormatError(f"{path.name}: {error}; expected lines of `wavelength value`") from error
+    if table.shape[1] != 2 or not np.all(np.diff(table[:, 0]) > 0):
+        raise FileFormatError(f"{path.name}: expected two columns, wavelengths increasing; reinstall mitsuba")
+    return _frozen(table[:, 0].copy()), _frozen(table[:, 1].copy())
+
+
+def _interpolate(wavelengths_nm: Array, nodes_nm: Array, values: Array) -> Array:
+    """Linear between the nodes, constant outside."""
+    return np.interp(np.asarray(wavelengths_nm, float), nodes_nm, values)

@@ -1,0 +1,126 @@
+"""What identifies a material of a library: its name, the hash of its file, the hash of its content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.records import Array, BsdfFile
+
+ARRAY_FIELDS = (
+    "phi_i_rad",
+    "theta_i_rad",
+    "wavelengths_nm",
+    "sigma",
+    "ndf",
+    "vndf",
+    "luminance",
+    "spectra",
+    "valid",
+)
+"""The array fields of `BsdfFile`, in the order in which they are hashed."""
+
+
+@dataclass(frozen=True)
+class MaterialInfo:
+    """What a library knows of a material without reading its arrays.
+
+    Attributes:
+        name: the material's name, unique in the library.
+        source_file: name of the imported file, without its folder.
+        sha256: of the imported file.
+        content_sha256: of the fields as stored; `Library.verify` computes it again.
+        pipeline_version: version of the pipeline that wrote the file; RGB files say (1, 0).
+        description: the file's own text.
+        is_synthetic: whether the description says that nobody measured this.
+        shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
+        bytes: of all arrays together.
+    """
+
+    name: str
+    source_file: str
+    sha256: str
+    content_sha256: str
+    pipeline_version: tuple[int, ...]
+    description: str
+    is_synthetic: bool
+    shape: tuple[int, ...]
+    bytes: int
+
+
+def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
+    """What a library will know of a file.
+
+    Args:
+        file: the material.
+        source_file: name of its file.
+        sha256: of its file, in hexadecimal.
+    """
+    return MaterialInfo(
+        name=file.name,
+        source_file=source_file,
+        sha256=sha256,
+        content_sha256=content_sha256(file, source_file, sha256),
+        pipeline_version=tuple(int(part) for part in file.version),
+        description=file.description,
+        is_synthetic="synthetic" in file.description.lower(),
+        shape=tuple(file.spectra.shape),
+        bytes=sum(array.nbytes for array in present_arrays(file).values())
+        + sum(array.nbytes for array in file.extra.values()),
+    )
+
+
+def present_arrays(file: BsdfFile) -> dict[str, Array]:
+    """The array fields that a file has: an RGB file has no `wavelengths_nm`."""
+    return {name: getattr(file, name) for name in ARRAY_FIELDS if getattr(file, name) is not None}
+
+
+def content_sha256(file: BsdfFile, source_file: str, sha256: str) -> str:
+    """Hash of all that a library holds of a material, independent of how it is chunked.
+
+    Returns:
+        SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description,
+        version, jacobian) and then `hash_arrays` of the fields and the extra fields.
+    """
+    version = [int(part) for part in file.version]
+    header = [file.name, source_file, sha256, file.description, version, bool(file.jacobian)]
+    digest = hashlib.sha256(json.dumps(header).encode())
+    for name, array in present_arrays(file).items():
+        _update(digest, name, array)
+    for name, array in file.extra.items():
+        _update(digest, f"extra {name}", array)
+    return digest.hexdigest()
+
+
+def hash_arrays(arrays: Mapping[str, Array]) -> str:
+    """SHA-256 over name, dtype, shape and little-endian bytes, in C order, of each array."""
+    digest = hashlib.sha256()
+    for name, array in arrays.items():
+        _update(digest, name, np.asarray(array))
+    return digest.hexdigest()
+
+
+def is_material_name(name: str) -> bool:
+    """Whether a name can be that of a group in a zarr store and of a folder."""
+    return bool(re.fullmatch(r"(?!\.|__)[^/\\\x00-\x1f]{1,200}", name)) and name != "zarr.json"
+
+
+def require_material_name(name: str) -> None:
+    """Raise UsageError unless `is_material_name`."""
+    if not is_material_name(name):
+        raise UsageError(
+            f"{name!r} cannot be the name of a material; rename the file: letters, digits, - and _"
+        )
+
+
+def _update(digest: Any, name: str, array: Array) -> None:
+    plain = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    digest.update(f"\n{name} {plain.dtype.str} {array.shape}\n".encode())
+    digest.update(plain.reshape(-1).view(np.uint8).data)

@@ -1,0 +1,157 @@
+"""Writing a folder so that a reader, or a SIGKILL, never meets half of it: lock, stage beside, rename.
+
+Beside a library `NAME` stand, only while somebody writes: the lock `.NAME.lock`, the staging folder
+`.NAME.importing-PID` and, while a material is replaced, `.NAME.replacing`. What a killed process left is
+put right by the next writer: whoever holds the lock knows that every such folder is stale.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from manifold.errors import LibraryError
+
+
+def resolved(library: Path | str) -> Path:
+    """The library's real absolute path, so that staging lands on its file system and not beside a link."""
+    return Path(library).expanduser().resolve()
+
+
+@contextmanager
+def writing(library: Path) -> Iterator[Path]:
+    """Hold the library's write lock, recover from killed writers, and lend an empty staging folder.
+
+    Args:
+        library: resolved path of a library; it need not exist yet.
+    Yields:
+        An empty folder on the library's file system, removed at the end.
+    Raises:
+        LibraryError: another process holds the lock, or the folder cannot be written.
+    """
+    with _write_lock(library):
+        staging = library.parent / f".{library.name}.importing-{os.getpid()}"
+        try:
+            _recover(library)
+            for stale in library.parent.glob(f".{_glob_literal(library.name)}.importing-*"):
+                shutil.rmtree(stale, ignore_errors=True)
+            staging.mkdir()
+        except OSError as error:
+            raise _cannot_write(library, error) from error
+        try:
+            yield staging
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def publish(staged: Path, target: Path) -> None:
+    """Make a finished folder visible under its final name, in one step."""
+    os.rename(staged, target)
+
+
+def replace(library: Path, staged: Path, target: Path) -> None:
+    """Exchange a published folder for a finished one; `recover` brings the old one back after a kill."""
+    aside = _replacing(library)
+    aside.mkdir(exist_ok=True)
+    os.rename(target, aside / target.name)
+    os.rename(staged, target)
+    os.rename(aside / target.name, staged)  # Its old place is in the staging folder, which is swept anyway.
+    aside.rmdir()
+
+
+def recover(library: Path) -> None:
+    """Bring back a material whose replacement was cut short; does nothing where it cannot or need not.
+
+    A running import is left alone: it holds the lock, and its own replacement ends within microseconds.
+    """
+    if _replacing(library).is_dir():
+        with suppress(LibraryError, OSError), _write_lock(library):
+            _recover(library)
+
+
+def _recover(library: Path) -> None:
+    aside = _replacing(library)
+    if not aside.is_dir():
+        return
+    for old in aside.iterdir():
+        target = library / "materials" / old.name
+        if not target.exists():
+            os.rename(old, target)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _replacing(library: Path) -> Path:
+    return library.parent / f".{library.name}.replacing"
+
+
+def _glob_literal(text: str) -> str:
+    return "".join(f"[{character}]" if character in "*?[" else character for character in text)
+
+
+@contextmanager
+def _write_lock(library: Path) -> Iterator[None]:
+    """One writer per library. The kernel drops the lock when its holder dies, however it dies."""
+    path = library.parent / f".{library.name}.lock"
+    descriptor = _acquire(path, library)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        yield
+    finally:
+        with suppress(OSError):  # Unlinked while still held: a waiter notices by the inode, in `_acquire`.
+            path.unlink()
+        os.close(descriptor)
+
+
+def _acquire(path: Path, library: Path) -> int:
+    while True:
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            locked = _try_lock(descriptor)
+        except OSError as error:
+            raise _cannot_write(library, error) from error
+        if not locked:
+            holder = _holder(descriptor)
+            os.close(descriptor)
+            raise LibraryError(f"{library.name}: {holder} is writing to it; import again when that is done")
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                return descriptor
+        os.close(descriptor)  # The former holder unlinked this file after we opened it: lock the new one.
+
+
+def _holder(descriptor: int) -> str:
+    text = ""
+    with suppress(OSError):
+        text = os.read(descriptor, 200).decode(errors="replace")
+    return text or "another process"
+
+
+def _try_lock(descriptor: int) -> bool:
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _cannot_write(library: Path, error: OSError) -> LibraryError:
+    reason = error.strerror or str(error)
+    return LibraryError(
+        f"{library.name}: cannot write in {library.parent} ({reason}); choose a library in a writable folder"
+    )

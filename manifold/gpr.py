@@ -1,0 +1,386 @@
+"""Exact Gaussian-process regression with one kernel for all outputs, as weights of the training samples.
+
+Because all outputs share one kernel, a prediction is a weighted sum of the training samples, and everything
+that depends on latents alone lives in `GPWeights`, which never sees an output. `GPRegressor` adds outputs in
+the manner of scikit-learn.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.spatial.distance import cdist
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils import Tags
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from manifold.errors import NumericalError, ShapeError
+from manifold.kernels import SquaredExponentialDelta, first_equal_row
+from manifold.records import Array
+
+_FIRST_JITTER = 1e-12
+_LAST_JITTER = 1e-2
+_COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
+
+
+class JitterWarning(UserWarning):
+    """K was not positive definite: its diagonal was raised, and predictions are smoother than asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class LengthScaleBound:
+    """How fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
+
+    Attributes:
+        nearest: index of the nearest training latent, shape (M,).
+        distance: distance to it, shape (M,).
+        displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
+        bound: `e^(-1/2) sqrt(2 N) / l * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,).
+    """
+
+    nearest: Array
+    distance: Array
+    displacement: Array
+    bound: Array
+
+    @property
+    def slack(self) -> Array:
+        """`bound / displacement`, shape (M,): at least 1 where the condition holds, inf on a latent."""
+        moved = self.displacement > 0
+        return np.where(moved, self.bound / np.where(moved, self.displacement, 1.0), np.inf)
+
+    @property
+    def holds(self) -> Array:
+        """Whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        return self.displacement <= self.bound
+
+
+class GPWeights:
+    """The part of a Gaussian process that depends on the training latents alone.
+
+    Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
+
+    Args:
+        X: training latents, shape (N, Q). Duplicates are allowed.
+        mu: noise filter, >= 0.
+        length_scale: l > 0, in units of the latents.
+
+    Attributes:
+        X: the latents, float64, shape (N, Q).
+        kernel: the covariance function.
+        K: covariance of the training latents (jitter included), shape (N, N).
+        L: its lower Cholesky factor, shape (N, N).
+        jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
+
+    Raises:
+        ShapeError: X is no finite (N, Q) array.
+        NumericalError: K cannot be factorised even with jitter.
+
+    Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 12-14.
+    """
+
+    def __init__(self, X: Array, mu: float = 1e-4, length_scale: float = 1.0) -> None:
+        self.X = _require_latents(X, None, "X").copy()
+        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.K, self.L, self.jitter = _factorise(self.X, self.kernel)
+
+    @property
+    def n_samples(self) -> int:
+        """N."""
+        return int(self.X.shape[0])
+
+    def weights(self, X_new: Array) -> Array:
+        """Weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
+
+        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
+        before and added after. At a training latent the row is exactly a unit vector; where several training
+        latents coincide there, that of the first.
+
+        Args:
+            X_new: latents, shape (M, Q).
+        Raises:
+            ShapeError: X_new is no finite (M, Q) array.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
+        V = W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
+        # K^-1 K[:, i] is a unit vector only to rounding: with equal coordinates it is written down instead.
+        match = first_equal_row(X_new, self.X)
+        hit = np.flatnonzero(match >= 0)
+        V[hit] = 0.0
+        V[hit, match[hit]] = 1.0
+        return V
+
+    def variance(self, X_new: Array) -> Array:
+        """Posterior variance in units of the output variance: `1 + mu - k*^T K^-1 k*`, shape (M,).
+
+        Exactly 0 at a training latent, at most 1 + mu, which is the prior's.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
+        variance = np.maximum(self.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
+        variance[first_equal_row(X_new, self.X) >= 0] = 0.0
+        return variance
+
+    def variance_fraction(self, X_new: Array) -> Array:
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
+        return self.variance(X_new) / self.prior_variance
+
+    @property
+    def prior_variance(self) -> float:
+        """Variance of the prior in units of the output variance, 1 + mu."""
+        return 1.0 + self.kernel.mu
+
+    def output_variance(self, S: Array, n_outputs: int) -> float:
+        """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+            n_outputs: D.
+        """
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
+
+    def leave_one_out_weights(self) -> Array:
+        """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+
+        Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
+        `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
+        samples adds `(1 - sum(a)) / (N - 1)`. Where another training latent coincides with x_i, that sample
+        is the prediction, as in `weights`.
+
+        Raises:
+            ShapeError: there are fewer than two samples.
+        Source: Rasmussen & Williams 2006, eq. 5.12.
+        """
+        N = self.n_samples
+        if N < 2:
+            raise ShapeError("leave-one-out needs at least 2 samples, found 1")
+        A = -self._precision / np.diag(self._precision)[:, None]  # [N, N]
+        np.fill_diagonal(A, 0.0)
+        V = A + (1.0 - A.sum(axis=1, keepdims=True)) / (N - 1)
+        np.fill_diagonal(V, 0.0)
+        twin = self._first_twin
+        hit = np.flatnonzero(twin >= 0)
+        V[hit] = 0.0
+        V[hit, twin[hit]] = 1.0
+        return V
+
+    def leave_one_out_variance(self) -> Array:
+        """Variance of every sample given the others, in units of the output variance, shape (N,).
+
+        Source: Rasmussen & Williams 2006, eq. 5.12: `1 / [K^-1]_ii`.
+        """
+        return np.where(self._first_twin >= 0, 0.0, 1.0 / np.diag(self._precision))
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number kappa(K) in the 2-norm."""
+        eigenvalues = np.linalg.eigvalsh(self.K)
+        return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
+
+    def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
+        """The condition on the length scale at X_new, with its slack.
+
+        Args:
+            X_new: latents, shape (M, Q).
+            S: Gram matrix of the training outputs, shape (N, N); centred here.
+        Source: Hikichi & Iwasaki, eq. 15.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        V = self.weights(X_new)
+        distances = cdist(X_new, self.X)
+        nearest = distances.argmin(axis=1)
+        rows = np.arange(X_new.shape[0])
+        V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
+        squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
+        factor = np.exp(-0.5) * np.sqrt(2.0 * self.n_samples) / self.kernel.length_scale
+        norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
+        distance = distances[rows, nearest]
+        return LengthScaleBound(
+            nearest=nearest,
+            distance=distance,
+            displacement=np.sqrt(np.maximum(squared, 0.0)),
+            bound=factor * self.condition * norm_Y * distance,
+        )
+
+    def _solve(self, B: Array) -> Array:
+        """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
+        return cho_solve((self.L, True), B)
+
+    @cached_property
+    def _precision(self) -> Array:
+        return self._solve(np.eye(self.n_samples))
+
+    @cached_property
+    def _first_twin(self) -> Array:
+        """Index of the first *other* training latent with the same coordinates, or -1, shape (N,)."""
+        _, group = np.unique(self.X, axis=0, return_inverse=True)
+        members: dict[int, list[int]] = {}
+        for i, g in enumerate(group.reshape(-1)):
+            members.setdefault(int(g), []).append(i)
+        twin = np.full(self.n_samples, -1)
+        for indices in members.values():
+            if len(indices) > 1:
+                twin[indices] = indices[0]
+                twin[indices[0]] = indices[1]
+        return twin
+
+
+class GPRegressor(RegressorMixin, BaseEstimator):
+    """Gaussian-process regression with the SE + delta kernel, mean-centred, exact at its training points.
+
+    Args:
+        mu: noise filter, >= 0.
+        length_scale: l > 0, in units of the inputs.
+
+    Attributes:
+        gp_: the `GPWeights` of the training inputs.
+        Y_fit_: training outputs, shape (N, D) or (N,).
+        output_variance_: `s^2 = tr(K^-1 S) / (N D)`, the output variance that maximises the likelihood.
+    """
+
+    def __init__(self, mu: float = 1e-4, length_scale: float = 1.0) -> None:
+        self.mu = mu
+        self.length_scale = length_scale
+
+    def __sklearn_tags__(self) -> Tags:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        tags.target_tags.single_output = True
+        return tags
+
+    def fit(self, X: Array, Y: Array) -> GPRegressor:
+        """Fit to inputs X (N, Q) and outputs Y (N, D) or (N,).
+
+        Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 13.
+        """
+        X, Y = validate_data(self, X, Y, multi_output=True, y_numeric=True, dtype=np.float64)
+        self.gp_ = GPWeights(X, self.mu, self.length_scale)
+        self.Y_fit_ = np.array(Y, dtype=np.float64)
+        Y_c = self._centred_outputs()  # [N, D]
+        fit = max(float(np.sum(Y_c * self.gp_._solve(Y_c))), 0.0)
+        self.output_variance_ = fit / Y_c.size
+        return self
+
+    def predict(self, X: Array, return_std: bool = False) -> Array | tuple[Array, Array]:
+        """Posterior mean at X (M, Q), shape (M, D) or (M,); with `return_std` also the deviation (M,).
+
+        At a training input the mean is the training output, bit for bit.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, reset=False, dtype=np.float64)
+        mean = self.gp_.weights(X) @ self.Y_fit_
+        match = first_equal_row(X, self.gp_.X)
+        mean[match >= 0] = self.Y_fit_[match[match >= 0]]  # 0 * y + 1 * y loses the sign of -0.0
+        if return_std:
+            return mean, self.std(X)
+        return mean
+
+    def std(self, X: Array) -> Array:
+        """Posterior standard deviation at X (M, Q), one for all outputs, in their units, shape (M,)."""
+        check_is_fitted(self)
+        X = validate_data(self, X, reset=False, dtype=np.float64)
+        return np.sqrt(self.output_variance_ * self.gp_.variance(X))
+
+    def leave_one_out(self) -> Array:
+        """Every training output predicted from the others, shape of the training outputs."""
+        check_is_fitted(self)
+        return self.gp_.leave_one_out_weights() @ self.Y_fit_
+
+    def length_scale_bound(self, X: Array) -> LengthScaleBound:
+        """The condition on the length scale at X (M, Q), with its slack (Hikichi & Iwasaki, eq. 15)."""
+        check_is_fitted(self)
+        Y_c = self._centred_outputs()
+        return self.gp_.length_scale_bound(validate_data(self, X, reset=False, dtype=np.float64), Y_c @ Y_c.T)
+
+    def _centred_outputs(self) -> Array:
+        Y = self.Y_fit_.reshape(self.Y_fit_.shape[0], -1)
+        return Y - Y.mean(axis=0)
+
+
+def centre_gram(S: Array) -> Array:
+    """`H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
+    row = S.mean(axis=1)
+    centred = S - row[:, None] - row[None, :] + row.mean()
+    return 0.5 * (centred + centred.T)
+
+
+def _require_latents(X: Array, columns: int | None, name: str) -> Array:
+    X = np.asarray(X, dtype=np.float64)
+    expected = "(samples, Q)" if columns is None else f"(samples, {columns})"
+    if X.ndim != 2 or X.shape[1] == 0 or (columns is not None and X.shape[1] != columns):
+        raise ShapeError(f"{name} has shape {X.shape}, expected {expected}")
+    if columns is None and X.shape[0] == 0:
+        raise ShapeError(f"{name} has no rows, expected at least one training latent")
+    if not np.all(np.isfinite(X)):
+        raise ShapeError(f"{name} has non-finite values, expected finite latents")
+    return X
+
+
+def _require_square(S: Array, n: int, name: str) -> Array:
+    S = np.asarray(S, dtype=np.float64)
+    if S.shape != (n, n):
+        raise ShapeError(f"{name} has shape {S.shape}, expected ({n}, {n})")
+    if not np.all(np.isfinite(S)):
+        raise ShapeError(f"{name} has non-finite values, expected a finite Gram matrix")
+    return S
+
+
+def _factorise(X: Array, kernel: SquaredExponentialDelta) -> tuple[Array, Array, float]:
+    """K, its lower Cholesky factor and the jitter that was needed (0 as a rule)."""
+    K = kernel.training(X)
+    diagonal = np.diag_indices_from(K)
+    jitter = 0.0
+    while True:
+        L = _cholesky_or_none(K)
+        if L is not None:
+            break
+        raised = _FIRST_JITTER if jitter == 0.0 else 10.0 * jitter
+        if raised > _LAST_JITTER:
+            raise NumericalError(
+                f"K is not positive definite even with {jitter:.0e} on its diagonal (N = {X.shape[0]}, "
+                f"mu = {kernel.mu:.0e}): {_name_coinciding(X, kernel)}; raise mu"
+            )
+        jitter = raised
+        K[diagonal] = 1.0 + kernel.mu + jitter
+    if jitter > 0.0:
+        warnings.warn(
+            f"K is not positive definite (N = {X.shape[0]}, mu = {kernel.mu:.0e}): "
+            f"{_name_coinciding(X, kernel)}; added {jitter:.0e} to its diagonal; "
+            f"raise mu to {jitter:.0e} or more",
+            JitterWarning,
+            stacklevel=3,
+        )
+    return K, L, jitter
+
+
+def _cholesky_or_none(K: Array) -> Array | None:
+    """The lower factor, or None where K is singular to working precision."""
+    try:
+        L = cholesky(K, lower=True)
+    except np.linalg.LinAlgError:
+        return None
+    # Rounding can let a singular K pass with meaningless pivots.
+    smallest_pivot = float(np.diag(L).min()) ** 2
+    return L if smallest_pivot > 4.0 * K.shape[0] * np.finfo(float).eps else None
+
+
+def _name_coinciding(X: Array, kernel: SquaredExponentialDelta) -> str:
+    """Which latents are to blame, in words."""
+    if X.shape[0] < 2:
+        return "a single latent"
+    distances = cdist(X, X)
+    distances[np.tril_indices_from(distances)] = np.inf
+    pairs = np.argwhere(distances <= _COINCIDE * kernel.length_scale)
+    if len(pairs) == 0:
+        i, j = np.unravel_index(int(distances.argmin()), distances.shape)
+        return f"latents {i} and {j} are closest, {distances[i, j]:.1e} apart"
+    named = ", ".join(f"{i} and {j}" for i, j in pairs[:5])
+    more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
+    return f"latents {named}{more} coincide"

@@ -1,0 +1,236 @@
+"""Errors between BRDFs, and the grids of direction pairs they are measured on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.directions import half_vector, normalize
+from manifold.errors import ShapeError, UsageError
+from manifold.records import Array
+
+
+def rmse(f: Array, f_star: Array, *, n_pairs: int | None = None) -> float:
+    """Root of the squared error, summed over bands and divided by the number of direction pairs only.
+
+    `sqrt(sum_d (f_d - f*_d)^2 / n_pairs)`: bands are summed, not averaged.
+
+    Args:
+        f: measured values in 1/sr, shape (..., B), bands last.
+        f_star: predicted values, same shape.
+        n_pairs: number of direction pairs to divide by; those passed, if None. Give the size of the whole
+            grid where pairs below the horizon (error 0) were left out.
+    Raises:
+        ShapeError: the shapes differ.
+    Source: Hikichi & Iwasaki, eq. 22.
+    """
+    errors = RunningErrors()
+    errors.add(f, f_star)
+    return errors.rmse if n_pairs is None else errors.rmse_over(n_pairs)
+
+
+def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
+    """`||w (f* - f)|| / ||w f||` over all direction pairs and bands.
+
+    Args:
+        f: measured values in 1/sr, shape (..., B), bands last.
+        f_star: predicted values, same shape.
+        weight: w per direction pair, shape (...); `cosine_weight(wi, wo)` in this package's reports.
+    Returns:
+        0 for a perfect prediction, 1 for one of all zeros; 0 / 0 counts as 0, anything else over 0 as inf.
+    Raises:
+        ShapeError: the shapes differ.
+    """
+    errors = RunningErrors()
+    errors.add(f, f_star, weight)
+    return errors.relative_error
+
+
+class RunningErrors:
+    """RMSE and relative error accumulated over blocks of direction pairs."""
+
+    def __init__(self) -> None:
+        self.n_pairs = 0
+        self._squared = 0.0
+        self._weighted_squared = 0.0
+        self._weighted_norm = 0.0
+
+    def add(self, f: Array, f_star: Array, weight: Array | float = 1.0) -> None:
+        """Count a block: f and f_star (..., B) in 1/sr, weight (...) per direction pair.
+
+        Raises:
+            ShapeError: f and f_star differ in shape, or weight is not one number per direction pair.
+        """
+        f, f_star = np.asarray(f), np.asarray(f_star)
+        if f.shape != f_star.shape or f.ndim == 0:
+            raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
+        weight = np.asarray(weight, dtype=np.float64)
+        if weight.ndim and weight.shape != f.shape[:-1]:
+            raise ShapeError(
+                f"weight has shape {weight.shape}, expected {f.shape[:-1]}, one per direction pair"
+            )
+        per_pair = np.sum(np.square(np.subtract(f_star, f, dtype=np.float64)), axis=-1)  # [...]
+        norm = np.sum(np.square(f, dtype=np.float64), axis=-1)
+        self.n_pairs += int(per_pair.size)
+        self._squared += float(per_pair.sum())
+        self._weighted_squared += float(np.sum(weight**2 * per_pair))
+        self._weighted_norm += float(np.sum(weight**2 * norm))
+
+    @property
+    def rmse(self) -> float:
+        """Eq. 22 of Hikichi & Iwasaki over the pairs counted."""
+        return self.rmse_over(self.n_pairs)
+
+    def rmse_over(self, n_pairs: int) -> float:
+        """Eq. 22 of Hikichi & Iwasaki with the sum divided by `n_pairs`."""
+        if n_pairs < 1:
+            raise ShapeError("RMSE over no direction pairs, expected at least one")
+        return float(np.sqrt(self._squared / n_pairs))
+
+    @property
+    def relative_error(self) -> float:
+        """`||w (f* - f)|| / ||w f||` over the pairs counted."""
+        if self._weighted_norm == 0.0:
+            return 0.0 if self._weighted_squared == 0.0 else float("inf")
+        return float(np.sqrt(self._weighted_squared / self._weighted_norm))
+
+
+def spectral_angle(f: Array, f_star: Array) -> Array:
+    """Angle between spectra as vectors, in radians in [0, pi], bands last: (..., B) to (...).
+
+    Blind to intensity. Two zero spectra have angle 0, a zero and a non-zero one pi / 2.
+
+    Source: Kruse et al. 1993, in the half-angle form of Kahan, which is exact for small angles.
+    """
+    f, f_star = np.asarray(f, dtype=np.float64), np.asarray(f_star, dtype=np.float64)
+    if f.shape != f_star.shape or f.ndim == 0:
+        raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
+    u, v = _unit_or_zero(f), _unit_or_zero(f_star)
+    return 2.0 * np.arctan2(np.linalg.norm(u - v, axis=-1), np.linalg.norm(u + v, axis=-1))
+
+
+def _unit_or_zero(f: Array) -> Array:
+    norm = np.linalg.norm(f, axis=-1, keepdims=True)
+    return f / np.where(norm > 0, norm, 1.0)
+
+
+def cosine_weight(wi: Array, wo: Array) -> Array:
+    """`cos(theta_i) cos(theta_o)`, 0 below the horizon, shape (...)."""
+    return np.maximum(wi[..., 2], 0.0) * np.maximum(wo[..., 2], 0.0)
+
+
+def from_rusinkiewicz(
+    theta_h: Array, theta_d: Array, phi_d: Array, phi_h: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Direction pair of half and difference angles in radians, broadcast: two arrays (..., 3).
+
+    The half vector is `(theta_h, phi_h)`; wi is `(theta_d, phi_d)` in its frame; wo mirrors wi at it.
+
+    Source: Rusinkiewicz 1998, section 2.
+    """
+    theta_h, theta_d, phi_d, phi_h = np.broadcast_arrays(
+        *(np.asarray(a, dtype=np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
+    )
+    d = np.stack([np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)], axis=-1)
+    mirrored = d * np.array([-1.0, -1.0, 1.0])
+    return tuple(normalize(_rotate_z(_rotate_y(w, theta_h), phi_h)) for w in (d, mirrored))  # type: ignore[return-value]
+
+
+def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
+    """`theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
+
+    Azimuths are arbitrary where their elevation is 0. Opposite directions have no half vector and give NaN.
+
+    Source: Rusinkiewicz 1998, section 2.
+    """
+    with np.errstate(invalid="ignore"):
+        h = half_vector(wi, wo)
+    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    phi_h = np.arctan2(h[..., 1], h[..., 0])
+    d = _rotate_y(_rotate_z(wi, -phi_h), -theta_h)
+    theta_d = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
+    return theta_h, theta_d, np.arctan2(d[..., 1], d[..., 0]), phi_h
+
+
+def _rotate_y(w: Array, angle: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
+
+
+def _rotate_z(w: Array, angle: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)
+
+
+@dataclass(frozen=True)
+class RusinkiewiczGrid:
+    """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
+
+    Attributes:
+        n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
+        squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
+        offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
+    """
+
+    n_theta_h: int = 45
+    n_theta_d: int = 23
+    n_phi_d: int = 12
+    squared_theta_h: bool = True
+    offset: float = 0.5
+
+    def __post_init__(self) -> None:
+        if min(self.n_theta_h, self.n_theta_d, self.n_phi_d) < 1 or not 0.0 <= self.offset < 1.0:
+            raise UsageError(f"{self}: expected at least one node per angle and an offset in [0, 1)")
+
+    @classmethod
+    def named(cls, name: str) -> RusinkiewiczGrid:
+        """`default` (45 x 23 x 12, held-out errors) or `seed` (90 x 90 x 180 whole degrees, eq. 22).
+
+        Raises:
+            UsageError: the name is unknown.
+        """
+        if name not in NAMED_GRIDS:
+            raise UsageError(f"no grid is called '{name}', expected one of {', '.join(NAMED_GRIDS)}")
+        return NAMED_GRIDS[name]
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of direction pairs, those below the horizon included."""
+        return self.n_theta_h * self.n_theta_d * self.n_phi_d
+
+    def angles(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
+        """`theta_h, theta_d, phi_d` in radians of pairs start to stop, each of shape (stop - start,)."""
+        index = np.arange(start, self.n_pairs if stop is None else min(stop, self.n_pairs))
+        h, d, p = np.unravel_index(index, (self.n_theta_h, self.n_theta_d, self.n_phi_d))
+        fraction_h = (h + self.offset) / self.n_theta_h
+        theta_h = (fraction_h**2 if self.squared_theta_h else fraction_h) * (0.5 * np.pi)
+        theta_d = (d + self.offset) / self.n_theta_d * (0.5 * np.pi)
+        return theta_h, theta_d, (p + self.offset) / self.n_phi_d * np.pi
+
+    def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
+        """Pairs start to stop: wi (M, 3), wo (M, 3), and which lie above the horizon, bool (M,)."""
+        wi, wo = from_rusinkiewicz(*self.angles(start, stop))
+        return wi, wo, (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+
+    def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Array]]:
+        """`directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""
+        if size < 1:
+            raise UsageError(f"block size {size}, expected at least 1")
+        for start in range(0, self.n_pairs, size):
+            yield self.directions(start, start + size)
+
+
+NAMED_GRIDS = {
+    "default": RusinkiewiczGrid(),
+    "seed": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
+}
+
+
+def rusinkiewicz_grid(name: str = "default") -> tuple[Array, Array, Array]:
+    """Direction pairs of a named grid: wi (M, 3), wo (M, 3), above the horizon (M,).
+
+    `default` has 12,420 pairs, `seed` 1,458,000: walk those by `RusinkiewiczGrid.named("seed").blocks()`.
+    """
+    return RusinkiewiczGrid.named(name).directions()

@@ -1,0 +1,36 @@
+# Everything sets itself up: a Debian machine with Python 3.11 or newer is enough.
+BIN := .venv/bin
+OUT ?= demo
+
+.PHONY: demo test check bench clean help
+
+help:
+	@echo "make demo    run the whole program on the built-in corpus, into $(OUT)/"
+	@echo "make test    run the tests"
+	@echo "make check   ruff, mypy, import-linter"
+	@echo "make bench   speed as ratios, into benchmarks/results/"
+
+.venv/ready: pyproject.toml tools/setup.sh
+	tools/setup.sh
+
+.venv/readydev: pyproject.toml tools/setup.sh
+	tools/setup.sh dev
+	@touch .venv/ready
+
+demo: .venv/ready
+	$(BIN)/manifold demo $(OUT)
+
+test: .venv/readydev
+	$(BIN)/python -m pytest
+
+check: .venv/readydev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/readydev
+	$(BIN)/python benchmarks/run_all.py
+
+clean:
+	rm -rf .venv build dist *.egg-info

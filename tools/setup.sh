@@ -1,0 +1,68 @@
+#!/bin/sh
+# Make the virtual environment .venv and install manifold into it.
+#
+#   tools/setup.sh          what running the program needs
+#   tools/setup.sh dev      what its tests and checks need as well
+#
+# PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
+# libllvm19 lets Mitsuba run its fast variants. It is installed where it is missing and apt may be used;
+# without it everything works, slower.
+set -eu
+cd "$(dirname "$0")/.."
+extra=${1:-}
+
+find_python() {
+    for name in ${PYTHON:-python3 python3.13 python3.12 python3.11 python}; do
+        if command -v "$name" >/dev/null 2>&1 &&
+            "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            command -v "$name"
+            return
+        fi
+    done
+    echo "setup: no Python 3.11 or newer found (looked for ${PYTHON:-python3, python3.11 to 3.13}); install one, or set PYTHON" >&2
+    exit 1
+}
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then
+        env DEBIAN_FRONTEND=noninteractive "$@"
+    elif command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null; then
+        sudo -n env DEBIAN_FRONTEND=noninteractive "$@"
+    else
+        return 1
+    fi
+}
+
+apt_install() {
+    command -v apt-get >/dev/null 2>&1 || return 1
+    as_root apt-get install -y -qq "$@" >/dev/null 2>&1 && return
+    as_root apt-get update -qq >/dev/null 2>&1 && as_root apt-get install -y -qq "$@" >/dev/null 2>&1
+}
+
+has_llvm() {
+    ldconfig -p 2>/dev/null | grep -Eq 'libLLVM(-|\.so\.)(1[7-9]|[2-9][0-9])'
+}
+
+python=$(find_python)
+if [ ! -x .venv/bin/python ] || ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
+    rm -rf .venv
+    # Debian ships venv apart from Python itself.
+    if ! "$python" -m venv .venv >/dev/null 2>&1; then
+        rm -rf .venv
+        version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+        apt_install "python$version-venv" || apt_install python3-venv || true
+        "$python" -m venv .venv || {
+            echo "setup: $python cannot make a virtual environment; install Debian's python3-venv" >&2
+            exit 1
+        }
+    fi
+fi
+
+if ! has_llvm; then
+    apt_install libllvm19 || echo "setup: libllvm19 is missing and could not be installed; Mitsuba will run its slower scalar variants" >&2
+fi
+
+target=.
+[ -z "$extra" ] || target=".[$extra]"
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable "$target"
+touch ".venv/ready$extra"

@@ -19,6 +19,9 @@ from manifold.warp import Warp, bilinear, interpolate
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
 _GRAZING = np.deg2rad(89.9)  # where the limit at the horizon is read off
+# Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
+# orders of magnitude within its last cell cannot be interpolated in single precision.
+_RETRO_LIMIT = np.deg2rad(85.0)
 _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
 
@@ -53,8 +56,8 @@ def default_phi_i(n: int) -> Array:
 
 
 def _retro_reflection(brdf: BRDF, theta: Array, phi: Array) -> Array:
-    """Band mean of f_cos(w, w), shape of theta and phi broadcast; read off before the horizon."""
-    w = from_spherical(np.minimum(theta, _GRAZING), phi)
+    """Band mean of f_cos(w, w), shape of theta and phi broadcast."""
+    w = from_spherical(np.minimum(theta, _RETRO_LIMIT), phi)
     return np.maximum(brdf.eval_cos(w, w).mean(axis=-1), 0.0)
 
 

@@ -78,8 +78,8 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     """A measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
 
     Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`),
-    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and infrared
-    bands of RGL files are continuations, not measurements.
+    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and
+    infrared bands of RGL files are continuations, not measurements.
 
     Args:
         name: one of `diffuse_reflectance_names()`, or its part after the slash, which means the first set

@@ -1,0 +1,103 @@
+"""Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and a thin film on either.
+
+All functions take the cosine of the angle to the facet's normal, shape (n,), and one index per band,
+shape (B,), and return the reflectance of unpolarised light, shape (n, B), in [0, 1].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from manifold.records import Array
+
+
+def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
+    """Reflectance of a transparent medium of real index `eta`, 1 beyond the critical angle if eta < 1.
+
+    Args:
+        cos_theta: cosines (n,) in [0, 1].
+        eta: index of refraction relative to air, shape (B,).
+    """
+    eta = np.ascontiguousarray(eta, float)
+    return _conductor(np.ascontiguousarray(cos_theta, float), eta, np.zeros_like(eta))
+
+
+def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
+    """Reflectance of a medium of complex index eta + i k, exact.
+
+    Args:
+        cos_theta: cosines (n,) in [0, 1].
+        eta, k: real and imaginary part of the index relative to air, both of shape (B,).
+    Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on
+    Fresnel equations".
+    """
+    eta, k = np.ascontiguousarray(eta, float), np.ascontiguousarray(k, float)
+    return _conductor(np.ascontiguousarray(cos_theta, float), eta, k)
+
+
+def fresnel_thin_film(
+    cos_theta: Array, wavelengths_nm: Array, film_eta: Array, thickness_nm: float, eta: Array, k: Array
+) -> Array:
+    """Reflectance of a transparent film on a base of index eta + i k, all internal reflections summed.
+
+    Args:
+        cos_theta: cosines (n,) in [0, 1].
+        wavelengths_nm: wavelengths in air in nm, shape (B,).
+        film_eta: index of the film, at least 1, shape (B,).
+        thickness_nm: thickness of the film in nm; 0 is the bare base.
+        eta, k: index of the base relative to air, both of shape (B,).
+    Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently;
+    Belcour & Barla 2017, whose spectral integration to RGB is not needed here.
+    """
+    arguments = (cos_theta, wavelengths_nm, film_eta, eta, k)
+    c, wavelength, film, eta, k = (np.ascontiguousarray(a, float) for a in arguments)
+    return _thin_film(c, 2.0 * np.pi * thickness_nm / wavelength, film, eta + 1j * k)
+
+
+@njit(cache=True, parallel=True)
+def _conductor(cos_theta, eta, k):
+    out = np.empty((cos_theta.size, eta.size))
+    for i in prange(cos_theta.size):
+        c = min(max(cos_theta[i], 0.0), 1.0)
+        c2 = c * c
+        s2 = 1.0 - c2
+        for b in range(eta.size):
+            t0 = eta[b] * eta[b] - k[b] * k[b] - s2
+            a2b2 = np.sqrt(t0 * t0 + 4.0 * eta[b] * eta[b] * k[b] * k[b])
+            t1 = a2b2 + c2
+            t2 = 2.0 * c * np.sqrt(max(0.5 * (a2b2 + t0), 0.0))
+            if t1 + t2 == 0.0:  # index 1 at grazing: the limit is an interface that is not there
+                out[i, b] = 1.0
+                continue
+            rs = (t1 - t2) / (t1 + t2)
+            t3 = c2 * a2b2 + s2 * s2
+            t4 = t2 * s2
+            rp = rs * (t3 - t4) / (t3 + t4) if t3 + t4 > 0.0 else rs
+            out[i, b] = 0.5 * (rs + rp)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _thin_film(cos_theta, phase, film, base):
+    """`phase` is 2 pi thickness / wavelength, (B,); `base` the complex index, (B,)."""
+    out = np.empty((cos_theta.size, film.size))
+    for i in prange(cos_theta.size):
+        c0 = min(max(cos_theta[i], 0.0), 1.0)
+        s2 = 1.0 - c0 * c0
+        for b in range(film.size):
+            # q is index times cosine of refraction, with the decaying branch (imaginary part >= 0).
+            q1 = np.sqrt(film[b] * film[b] - s2 + 0j)
+            q2 = np.sqrt(base[b] * base[b] - s2 + 0j)
+            if q2.imag < 0.0:
+                q2 = -q2
+            e1, e2 = film[b] * film[b], base[b] * base[b]
+            turn = np.exp(2j * phase[b] * q1)
+            s01 = (c0 - q1) / (c0 + q1) if c0 + q1 != 0 else -1.0 + 0j
+            s12 = (q1 - q2) / (q1 + q2)
+            p01 = (e1 * c0 - q1) / (e1 * c0 + q1) if e1 * c0 + q1 != 0 else -1.0 + 0j
+            p12 = (e2 * q1 - e1 * q2) / (e2 * q1 + e1 * q2)
+            rs = abs((s01 + s12 * turn) / (1.0 + s01 * s12 * turn)) ** 2
+            rp = abs((p01 + p12 * turn) / (1.0 + p01 * p12 * turn)) ** 2
+            out[i, b] = min(0.5 * (rs + rp), 1.0)
+    return out

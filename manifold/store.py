@@ -416,7 +416,7 @@ def _attributes(group: zarr.Group) -> dict[str, Any]:
 def _array(group: zarr.Group, name: str) -> zarr.Array:
     array = group[name]
     if not isinstance(array, zarr.Array):
-        raise LibraryError(f"field '{name}' is no array")
+        raise LookupError(f"field '{name}' is no array")
     return array
 
 
@@ -439,7 +439,7 @@ def _require_chunks(array: zarr.Array, selection: tuple[slice, ...]) -> None:
     ]
     for key in _chunk_keys(ranges):
         if not (folder / key).exists():
-            raise LibraryError(f"field '{array.basename}' lacks its chunk {key}")
+            raise LookupError(f"field '{array.basename}' lacks its chunk {key}")
 
 
 def _chunk_keys(ranges: list[range]) -> Iterator[str]:

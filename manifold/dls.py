@@ -1,0 +1,332 @@
+"""Direct local search: the pattern search of Hooke & Jeeves.
+
+Two faces of one search:
+
+- `hooke_jeeves` is a method for `scipy.optimize.minimize`;
+- `direct_local_search` works on a `MoveObjective`, which prices a move of a single coordinate more cheaply
+  than a whole new point (the likelihood of a latent variable model does, by rank-two updates).
+
+Source: Hooke & Jeeves 1961.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.optimize import Bounds, OptimizeResult
+
+from manifold.errors import ShapeError, UsageError
+from manifold.records import Array
+
+CONVERGED, OUT_OF_EVALUATIONS, OUT_OF_SWEEPS, STOPPED = 0, 1, 2, 99
+_MESSAGES = {
+    CONVERGED: "every step is below the tolerance",
+    OUT_OF_EVALUATIONS: "the maximum number of evaluations was reached",
+    OUT_OF_SWEEPS: "the maximum number of sweeps was reached",
+    STOPPED: "the callback stopped the search",
+}
+
+
+class MoveObjective(Protocol):
+    """A function of n coordinates that stands at a current point.
+
+    `try_move` prices `x[index] + delta` and leaves it pending; then exactly one of `commit` and `reject`
+    follows. NaN and inf are allowed as values and never accepted.
+    """
+
+    @property
+    def x(self) -> Array:
+        """The current point, shape (n,)."""
+
+    @property
+    def value(self) -> float:
+        """The function at the current point."""
+
+    def try_move(self, index: int, delta: float) -> float:
+        """The value with one coordinate moved, pending."""
+
+    def commit(self) -> None:
+        """Make the pending move."""
+
+    def reject(self) -> None:
+        """Drop the pending move."""
+
+    def move_to(self, x: Array) -> float:
+        """Jump to x (n,) and return the value there."""
+
+
+class _OutOfEvaluations(Exception):
+    """Ends the search wherever it is."""
+
+
+def direct_local_search(
+    objective: MoveObjective,
+    *,
+    initial_step: float | Array = 0.5,
+    tolerance: float = 1e-6,
+    f_tolerance: float = 0.0,
+    individual_steps: bool = False,
+    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None = None,
+    maxfev: int | None = None,
+    max_sweeps: int | None = None,
+    callback: Callable[[Array, float], Any] | None = None,
+) -> OptimizeResult:
+    """Minimise by exploratory moves along coordinates and pattern moves along what they achieved.
+
+    A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep
+    that improved, the same displacement is added once more and explored from there, for as long as that pays.
+    After one that did not, the step halves, until it falls below the tolerance.
+
+    Args:
+        objective: stands at the start; it stands at the best point found when this returns or raises.
+        initial_step: first step in units of x, a number or shape (n,).
+        tolerance: ends when every step is smaller.
+        f_tolerance: ends, besides, when a round gains less than this times |value|.
+        individual_steps: one step per coordinate, doubled where it succeeds (up to the initial step) and
+            halved where it fails, instead of one for all. Better where coordinates differ in scale.
+        bounds: limits of every coordinate, as scipy takes them.
+        maxfev: limit on evaluations, a move of one coordinate counting as one; 2000 n if None.
+        max_sweeps: limit on rounds (a sweep and the pattern moves after it).
+        callback: called as `callback(x, value)` after every round; StopIteration ends the search.
+    Returns:
+        x, fun, nfev, nit, status, success and message.
+    Raises:
+        ShapeError: bounds or steps do not fit x.
+        UsageError: a step or tolerance is not positive.
+    Source: Hooke & Jeeves 1961.
+    """
+    n = objective.x.shape[0]
+    if not (np.all(np.asarray(initial_step) > 0) and tolerance > 0):
+        raise UsageError(f"initial_step {initial_step} and tolerance {tolerance}: both must be positive")
+    search = _Search(
+        objective,
+        steps=_per_coordinate(initial_step, n, "initial_step"),
+        limits=_limits(bounds, n),
+        individual=individual_steps,
+        maxfev=2000 * n if maxfev is None else maxfev,
+    )
+    nit, status = 0, OUT_OF_SWEEPS
+    try:
+        while status == OUT_OF_SWEEPS and (max_sweeps is None or nit < max_sweeps):
+            before = search.best
+            improved = search.round()
+            nit += 1
+            if callback is not None:
+                callback(search.best_x.copy(), search.best)
+            gained_little = improved and before - search.best <= f_tolerance * abs(search.best)
+            if np.all(search.steps < tolerance) or gained_little:
+                status = CONVERGED
+    except _OutOfEvaluations:
+        status = OUT_OF_EVALUATIONS
+    except StopIteration:
+        status = STOPPED
+    finally:
+        search.settle()
+    return OptimizeResult(
+        x=search.best_x.copy(),
+        fun=search.best,
+        nfev=search.nfev,
+        nit=nit,
+        status=status,
+        success=status == CONVERGED,
+        message=_MESSAGES[status],
+    )
+
+
+class _Search:
+    """Steps, budget, and the best point of one search."""
+
+    def __init__(
+        self,
+        objective: MoveObjective,
+        steps: Array,
+        limits: tuple[Array, Array],
+        individual: bool,
+        maxfev: int,
+    ) -> None:
+        self.objective = objective
+        self.steps = steps
+        self.largest = steps.copy()
+        self.heading = np.ones(steps.shape[0])  # the sense that succeeded last is tried first
+        self.lower, self.upper = limits
+        self.individual = individual
+        self.maxfev = maxfev
+        self.nfev = 1
+        self.best_x, self.best = objective.x.copy(), objective.value
+
+    def round(self) -> bool:
+        """One sweep from the best point, then pattern moves while they pay; whether the sweep improved."""
+        origin = self.best_x
+        self._explore(adapt=True)
+        improved = self._keep_if_better()
+        if not improved and not self.individual:
+            self.steps *= 0.5
+        paying = improved
+        while paying:
+            pattern = np.clip(2.0 * self.best_x - origin, self.lower, self.upper)
+            origin = self.best_x
+            self._spend()
+            self.objective.move_to(pattern)
+            # Explored even if the jump itself made things worse: that is what lets it follow curved valleys.
+            self._explore(adapt=False)
+            paying = self._keep_if_better()
+        self.settle()
+        return improved
+
+    def settle(self) -> None:
+        """Leave the objective at the best point."""
+        if not self._keep_if_better() and not np.array_equal(self.objective.x, self.best_x):
+            self.objective.move_to(self.best_x)
+
+    def _keep_if_better(self) -> bool:
+        if not self.objective.value < self.best:
+            return False
+        self.best_x, self.best = self.objective.x.copy(), self.objective.value
+        return True
+
+    def _explore(self, adapt: bool) -> None:
+        """Try every coordinate both ways and keep each improvement; adapt individual steps if asked."""
+        for index in range(self.steps.shape[0]):
+            succeeded = self._try_both_ways(index)
+            if succeeded and self.individual:
+                self.steps[index] = min(2.0 * self.steps[index], self.largest[index])
+            elif adapt and self.individual:
+                self.steps[index] *= 0.5
+
+    def _try_both_ways(self, index: int) -> bool:
+        objective = self.objective
+        here = objective.x[index]
+        for sense in (self.heading[index], -self.heading[index]):
+            target = min(max(here + sense * self.steps[index], self.lower[index]), self.upper[index])
+            if target == here:
+                continue
+            self._spend()
+            if objective.try_move(index, target - here) < objective.value:
+                objective.commit()
+                self.heading[index] = sense
+                return True
+            objective.reject()
+        return False
+
+    def _spend(self) -> None:
+        if self.nfev >= self.maxfev:
+            raise _OutOfEvaluations
+        self.nfev += 1
+
+
+def _per_coordinate(value: float | Array, n: int, name: str) -> Array:
+    value = np.asarray(value, dtype=np.float64)
+    if value.shape not in ((), (1,), (n,)):
+        raise ShapeError(f"{name} has shape {value.shape}, expected a number or ({n},)")
+    return np.array(np.broadcast_to(value, (n,)))
+
+
+def _limits(
+    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None, n: int
+) -> tuple[Array, Array]:
+    """Lower and upper limits, shape (n,) each, from either of scipy's forms."""
+    if bounds is None:
+        return np.full(n, -np.inf), np.full(n, np.inf)
+    if isinstance(bounds, Bounds):
+        lower, upper = bounds.lb, bounds.ub
+    else:
+        pairs = list(bounds)
+        lower = np.array([-np.inf if low is None else low for low, _ in pairs])
+        upper = np.array([np.inf if high is None else high for _, high in pairs])
+    lower, upper = _per_coordinate(lower, n, "lower bounds"), _per_coordinate(upper, n, "upper bounds")
+    if np.any(lower > upper):
+        raise UsageError(f"lower bound {lower[lower > upper][0]} lies above its upper bound")
+    return lower, upper
+
+
+class _WholeEvaluations:
+    """An ordinary function as a `MoveObjective`: every move is a full evaluation."""
+
+    def __init__(self, fun: Callable[..., float], args: tuple[Any, ...], x0: Array) -> None:
+        self._fun, self._args = fun, args
+        self.x = x0
+        self.value = self._evaluate(x0)
+        self._pending_x, self._pending = self.x, self.value
+
+    def try_move(self, index: int, delta: float) -> float:
+        self._pending_x = self.x.copy()
+        self._pending_x[index] += delta
+        self._pending = self._evaluate(self._pending_x)
+        return self._pending
+
+    def commit(self) -> None:
+        self.x, self.value = self._pending_x, self._pending
+
+    def reject(self) -> None:
+        pass
+
+    def move_to(self, x: Array) -> float:
+        self.x, self.value = x.copy(), self._evaluate(x)
+        return self.value
+
+    def _evaluate(self, x: Array) -> float:
+        # A copy: functions handed to scipy may keep or change their argument.
+        return float(np.asarray(self._fun(x.copy(), *self._args)).item())
+
+
+def hooke_jeeves(
+    fun: Callable[..., float],
+    x0: Array,
+    args: tuple[Any, ...] = (),
+    *,
+    bounds: Bounds | Sequence[tuple[float | None, float | None]] | None = None,
+    callback: Callable[..., Any] | None = None,
+    tol: float | None = None,
+    initial_step: float | Array = 0.5,
+    maxfev: int | None = None,
+    maxiter: int | None = None,
+    individual_steps: bool = False,
+    **unused: Any,
+) -> OptimizeResult:
+    """Hooke & Jeeves as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
+
+    Args:
+        fun: called as `fun(x, *args)`, returns a number; it need be neither smooth nor finite.
+        x0: start, shape (n,), clipped to the bounds.
+        args: more arguments of fun.
+        bounds: `scipy.optimize.Bounds` or pairs `(low, high)`.
+        callback: `callback(intermediate_result)` by that very name, or `callback(x)`, after every round;
+            StopIteration ends the search.
+        tol: smallest step, 1e-6 if None.
+        initial_step: first step, a number or shape (n,).
+        maxfev: limit on evaluations, 2000 n if None.
+        maxiter: limit on rounds.
+        individual_steps: see `direct_local_search`.
+        unused: `jac`, `hess`, `hessp` and `constraints`, which scipy always passes.
+    Raises:
+        UsageError: constraints were given; they would be ignored.
+    Source: Hooke & Jeeves 1961.
+    """
+    if unused.get("constraints"):
+        raise UsageError("hooke_jeeves knows bounds but no constraints; add a penalty to the function")
+    start = np.atleast_1d(np.array(x0, dtype=np.float64))
+    if start.ndim != 1:
+        raise ShapeError(f"x0 has shape {start.shape}, expected (n,)")
+    objective = _WholeEvaluations(fun, args, np.clip(start, *_limits(bounds, start.shape[0])))
+    return direct_local_search(
+        objective,
+        initial_step=initial_step,
+        tolerance=1e-6 if tol is None else tol,
+        individual_steps=individual_steps,
+        bounds=bounds,
+        maxfev=maxfev,
+        max_sweeps=maxiter,
+        callback=_in_scipy_form(callback),
+    )
+
+
+def _in_scipy_form(callback: Callable[..., Any] | None) -> Callable[[Array, float], Any] | None:
+    """Scipy's rule: a sole parameter called `intermediate_result` gets an OptimizeResult, any other x."""
+    if callback is None:
+        return None
+    if set(inspect.signature(callback).parameters) == {"intermediate_result"}:
+        return lambda x, value: callback(intermediate_result=OptimizeResult(x=x, fun=value))
+    return lambda x, value: callback(x)

@@ -1,0 +1,609 @@
+"""A Gaussian-process latent variable model: low-dimensional coordinates of materials from their Gram matrix.
+
+The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of
+outputs D. With the output variance s^2 profiled out, the negative log likelihood per output is
+
+    F(X) = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2,    s^2 = tr(K^-1 S) / (N D),
+
+constants dropped. F times D is the likelihood of Hikichi & Iwasaki, eq. 21.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba as nb
+import numpy as np
+from scipy.linalg import cho_solve, eigh
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.optimize import minimize
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from manifold.dls import direct_local_search
+from manifold.errors import NumericalError, ShapeError, UsageError
+from manifold.gpr import GPWeights, centre_gram
+from manifold.kernels import SquaredExponentialDelta
+from manifold.records import Array
+
+OPTIMIZERS = ("dls", "l-bfgs")
+CRITERIA = ("likelihood", "residual")
+_SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
+_DRIFT = 1e-9  # largest entry of K P - I tolerated before P is computed afresh
+_SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
+
+FitCallback = Callable[[int, float], Any]
+
+
+class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """Gaussian-process latent variable model with the SE + delta kernel.
+
+    Starts from principal components and refines the latents by direct local search or L-BFGS. The latents
+    are centred, and each axis has its largest-magnitude entry positive.
+
+    Args:
+        n_components: Q, the number of latent dimensions.
+        mu: noise filter of the kernel, at least 1e-10.
+        length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
+        optimizer: `dls` or `l-bfgs`.
+        prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
+            Hikichi & Iwasaki as they state it.
+        start_scale: standard deviation of the start along every axis.
+        max_iter: limit on rounds of the search or iterations of L-BFGS; 0 keeps the start.
+        tol: ends when a round gains less than this times |F|, or the search's steps fall below it.
+
+    Attributes:
+        embedding_: latents X, shape (N, Q).
+        objective_, objective_start_: F at the end and at the start.
+        n_iter_, n_evaluations_: rounds, and evaluations of F (a move of one coordinate is one).
+        output_variance_: profiled s^2, in squared units of the outputs.
+        gp_: `GPWeights` of the latents.
+        gram_: centred Gram matrix, shape (N, N).
+        n_outputs_: D.
+        Y_fit_: the data, shape (N, D), after `fit`; None after `fit_gram`, which stores nothing of size D.
+
+    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 16-21.
+    """
+
+    def __init__(
+        self,
+        n_components: int = 2,
+        *,
+        mu: float = 1e-4,
+        length_scale: float = 1.0,
+        optimizer: str = "dls",
+        prior: float = 0.0,
+        start_scale: float = 1.0,
+        max_iter: int = 500,
+        tol: float = 1e-6,
+    ) -> None:
+        self.n_components = n_components
+        self.mu = mu
+        self.length_scale = length_scale
+        self.optimizer = optimizer
+        self.prior = prior
+        self.start_scale = start_scale
+        self.max_iter = max_iter
+        self.tol = tol
+
+    # -- fitting -------------------------------------------------------------------------------------------
+
+    Y_fit_: Array | None
+
+    def fit(self, Y: Array, y: Any = None, *, callback: FitCallback | None = None) -> GPLVM:
+        """Fit to data Y (N, D), which is centred here; y is ignored.
+
+        `callback(iteration, F)` is called after every round; StopIteration ends the refinement with the best
+        latents so far, any other exception leaves the estimator as it was.
+        """
+        Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
+        Y_c = Y - Y.mean(axis=0)
+        self._fit_centred(Y_c @ Y_c.T, Y.shape[1], None, callback)
+        self.Y_fit_ = Y.copy()
+        # Cross products with new data are centred by the data's mean, not by the Gram matrix's.
+        self._mean_Y = Y.mean(axis=0)
+        self._gram_row_mean, self._gram_mean = np.zeros(Y.shape[0]), 0.0
+        return self
+
+    def fit_gram(
+        self, S: Array, n_outputs: int, *, X0: Array | None = None, callback: FitCallback | None = None
+    ) -> GPLVM:
+        """Fit to a Gram matrix `S = Y Y^T` (N, N) of uncentred outputs; it is centred here (H S H).
+
+        A centred Gram matrix gives the same latents, but `transform_gram` then needs its products taken about
+        the same mean.
+
+        Args:
+            S: shape (N, N), symmetric, N at least 2.
+            n_outputs: D.
+            X0: start, shape (N, Q), in place of principal components.
+            callback: as for `fit`.
+        Raises:
+            ShapeError: S is not square, symmetric and finite, or all samples are identical.
+            UsageError: a parameter of the model cannot be used.
+        """
+        S = _require_gram(S, n_outputs)
+        self._fit_centred(centre_gram(S), n_outputs, X0, callback)
+        self._remember_gram(S)
+        return self
+
+    def adopt(self, S: Array, n_outputs: int, X: Array) -> GPLVM:
+        """Take latents X (N, Q) as they are, bit for bit: a model that was fitted before and stored."""
+        S = _require_gram(S, n_outputs)
+        self._require_parameters()
+        X = _require_start(X, S.shape[0], self.n_components)
+        objective = self._objective(centre_gram(S), n_outputs)(X)[0]
+        self._set_fitted(X.copy(), centre_gram(S), n_outputs)
+        self.objective_, self.objective_start_ = objective, objective
+        self.n_iter_, self.n_evaluations_ = 0, 1
+        self._remember_gram(S)
+        return self
+
+    def fit_transform(self, Y: Array, y: Any = None, **fit_params: Any) -> Array:
+        """Fit to Y (N, D) and return its latents (N, Q)."""
+        return self.fit(Y, y, **fit_params).embedding_.copy()
+
+    def _remember_gram(self, S: Array) -> None:
+        self.Y_fit_ = None
+        self._gram_row_mean, self._gram_mean = S.mean(axis=1), float(S.mean())
+
+    def _fit_centred(self, S: Array, n_outputs: int, X0: Array | None, callback: FitCallback | None) -> None:
+        self._require_parameters()
+        if not np.trace(S) > 0.0:
+            raise ShapeError(f"all {S.shape[0]} samples are identical, expected at least two different ones")
+        N, Q = S.shape[0], self.n_components
+        start = _require_start(X0, N, Q) if X0 is not None else self.start_scale * pca_start(S, Q)
+        objective = self._objective(S, n_outputs)
+        objective_start = objective(start)[0]
+        X, n_iter, n_evaluations = start, 0, 1
+        if self.max_iter > 0:
+            refine = _refine_dls if self.optimizer == "dls" else _refine_lbfgs
+            X, n_iter, n_evaluations = refine(objective, start, self.max_iter, self.tol, callback)
+        X = fix_gauge(X)
+        objective_end = objective(X)[0]
+        if objective_end > objective_start:  # by rounding only: the start was optimal
+            X, objective_end = start, objective_start
+        self._set_fitted(X, S, n_outputs)
+        self.objective_, self.objective_start_ = objective_end, objective_start
+        self.n_iter_, self.n_evaluations_ = max(n_iter, 1), n_evaluations
+
+    def _set_fitted(self, X: Array, S: Array, n_outputs: int) -> None:
+        self.gp_ = GPWeights(X, self.mu, self.length_scale)
+        self.embedding_ = X
+        self.gram_ = S
+        self.n_outputs_ = n_outputs
+        self.output_variance_ = self.gp_.output_variance(S, n_outputs)
+
+    def _objective(self, S: Array, n_outputs: int) -> LatentObjective:
+        return LatentObjective(S, n_outputs, self.mu, self.length_scale, float(self.prior))
+
+    def _require_parameters(self) -> None:
+        if self.optimizer not in OPTIMIZERS:
+            raise UsageError(f"optimizer '{self.optimizer}', expected one of {', '.join(OPTIMIZERS)}")
+        if not self.n_components >= 1:
+            raise UsageError(f"n_components = {self.n_components}, expected at least 1")
+        if not self.mu >= _SMALLEST_MU:
+            raise UsageError(f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K must stay definite")
+        if not self.prior >= 0:
+            raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
+
+    @property
+    def _n_features_out(self) -> int:
+        return int(self.embedding_.shape[1])
+
+    # -- using ---------------------------------------------------------------------------------------------
+
+    def transform(self, Y: Array) -> Array:
+        """Latents of data Y (M, D) by their likelihood, the training latents kept, shape (M, Q).
+
+        A training sample gets its training latent.
+        """
+        check_is_fitted(self)
+        if self.Y_fit_ is None:
+            raise UsageError("this model was fitted on a Gram matrix; use transform_gram")
+        Y = validate_data(self, Y, reset=False, dtype=np.float64)
+        Y_c = Y - self._mean_Y
+        cross = Y_c @ (self.Y_fit_ - self._mean_Y).T
+        return self.transform_gram(cross, np.einsum("md,md->m", Y_c, Y_c))
+
+    def transform_gram(self, cross: Array, norm: Array, *, criterion: str = "likelihood") -> Array:
+        """Latents of new samples known by their products with the training samples, shape (M, Q).
+
+        Minimises, per output and with the training latents kept,
+        `1/2 log v + r^2 / (2 D s^2 v) + prior/2 ||x||^2`, where `v(x)` is the posterior variance in units of
+        s^2 and `r(x)` the distance between the sample and its reconstruction. `residual` gives the sample a
+        variance of its own instead of v, `1/2 log r^2 + prior/2 ||x||^2`: the latent whose *prediction* is
+        nearest. The search starts from the latents of the nearest training samples and a linear guess.
+
+        Args:
+            cross: products `Y_new Y^T` about the origin that `fit_gram` saw, shape (M, N).
+            norm: squared norms of the new samples about the same origin, shape (M,).
+            criterion: `likelihood` or `residual`.
+        Raises:
+            ShapeError: cross is not (M, N), norm is not (M,), or either is not finite.
+            UsageError: the criterion is unknown.
+        """
+        check_is_fitted(self)
+        cross, norm = self._centred_products(cross, norm)
+        if criterion not in CRITERIA:
+            raise UsageError(f"criterion '{criterion}', expected one of {', '.join(CRITERIA)}")
+        latents = np.empty((cross.shape[0], self.embedding_.shape[1]))
+        for m, (c, n) in enumerate(zip(cross, norm, strict=True)):
+            latents[m] = self._embed_one(c, float(n), criterion)
+        return latents
+
+    def inverse_transform(self, X: Array) -> Array:
+        """Predicted data at latents X (M, Q), (M, D); a training latent gives its datum, bit for bit."""
+        check_is_fitted(self)
+        if self.Y_fit_ is None:
+            raise UsageError("this model was fitted on a Gram matrix; multiply `weights(X)` by the data")
+        return self.weights(X) @ self.Y_fit_
+
+    def weights(self, X: Array) -> Array:
+        """Weights of the training samples at latents X (M, Q), shape (M, N)."""
+        check_is_fitted(self)
+        return self.gp_.weights(X)
+
+    def std(self, X: Array) -> Array:
+        """Posterior standard deviation at latents X (M, Q), in units of the outputs, shape (M,)."""
+        check_is_fitted(self)
+        return np.sqrt(self.output_variance_ * self.gp_.variance(X))
+
+    def _centred_products(self, cross: Array, norm: Array) -> tuple[Array, Array]:
+        cross, norm = np.asarray(cross, dtype=np.float64), np.asarray(norm, dtype=np.float64)
+        N = self.gram_.shape[0]
+        if cross.ndim != 2 or cross.shape[1] != N or norm.shape != cross.shape[:1]:
+            raise ShapeError(
+                f"cross has shape {cross.shape} and norm {norm.shape}, expected (samples, {N}) and (samples,)"
+            )
+        if not (np.all(np.isfinite(cross)) and np.all(np.isfinite(norm))):
+            raise ShapeError("cross or norm has non-finite values, expected finite products")
+        mean_cross = cross.mean(axis=1)
+        centred = cross - mean_cross[:, None] - self._gram_row_mean[None, :] + self._gram_mean
+        return centred, np.maximum(norm - 2.0 * mean_cross + self._gram_mean, 0.0)
+
+    def _embed_one(self, cross: Array, norm: float, criterion: str) -> Array:
+        squared = norm + np.diag(self.gram_) - 2.0 * cross  # distances to the training samples, [N]
+        order = np.argsort(squared, kind="stable")
+        nearest = order[0]
+        # At a training latent variance and residual are both 0, and the likelihood is unbounded.
+        if squared[nearest] <= _SAME * (norm + self.gram_[nearest, nearest]):
+            return self.embedding_[nearest]
+        linear = np.linalg.lstsq(self.gram_, cross, rcond=1e-3)[0] @ self.embedding_
+        starts = [*self.embedding_[order[:4]], linear]
+        objective = _embedding_objective(self, cross, norm, criterion)
+        best_x, best = starts[0], np.inf
+        for start in starts:
+            found = minimize(objective, start, jac=True, method="L-BFGS-B")
+            if found.fun < best:
+                best_x, best = found.x, float(found.fun)
+        return best_x
+
+
+def _embedding_objective(
+    model: GPLVM, cross: Array, norm: float, criterion: str
+) -> Callable[[Array], tuple[float, Array]]:
+    """What `transform_gram` minimises for one sample, with its gradient: x (Q,) to (value, gradient (Q,))."""
+    gp, X, S = model.gp_, model.embedding_, model.gram_
+    scale = model.n_outputs_ * max(model.output_variance_, np.finfo(float).tiny)
+    prior, inverse_l2 = float(model.prior), 1.0 / model.length_scale**2
+    floor = 1e-14 * (norm + float(np.trace(S)) / S.shape[0])  # r^2 is a difference of such numbers
+
+    def objective(x: Array) -> tuple[float, Array]:
+        k = gp.kernel.smooth(x[None, :], X)[0]  # [N]
+        w = cho_solve((gp.L, True), k)
+        Sw = S @ w
+        residual = max(norm - 2.0 * (w @ cross) + w @ Sw, floor)
+        variance = gp.prior_variance - k @ w
+        d_residual = 2.0 * cho_solve((gp.L, True), Sw - cross)  # by k, [N]
+        if criterion == "likelihood":
+            value = 0.5 * np.log(variance) + 0.5 * residual / (scale * variance)
+            d_variance = 0.5 / variance - 0.5 * residual / (scale * variance**2)
+            d_k = 0.5 / (scale * variance) * d_residual - 2.0 * d_variance * w
+        else:
+            value = 0.5 * np.log(residual)
+            d_k = 0.5 / residual * d_residual
+        gradient = -inverse_l2 * ((d_k * k) @ (x[None, :] - X)) + prior * x
+        return value + 0.5 * prior * float(x @ x), gradient
+
+    return objective
+
+
+class LatentObjective:
+    """F(X) and its gradient, by a fresh factorisation.
+
+    Args:
+        S: centred Gram matrix, shape (N, N).
+        n_outputs: D.
+        mu, length_scale: of the kernel.
+        prior: weight of the Gaussian prior per output.
+    """
+
+    def __init__(self, S: Array, n_outputs: int, mu: float, length_scale: float, prior: float = 0.0) -> None:
+        self.S = np.ascontiguousarray(S)
+        self.n_outputs = n_outputs
+        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.prior = prior
+
+    def __call__(self, X: Array) -> tuple[float, Array]:
+        """F at X (N, Q) and its gradient (N, Q).
+
+        `dF/dK = 1/2 K^-1 - N / (2 tr(K^-1 S)) K^-1 S K^-1`.
+
+        Source: Lawrence 2005, eq. 6, with the output variance profiled out.
+        """
+        N = self.S.shape[0]
+        K, P, log_det = self.factorise(X)
+        PS = P @ self.S
+        trace = float(np.trace(PS))
+        dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
+        K[np.diag_indices_from(K)] = 1.0
+        gradient = self.kernel.gradient(X, dK, smooth=K) + self.prior * X
+        return self.value_of(log_det, trace, float(np.sum(X**2))), gradient
+
+    def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
+        """F of log|K|, tr(K^-1 S) and ||X||^2; inf where rounding made the trace negative."""
+        N = self.S.shape[0]
+        if not trace > 0.0:
+            return float("inf")
+        log_variance = np.log(trace / (N * self.n_outputs))
+        return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
+
+    def factorise(self, X: Array) -> tuple[Array, Array, float]:
+        """K, its inverse P (by Cholesky) and log|K|."""
+        K = self.kernel.training(X)
+        L, failed = dpotrf(K, lower=1)
+        if failed:
+            raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
+        log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
+        P, _ = dpotri(L, lower=1)
+        P = np.tril(P)
+        return K, np.ascontiguousarray(P + np.tril(P, -1).T), log_det
+
+
+class IncrementalObjective:
+    """F as a `MoveObjective`: a move of one coordinate of one latent costs O(N^2).
+
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with `d_i = 0`. With
+    `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q` and `t = (1 + b)^2 - a c`,
+
+        |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
+
+    Every accepted move measures the error of P on the row it changed and on one more, and P is computed
+    afresh when that exceeds 1e-9.
+
+    Args:
+        objective: F.
+        X: where to stand, shape (N, Q); copied.
+    Attributes:
+        n_refactorisations: how often P was computed afresh since the start, jumps not counted.
+    Source: Woodbury; Hikichi & Iwasaki, section 3.4, for the search it serves.
+    """
+
+    def __init__(self, objective: LatentObjective, X: Array) -> None:
+        self.objective = objective
+        self.n_refactorisations = 0
+        N, Q = X.shape
+        self._Q = Q
+        self._work = np.zeros((4, N))  # d, P d, S P d, S p
+        self._inverse_2l2 = 0.5 / objective.kernel.length_scale**2
+        self.move_to(np.ascontiguousarray(X, dtype=np.float64).reshape(-1))
+
+    @property
+    def x(self) -> Array:
+        """The latents as one vector, row by row, shape (N Q,). A view: do not write to it."""
+        return self._flat
+
+    def move_to(self, x: Array) -> float:
+        """Stand at x (N Q,), by a fresh factorisation."""
+        self._X = np.array(x, dtype=np.float64).reshape(-1, self._Q)
+        self._flat = self._X.reshape(-1)
+        self._factorise()
+        self.n_commits = 0
+        return self.value
+
+    def _factorise(self) -> None:
+        self._K, self._P, self._log_det = self.objective.factorise(self._X)
+        self._trace = float(np.sum(self._P * self.objective.S))
+        self._squared_norm = float(np.sum(self._X**2))
+        self.value = self.objective.value_of(self._log_det, self._trace, self._squared_norm)
+        self._cached = -1  # the latent whose S p lies in the work space
+
+    def try_move(self, index: int, delta: float) -> float:
+        """F with coordinate `index` of `x` moved by delta, pending."""
+        i, q = divmod(index, self._Q)
+        t, a, b, c, change = _price(
+            self._X,
+            self._K,
+            self._P,
+            self.objective.S,
+            self._work,
+            i,
+            q,
+            delta,
+            self._inverse_2l2,
+            self._cached,
+        )
+        self._cached = i
+        squared_norm = self._squared_norm + delta * (2.0 * self._flat[index] + delta)
+        if not t > 0.0:  # rounding: no real move makes K indefinite
+            value = float("inf")
+            log_det = trace = float("nan")
+        else:
+            log_det, trace = self._log_det + np.log(t), self._trace + change
+            value = self.objective.value_of(log_det, trace, squared_norm)
+        self._pending = (i, q, delta, t, a, b, c, log_det, trace, squared_norm, value)
+        return value
+
+    def commit(self) -> None:
+        """Make the pending move."""
+        i, q, delta, t, a, b, c, *state = self._pending
+        self._log_det, self._trace, self._squared_norm, self.value = state
+        self.n_commits += 1
+        other = self.n_commits % self._X.shape[0]
+        self._X[i, q] += delta
+        drift = _commit(self._K, self._P, self._work, i, t, a, b, c, other)
+        self._cached = -1
+        if not drift < _DRIFT:
+            self.n_refactorisations += 1
+            self._factorise()
+
+    def reject(self) -> None:
+        """Drop the pending move."""
+
+
+@nb.njit(cache=True)
+def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
+    """A rank-two update of K, latent i moved by delta along axis q: t, a, b, c and the change of the trace.
+
+    Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share.
+    """
+    N, Q = X.shape
+    d, Pd, SPd, Sp = work[0], work[1], work[2], work[3]
+    for j in range(N):
+        squared = 0.0
+        for k in range(Q):
+            difference = X[i, k] - X[j, k]
+            if k == q:
+                difference += delta
+            squared += difference * difference
+        d[j] = np.exp(-squared * inverse_2l2) - K[i, j]
+        Pd[j] = 0.0
+        SPd[j] = 0.0
+    d[i] = 0.0
+    for j in range(N):  # symmetric: rows serve as columns, and the inner loop runs along memory
+        w = d[j]
+        for k in range(N):
+            Pd[k] += w * P[j, k]
+    for j in range(N):
+        w = Pd[j]
+        for k in range(N):
+            SPd[k] += w * S[j, k]
+    if cached != i:
+        Sp[:] = 0.0
+        for j in range(N):
+            w = P[i, j]
+            for k in range(N):
+                Sp[k] += w * S[j, k]
+    a, b, c = P[i, i], Pd[i], 0.0
+    pSp, pSq, qSq = 0.0, 0.0, 0.0
+    for j in range(N):
+        c += d[j] * Pd[j]
+        pSp += P[i, j] * Sp[j]
+        pSq += Pd[j] * Sp[j]
+        qSq += Pd[j] * SPd[j]
+    t = (1.0 + b) * (1.0 + b) - a * c
+    change = (c * pSp - 2.0 * (1.0 + b) * pSq + a * qSq) / t
+    return t, a, b, c, change
+
+
+@nb.njit(cache=True)
+def _commit(K, P, work, i, t, a, b, c, other):
+    """Update K and P in place; the largest entry of rows i and `other` of K P - I, a measure of P's error."""
+    N = K.shape[0]
+    d, Pd, p = work[0], work[1], work[2]
+    for j in range(N):
+        p[j] = P[i, j]
+    for j in range(N):
+        along_p = (c * p[j] - (1.0 + b) * Pd[j]) / t
+        along_q = (a * Pd[j] - (1.0 + b) * p[j]) / t
+        for k in range(N):
+            P[j, k] += along_p * p[k] + along_q * Pd[k]
+        K[i, j] += d[j]
+        K[j, i] = K[i, j]
+    drift = 0.0
+    for row in (i, other):
+        residual = work[3]
+        residual[:] = 0.0
+        residual[row] = -1.0
+        for j in range(N):
+            w = K[row, j]
+            for k in range(N):
+                residual[k] += w * P[j, k]
+        for k in range(N):
+            if not abs(residual[k]) <= drift:  # NaN counts as drift
+                drift = abs(residual[k])
+    return drift
+
+
+def _refine_dls(
+    objective: LatentObjective, start: Array, max_iter: int, tol: float, callback: FitCallback | None
+) -> tuple[Array, int, int]:
+    """Latents by direct local search: X (N, Q), rounds, evaluations."""
+    rounds = iter(range(1, max_iter + 1))
+    result = direct_local_search(
+        IncrementalObjective(objective, start),
+        initial_step=0.5 * objective.kernel.length_scale,
+        tolerance=tol * objective.kernel.length_scale,
+        f_tolerance=tol,
+        individual_steps=True,
+        maxfev=np.iinfo(np.int64).max,
+        max_sweeps=max_iter,
+        callback=None if callback is None else lambda x, value: callback(next(rounds), value),
+    )
+    return result.x.reshape(start.shape), result.nit, result.nfev
+
+
+def _refine_lbfgs(
+    objective: LatentObjective, start: Array, max_iter: int, tol: float, callback: FitCallback | None
+) -> tuple[Array, int, int]:
+    """Latents by L-BFGS with the analytic gradient: X (N, Q), iterations, evaluations."""
+
+    def flat(x: Array) -> tuple[float, Array]:
+        value, gradient = objective(x.reshape(start.shape))
+        return value, gradient.reshape(-1)
+
+    rounds = iter(range(1, max_iter + 1))
+
+    def report(intermediate_result: Any) -> None:
+        if callback is not None:
+            callback(next(rounds), float(intermediate_result.fun))
+
+    options = {"maxiter": max_iter, "maxfun": 50 * max_iter, "ftol": 1e-3 * tol, "gtol": tol, "maxcor": 20}
+    result = minimize(flat, start.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
+    return result.x.reshape(start.shape), int(result.nit), int(result.nfev)
+
+
+def pca_start(S: Array, n_components: int) -> Array:
+    """Principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
+
+    Axes the data do not span are 0. Each axis has its largest-magnitude entry positive.
+    """
+    N = S.shape[0]
+    Q = min(n_components, N)
+    values, vectors = eigh(S, subset_by_index=[N - Q, N - 1])
+    X = np.zeros((N, n_components))
+    X[:, :Q] = vectors[:, ::-1] * np.sqrt(N)
+    X[:, :Q][:, values[::-1] <= N * np.finfo(float).eps * max(values[-1], 0.0)] = 0.0
+    return fix_gauge(X)
+
+
+def fix_gauge(X: Array) -> Array:
+    """Latents (N, Q) centred, each axis with its largest-magnitude entry positive.
+
+    The likelihood is blind to both: the kernel sees distances only.
+    """
+    X = X - X.mean(axis=0)
+    largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
+    return X * np.where(largest < 0, -1.0, 1.0)
+
+
+def _require_start(X0: Array, N: int, Q: int) -> Array:
+    X0 = np.array(X0, dtype=np.float64)
+    if X0.shape != (N, Q) or not np.all(np.isfinite(X0)):
+        raise ShapeError(f"latents have shape {X0.shape}, expected ({N}, {Q}) finite values")
+    return X0
+
+
+def _require_gram(S: Array, n_outputs: int) -> Array:
+    S = np.asarray(S, dtype=np.float64)
+    if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
+        raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")
+    if not np.all(np.isfinite(S)):
+        raise ShapeError("S has non-finite values, expected the Gram matrix of finite data")
+    if np.abs(S - S.T).max() > 1e-8 * np.abs(S).max():
+        raise ShapeError("S is not symmetric, expected a Gram matrix Y Y^T")
+    if n_outputs < 1:
+        raise ShapeError(f"n_outputs = {n_outputs}, expected at least 1")
+    return S

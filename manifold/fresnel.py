@@ -1,7 +1,7 @@
 """Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and a thin film on either.
 
 All functions take the cosine of the angle to the facet's normal, shape (n,), and one index per band,
-shape (B,), and return the reflectance of unpolarised light, shape (n, B), in [0, 1].
+shape (B,) or (1,) for all, and return the reflectance of unpolarised light, shape (n, B), in [0, 1].
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
 
     Args:
         cos_theta: cosines (n,) in [0, 1].
-        eta, k: real and imaginary part of the index relative to air, both of shape (B,).
+        eta, k: real and imaginary part of the index relative to air, shapes (B,) or (1,).
     Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on
     Fresnel equations".
     """
-    eta, k = np.ascontiguousarray(eta, float), np.ascontiguousarray(k, float)
+    eta, k = _same_shape(eta, k)
     return _conductor(np.ascontiguousarray(cos_theta, float), eta, k)
 
 
@@ -50,9 +50,14 @@ def fresnel_thin_film(
     Source: Airy's summation for one film (Born & Wolf, section 7.6), evaluated per band and coherently;
     Belcour & Barla 2017, whose spectral integration to RGB is not needed here.
     """
-    arguments = (cos_theta, wavelengths_nm, film_eta, eta, k)
-    c, wavelength, film, eta, k = (np.ascontiguousarray(a, float) for a in arguments)
-    return _thin_film(c, 2.0 * np.pi * thickness_nm / wavelength, film, eta + 1j * k)
+    wavelengths, film, eta, k = _same_shape(wavelengths_nm, film_eta, eta, k)
+    phase = 2.0 * np.pi * thickness_nm / wavelengths
+    return _thin_film(np.ascontiguousarray(cos_theta, float), phase, film, eta + 1j * k)
+
+
+def _same_shape(*values: Array) -> list[Array]:
+    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast."""
+    return [np.ascontiguousarray(a, float) for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
 
 
 @njit(cache=True, parallel=True)

@@ -29,6 +29,7 @@ _N_ELEVATIONS = 96
 _N_AZIMUTHS = 25
 _N_COSINES = 257
 _N_CAP = 64
+_N_CAP_ANISOTROPIC = 32  # enough where the kink at the horizon is smeared over the azimuth
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,8 +221,8 @@ class AlbedoTable:
     @cached_property
     def hemispherical(self) -> Array:
         """Albedo under uniform illumination, the cosine-weighted mean over the hemisphere, shape (B,)."""
-        n_phi = 1 if self.ggx.is_isotropic else 128
-        nodes, weights = hemisphere_quadrature(256, n_phi)
+        n_phi = 1 if self.ggx.is_isotropic else 64
+        nodes, weights = hemisphere_quadrature(128, n_phi)
         return (weights * nodes[:, 2]) @ self(nodes) / np.pi
 
 
@@ -257,11 +258,11 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     phi = np.linspace(0.0, 0.5 * np.pi, 1 if isotropic else _N_AZIMUTHS)
     r = np.sqrt(1.0 - z * z)[:, None]
     stretched = np.stack(np.broadcast_arrays(r * np.cos(phi), r * np.sin(phi), z[:, None]), axis=-1)
-    x, weights = np.polynomial.legendre.leggauss(_N_CAP)
+    x, weights = np.polynomial.legendre.leggauss(_N_CAP if isotropic else _N_CAP_ANISOTROPIC)
     # Mirrored directions meet the horizon in the last alpha^2 of the cap: v^2 spreads that edge out.
     v = 0.5 * (x + 1.0)
     moments = _integrate_caps(
-        stretched.reshape(-1, 3), alpha_x, alpha_y, 1.0 - v * v, weights * v, 2 * _N_CAP, _N_COSINES
+        stretched.reshape(-1, 3), alpha_x, alpha_y, 1.0 - v * v, weights * v, 2 * v.size, _N_COSINES
     ).reshape(z.size, phi.size, _N_COSINES)
     moments.setflags(write=False)
     return moments

@@ -60,8 +60,9 @@ def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
     files = _ior_files()
     if name not in files:
         raise UsageError(f"no index of refraction named {name!r}; known: {', '.join(sorted(files))}")
-    eta, k = (_read_spd(path) for path in files[name])
-    return _interpolate(wavelengths_nm, *eta), _interpolate(wavelengths_nm, *k)
+    (eta_nm, eta), (k_nm, k) = (_read_spd(path) for path in files[name])
+    known = eta > 0.0  # no medium has eta = 0: the tables of AlAs write it where a value is missing
+    return _interpolate(wavelengths_nm, eta_nm[known], eta[known]), _interpolate(wavelengths_nm, k_nm, k)
 
 
 def diffuse_reflectance_names() -> tuple[str, ...]:

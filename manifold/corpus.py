@@ -107,7 +107,7 @@ def write(
     seed: int = 0,
     anisotropic: bool = False,
     rgb: bool = False,
-    on_progress: Callable[[str], None] | None = None,
+    on_progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Path]:
     """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
 
@@ -115,7 +115,7 @@ def write(
         folder: made if missing.
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
-        on_progress: called with the name of each finished material.
+        on_progress: called with (done, total, name) after each material.
     Returns:
         The paths, in the order of the corpus.
     Raises:
@@ -127,12 +127,13 @@ def write(
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
     paths = []
-    for material in isotropic_materials() + (anisotropic_materials() if anisotropic else ()):
+    materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
+    for done, material in enumerate(materials, start=1):
         path = folder / f"{material.name}_{'rgb' if rgb else 'spec'}.bsdf"
         write_bsdf(path, measure(material, seed=seed, rgb=rgb))
         paths.append(path)
         if on_progress is not None:
-            on_progress(material.name)
+            on_progress(done, len(materials), material.name)
     return paths
 
 

@@ -1,0 +1,143 @@
+"""How long the import of a library takes, as a multiple of `cp -r` of its files followed by `sync`.
+
+    python benchmarks/bench_import.py [FOLDER] [--rounds 5] [--work DIR] [--json FILE]
+
+Without a folder it makes 51 files of the size of the real ones (6.95 MB, random values). Both sides write to
+the same disk, read warm files, and end with `sync`; they take turns, and the medians are compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from manifold.io_rgl import write_bsdf
+from manifold.records import BsdfFile
+from manifold.store import Library
+
+FILES = 51
+TARGET = 4.0
+IMPORT = "import sys; from manifold.importing import import_files; import_files(sys.argv[1], [sys.argv[2]])"
+
+
+def make_files(folder: Path) -> None:
+    """Write 51 files with the fields and shapes of a real isotropic spectral file."""
+    rng = np.random.default_rng(0)
+
+    def values(*shape: int) -> np.ndarray:
+        return rng.random(shape, dtype=np.float32) + np.float32(0.01)
+
+    folder.mkdir()
+    for number in range(FILES):
+        file = BsdfFile(
+            name=f"m{number:02d}",
+            description="synthetic: random values of the size of a measured file",
+            version=(3, 1),
+            phi_i_rad=np.zeros(1, np.float32),
+            theta_i_rad=np.linspace(0, np.pi / 2, 8, dtype=np.float32),
+            wavelengths_nm=np.linspace(358.63, 1001.89, 195, dtype=np.float32),
+            sigma=values(2, 128),
+            ndf=values(2, 128),
+            vndf=values(1, 8, 128, 128),
+            luminance=values(1, 8, 32, 32),
+            spectra=values(1, 8, 195, 32, 32),
+            jacobian=True,
+            valid=rng.integers(0, 256, 1024, dtype=np.uint8),
+        )
+        write_bsdf(folder / f"{file.name}_spec.bsdf", file)
+
+
+def timed_s(action: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that an action takes, without and with a `sync` after it; the disk is idle before."""
+    os.sync()
+    time.sleep(0.5)
+    start = time.perf_counter()
+    action()
+    middle = time.perf_counter()
+    os.sync()
+    return middle - start, time.perf_counter() - start
+
+
+def stored_bytes(folder: Path) -> int:
+    """Bytes that a folder takes on disk."""
+    return sum(path.lstat().st_blocks * 512 for path in [folder, *folder.rglob("*")])
+
+
+def measure(files: Path, work: Path, rounds: int) -> dict[str, object]:
+    """Alternate copies and imports; seconds and their ratio."""
+    copy, library = work / "copy", work / "library.zarr"
+    seconds: dict[str, list[float]] = {"cp": [], "cp_sync": [], "import": [], "import_sync": []}
+    for _ in range(rounds + 1):
+        for path in (copy, library):
+            shutil.rmtree(path, ignore_errors=True)
+        command = ["cp", "-r", str(files), str(copy)]
+        for key, arguments in (
+            ("cp", command),
+            ("import", [sys.executable, "-c", IMPORT, str(library), str(files)]),
+        ):
+            alone, with_sync = timed_s(lambda arguments=arguments: subprocess.run(arguments, check=True))
+            seconds[key].append(alone)
+            seconds[f"{key}_sync"].append(with_sync)
+    medians = {
+        key: statistics.median(values[1:]) for key, values in seconds.items()
+    }  # The first round warms up.
+    opened = Library.open(library)
+    start = time.perf_counter()
+    for name in opened.names:
+        opened.read(name)
+    read_s = time.perf_counter() - start
+    start = time.perf_counter()
+    for name in opened.names:
+        opened.read_spectra(name, theta_index=3, bands=slice(0, 65))
+    return {
+        "files": len(opened),
+        "source_bytes": sum(path.stat().st_size for path in files.rglob("*.bsdf")),
+        "library_bytes_on_disk": stored_bytes(library),
+        "seconds": medians,
+        "read_s_per_material": read_s / len(opened),
+        "read_one_chunk_s": (time.perf_counter() - start) / len(opened),
+        "ratio": medians["import_sync"] / medians["cp_sync"],
+        "ratio_each_round": [
+            i / c for i, c in zip(seconds["import_sync"][1:], seconds["cp_sync"][1:], strict=True)
+        ],
+        "target": TARGET,
+    }
+
+
+def main() -> None:
+    """Parse, measure, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", nargs="?", type=Path, help="folder of .bsdf files (default: 51 made ones)")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--work", type=Path, help="folder on the disk to measure (default: a temporary one)")
+    parser.add_argument("--json", type=Path, help="write the result here")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(dir=arguments.work) as work:
+        files = arguments.folder
+        if files is None:
+            files = Path(work) / "files"
+            make_files(files)
+        result = measure(files, Path(work), arguments.rounds)
+    print(json.dumps(result, indent=2))
+    print(
+        f"import + sync takes {result['ratio']:.2f} times as long as cp -r + sync (target: at most {TARGET:g})"
+    )
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

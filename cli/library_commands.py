@@ -1,0 +1,144 @@
+"""Commands about files and libraries: corpus, fetch, import, info."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import terminal
+
+LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", help="Also write the result as JSON to this file; - is stdout.", metavar="FILE"),
+]
+
+DEFAULT_LIBRARY = Path("library.zarr")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("corpus", epilog="Example: manifold corpus rgl_like --seed 7")(corpus)
+    app.command("fetch", epilog="Example: manifold fetch satin_gold paper_blue --to rgl")(fetch)
+    app.command("import", epilog="Example: manifold import rgl --library library.zarr")(import_)
+    app.command("info", epilog="Example: manifold info library.zarr --verify")(info)
+
+
+def corpus(
+    folder: Annotated[Path, typer.Argument(help="Where to write the files; made if missing.")],
+    seed: Annotated[int, typer.Option(help="Of the measurement noise; the same seed, the same bytes.")] = 0,
+    anisotropic: Annotated[
+        bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
+    ] = False,
+    rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
+) -> None:
+    """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
+    from manifold import workflows
+
+    with terminal.progress("Measuring synthetic materials") as step:
+        paths = workflows.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
+    size = sum(path.stat().st_size for path in paths)
+    terminal.show_rows(
+        f"Synthetic corpus in {folder}", {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
+    )
+
+
+def fetch(
+    names: Annotated[list[str] | None, typer.Argument(help="Materials; all isotropic ones if none.")] = None,
+    to: Annotated[Path, typer.Option(help="Where to put the files.", metavar="FOLDER")] = Path("rgl"),
+    base_url: Annotated[
+        str | None, typer.Option(help="Another server with the same folders.", metavar="URL")
+    ] = None,
+    anisotropic: Annotated[
+        bool, typer.Option("--anisotropic", help="With no names: add the 11 anisotropic ones.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Download measured materials of the RGL database: resumed, checksums verified.
+
+    Measured by J. Dupuy and W. Jakob (EPFL), in the public domain (CC0 1.0).
+    """
+    from manifold import fetch as fetching
+
+    with terminal.progress("Downloading", in_bytes=True) as step:
+        result = fetching.fetch(
+            names or None,
+            to,
+            base_url=base_url or fetching.BASE_URL,
+            anisotropic=anisotropic,
+            on_progress=step,
+        )
+    terminal.show_rows(
+        f"Files in {to}",
+        {
+            "downloaded": len(result.downloaded),
+            "already there": len(result.present),
+            "without a known checksum": ", ".join(result.without_checksum) or "none",
+        },
+    )
+    terminal.write_json(
+        json,
+        {
+            "downloaded": [str(path) for path in result.downloaded],
+            "present": [str(path) for path in result.present],
+            "without_checksum": list(result.without_checksum),
+        },
+    )
+
+
+def import_(
+    sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.")],
+    library: LibraryOption = DEFAULT_LIBRARY,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Exchange materials whose file has changed.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Import .bsdf files or folders into a library, which is made if missing.
+
+    A material appears in one step, when it is whole; what is there already is skipped.
+    """
+    from manifold import workflows
+    from manifold.errors import LibraryError
+
+    with terminal.progress("Importing") as step:
+        result = workflows.import_library(library, sources, replace=replace, on_progress=step)
+    terminal.show_rows(
+        f"Library {library}",
+        {"imported": len(result.imported), "replaced": len(result.replaced), "skipped": len(result.skipped)},
+    )
+    terminal.write_json(
+        json,
+        {
+            "library": str(library),
+            "imported": list(result.imported),
+            "replaced": list(result.replaced),
+            "skipped": list(result.skipped),
+            "failed": result.failed,
+        },
+    )
+    if result.failed:
+        raise LibraryError(
+            f"{len(result.failed)} of the files were left out: " + "; ".join(result.failed.values())
+        )
+
+
+def info(
+    path: Annotated[Path, typer.Argument(help="A .bsdf file, a library, or a model.")] = DEFAULT_LIBRARY,
+    verify: Annotated[bool, typer.Option("--verify", help="Of a library: hash everything again.")] = False,
+    json: JsonOption = None,
+) -> None:
+    """Show what a .bsdf file, a library, or a model holds."""
+    from manifold import inspection
+    from manifold.errors import LibraryError
+
+    with terminal.progress("Verifying") as step:
+        shown = inspection.inspect(path, verify=verify, on_progress=step)
+    terminal.show_rows(shown.title, shown.rows)
+    for table in shown.tables:
+        terminal.show_table(table.title, table.columns, table.rows)
+    terminal.write_json(json, shown.document)
+    if shown.problems:
+        raise LibraryError(f"{path}: {len(shown.problems)} problems: " + "; ".join(shown.problems))

@@ -1,0 +1,89 @@
+"""The command `manifold`: its subcommands, its exit status, and how an error looks."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+
+import typer
+
+from manifold import __version__
+from manifold.errors import ManifoldError
+
+from . import library_commands, model_commands
+
+app = typer.Typer(
+    name="manifold",
+    help="Turn measured spectral BRDFs into a manifold of materials, and predict materials nobody measured.",
+    epilog="Start with `manifold demo`, which runs everything on the built-in synthetic corpus.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+_EXIT_ERROR = 1
+_EXIT_INTERRUPTED = 130
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"manifold {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Print the version and leave."
+    ),
+    debug: bool = typer.Option(False, "--debug", help="Show a traceback where something goes wrong."),
+) -> None:
+    """Options of every command; `--debug` is taken out of the arguments by `run`, wherever it stands."""
+
+
+library_commands.register(app)
+model_commands.register(app)
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """Run the command line and leave with its status: 0 done, 2 usage, 1 anything else, 130 interrupted."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    if not debug:
+        warnings.showwarning = _show_warning
+    try:
+        app(args=arguments, prog_name="manifold")
+    except ManifoldError as error:
+        _fail(str(error), debug)
+    except KeyboardInterrupt:
+        print("manifold: interrupted; what was finished is kept", file=sys.stderr)
+        sys.exit(_EXIT_INTERRUPTED)
+    except BrokenPipeError:
+        # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(_EXIT_ERROR)
+    except MemoryError:
+        _fail("out of memory; close other programs, or use a smaller library", debug)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        _fail(f"{where}{error.strerror or error}; check the path, its permissions and the free space", debug)
+    except Exception as error:
+        _fail(f"internal error: {type(error).__name__}: {error}; run again with --debug and report it", debug)
+
+
+def _fail(message: str, debug: bool) -> None:
+    if debug:
+        traceback.print_exc()
+    print(f"manifold: {message}", file=sys.stderr)
+    sys.exit(_EXIT_ERROR)
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
+    """Warnings of this package as one line; those of libraries are for developers."""
+    if category.__module__.startswith("manifold"):
+        print(f"manifold: {message}", file=sys.stderr)

@@ -1,0 +1,184 @@
+"""Commands about models: embed, predict, report, demo."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import terminal
+from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
+
+ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
+
+DEFAULT_MODEL = Path("model.h5")
+
+
+class Optimizer(str, Enum):
+    """Choices of --optimizer."""
+
+    dls = "dls"
+    lbfgs = "l-bfgs"
+
+
+class Grid(str, Enum):
+    """Choices of --grid."""
+
+    default = "default"
+    seed = "seed"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command("embed", epilog="Example: manifold embed --latent-dim 2 --mapping cube-root")(embed)
+    app.command("predict", epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf")(predict)
+    app.command("report", epilog="Example: manifold report --json report.json --picture map.png")(report)
+    app.command("demo", epilog="Example: manifold demo demo")(demo)
+
+
+def embed(
+    library: LibraryOption = DEFAULT_LIBRARY,
+    model: ModelOption = DEFAULT_MODEL,
+    latent_dim: Annotated[int, typer.Option("--latent-dim", "-q", help="Latent dimensions Q.", min=1)] = 2,
+    mapping: Annotated[
+        str, typer.Option(help="Of BRDF values: identity, cube-root, log or log-relative.")
+    ] = "cube-root",
+    optimizer: Annotated[
+        Optimizer, typer.Option(help="Direct local search, or L-BFGS with gradients.")
+    ] = Optimizer.dls,
+    mu: Annotated[float, typer.Option(help="Noise filter: the height of the kernel's delta.")] = 1e-4,
+    json: JsonOption = None,
+) -> None:
+    """Embed the materials of a library into a low-dimensional manifold."""
+    from manifold import workflows
+    from manifold.model import Settings
+
+    settings = Settings(latent_dim=latent_dim, mapping=mapping, optimizer=optimizer.value, mu=mu)
+    with terminal.progress("Embedding") as step:
+        fitted = workflows.embed(library, model, settings, step)
+    terminal.show_rows(
+        f"Model {model}",
+        {
+            "materials": len(fitted.names),
+            "latent dimensions": latent_dim,
+            "mapping": mapping,
+            "objective": f"{fitted.statistics['objective']:.6g}, "
+            f"from {fitted.statistics['objective_start']:.6g} at the principal components",
+            "condition of K": f"{fitted.gp.condition:.3g}",
+        },
+    )
+    terminal.write_json(
+        json,
+        {
+            "model": str(model),
+            "library": str(library),
+            "settings": dict(vars(settings)),
+            "statistics": fitted.statistics,
+            "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
+        },
+    )
+
+
+def predict(
+    latent: Annotated[
+        str, typer.Option(help="Coordinates, separated by commas; negative ones may come first.", metavar="X,Y")
+    ],
+    model: ModelOption = DEFAULT_MODEL,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")
+    ] = Path("predicted.bsdf"),
+    resolution: Annotated[int, typer.Option(help="Nodes per axis of the outgoing grid.", min=4, max=512)] = 32,
+    n_theta_i: Annotated[
+        int, typer.Option("--incidences", help="Incident elevations.", min=2, max=128)
+    ] = 8,
+    json: JsonOption = None,
+) -> None:
+    """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens."""
+    from manifold import workflows
+
+    with terminal.progress("Reading materials") as step:
+        made = workflows.predict(
+            model, parse_latent(latent), output, resolution=resolution, n_theta_i=n_theta_i, on_progress=step
+        )
+    show_prediction(made)
+    terminal.write_json(json, made.to_json())
+
+
+def show_prediction(made) -> None:  # type: ignore[no-untyped-def]
+    """Print a `workflows.Prediction`."""
+    note = " (extrapolated: the data say little here)" if made.is_extrapolation else ""
+    physical = made.plausibility
+    terminal.show_rows(
+        f"Predicted {made.path}",
+        {
+            "latent": ", ".join(f"{v:.4g}" for v in made.latent),
+            "uncertainty": f"{made.std:.3f} of the prior's{note}",
+            "nearest": ", ".join(f"{name} ({distance:.2f})" for name, distance in made.nearest),
+            "largest weights": ", ".join(f"{name} ({weight:+.2f})" for name, weight in made.weights),
+            "negative values": f"{physical.negative_share:.2%}, cut to zero in the file",
+            "reciprocity error": f"{physical.reciprocity_error:.2%}",
+            "largest albedo": f"{physical.max_albedo:.3f}",
+            "time": f"{made.seconds:.2f} s after loading",
+        },
+    )
+
+
+def parse_latent(text: str) -> list[float]:
+    """Numbers separated by commas.
+
+    Raises:
+        UsageError: one of them is no number.
+    """
+    from manifold.errors import UsageError
+
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(
+            f"--latent '{text}': expected numbers separated by commas, like -0.3,1.2"
+        ) from None
+
+
+def report(
+    model: ModelOption = DEFAULT_MODEL,
+    grid: Annotated[
+        Grid, typer.Option(help="12,420 direction pairs, or the 1,458,000 of the seed's eq. 22 (minutes).")
+    ] = Grid.default,
+    json: JsonOption = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
+    ] = None,
+) -> None:
+    """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
+    from manifold import workflows
+    from manifold.report_text import format_report
+
+    with terminal.progress("Evaluating") as step:
+        made = workflows.report(model, grid=grid.value, picture=picture, on_progress=step)
+    typer.echo(format_report(made), nl=False)
+    terminal.write_json(json, made.to_json())
+
+
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Where to put everything; made if missing.")] = Path("demo"),
+) -> None:
+    """Run everything on the built-in synthetic corpus: files, library, model, prediction, report, picture."""
+    from manifold import workflows
+    from manifold.report_text import format_report
+
+    result = workflows.demo(folder, terminal.progress)
+    show_prediction(result.predicted)
+    typer.echo()
+    typer.echo(format_report(result.report))
+    terminal.show_rows(
+        f"Written to {folder}",
+        {
+            "library": result.library.name,
+            "model": result.model.name,
+            "prediction": result.predicted.path.name,
+            "report": f"{result.report_text.name}, {result.report_json.name}",
+            "map of the latents": result.picture.name,
+        },
+    )

@@ -1,0 +1,91 @@
+"""How physical a BRDF is: negative values, reciprocity, albedo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf import BRDF
+from manifold.directions import from_spherical, hemisphere_quadrature
+from manifold.records import Array
+
+Evaluate = Callable[[Array, Array], Array]
+"""Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
+
+_INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
+_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """How physical a BRDF is.
+
+    Attributes:
+        negative_share: share of values below zero, over direction pairs and bands.
+        reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted. Measured materials
+            have one too.
+        max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees.
+    """
+
+    negative_share: float
+    reciprocity_error: float
+    max_albedo: float
+
+
+def plausibility(brdf: BRDF) -> Plausibility:
+    """Measure one BRDF on fixed direction pairs."""
+    return plausibilities(lambda wi, wo: brdf.eval(wi, wo)[None])[0]
+
+
+def plausibilities(evaluate: Evaluate) -> list[Plausibility]:
+    """Measure M BRDFs that are evaluated together.
+
+    Args:
+        evaluate: called with a few thousand direction pairs in all, in blocks.
+    """
+    wo, _ = hemisphere_quadrature(12, 16)
+    negative, squared, difference = [], [], []
+    for wi in from_spherical(np.deg2rad(_INCIDENCES_DEG), 0.0):
+        wi = np.broadcast_to(wi, wo.shape)
+        f, swapped = evaluate(wi, wo), evaluate(wo, wi)  # [M, P, B]
+        weight = (wi[:, 2] * wo[:, 2])[:, None]
+        negative.append(np.mean(f < 0, axis=(1, 2)))
+        squared.append(np.sum((weight * f) ** 2, axis=(1, 2)))
+        difference.append(np.sum((weight * (f - swapped)) ** 2, axis=(1, 2)))
+    norm = np.sqrt(np.sum(squared, axis=0))
+    apart = np.sqrt(np.sum(difference, axis=0))
+    reciprocity = np.divide(apart, norm, out=np.zeros_like(norm), where=norm > 0)
+    albedo = np.max([_max_albedo(evaluate, np.deg2rad(t)) for t in _ALBEDO_INCIDENCES_DEG], axis=0)
+    return [
+        Plausibility(float(n), float(r), float(a))
+        for n, r, a in zip(np.mean(negative, axis=0), reciprocity, albedo, strict=True)
+    ]
+
+
+def _max_albedo(evaluate: Evaluate, theta_i: float) -> Array:
+    """Largest albedo over bands of M BRDFs at one incidence, shape (M,)."""
+    wi = from_spherical(theta_i, 0.0)
+    wo, measure = mirrored_quadrature(wi)
+    f = evaluate(np.broadcast_to(wi, wo.shape), wo)
+    return np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1)
+
+
+def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
+    """Outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
+
+    Nodes are half vectors, in elevation Gauss-Legendre in its fourth root, so that lobes down to alpha = 0.02
+    are resolved; d omega_o = 4 <wi, m> d omega_m.
+    """
+    x, weights = np.polynomial.legendre.leggauss(n_theta)
+    t = 0.5 * (x + 1.0)
+    theta = t**4 * (0.5 * np.pi)
+    d_theta = 0.5 * weights * 4.0 * t**3 * (0.5 * np.pi)
+    phi = (np.arange(n_phi) + 0.5) * (2.0 * np.pi / n_phi)
+    m = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
+    measure = np.repeat(d_theta * np.sin(theta) * (2.0 * np.pi / n_phi), n_phi)
+    cos_im = m @ wi
+    wo = 2.0 * cos_im[:, None] * m - wi
+    keep = (cos_im > 0) & (wo[:, 2] > 0)
+    return wo[keep], (4.0 * cos_im * measure)[keep]

@@ -1,0 +1,165 @@
+"""Predicted BRDFs: weighted sums of measured ones in a mapped domain, evaluated only where asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from manifold.brdf import BRDF
+from manifold.errors import ShapeError
+from manifold.mapping import Mapping
+from manifold.plausibility import mirrored_quadrature
+from manifold.records import Array, Bands
+
+
+class PredictedBRDF:
+    """T^-1(sum_i v_i T(f_i)): a BRDF between measured materials.
+
+    With a unit vector as weights it *is* the measured material, bit for bit, whatever the mapping.
+
+    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials.
+    """
+
+    def __init__(self, materials: Sequence[BRDF], weights: Array, mapping: Mapping):
+        """Combine N materials of the same bands with weights v (N,) under a mapping T.
+
+        Raises:
+            ShapeError: there is not one finite weight per material.
+            BandMismatchError: the materials have different bands.
+        """
+        weights = np.asarray(weights, dtype=np.float64)
+        if weights.shape != (len(materials),) or not np.all(np.isfinite(weights)) or not np.any(weights):
+            raise ShapeError(
+                f"weights have shape {weights.shape}, expected ({len(materials)},), finite and not all zero"
+            )
+        used = np.flatnonzero(weights)
+        self._materials = [materials[k] for k in used]
+        self._weights = weights[used]
+        self._mapping = mapping
+        for material in self._materials[1:]:
+            self._materials[0].bands.require_same(
+                material.bands, "materials of a prediction", "use one library"
+            )
+        # Sampling needs a density that covers every material with a say, not the exact shape of the sum.
+        self._lobes = np.abs(self._weights) / np.abs(self._weights).sum()
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis of the materials."""
+        return self._materials[0].bands
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether all materials with a weight are."""
+        return all(material.is_isotropic for material in self._materials)
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B); may be negative where the mapping allows it.
+
+        Args:
+            wi, wo: unit vectors (..., 3) that broadcast against each other.
+        Raises:
+            ShapeError: a direction array is not (..., 3), not finite, or not of unit length.
+        """
+        if len(self._materials) == 1 and self._weights[0] == 1.0:
+            return self._materials[0].eval(wi, wo)
+        total: Array | None = None
+        for weight, material in zip(self._weights, self._materials, strict=True):
+            mapped = self._mapping.forward(material.eval(wi, wo))
+            mapped *= weight
+            total = mapped if total is None else total + mapped
+        assert total is not None
+        f = self._mapping.inverse(total)
+        below = (np.asarray(wi)[..., 2] <= 0) | (np.asarray(wo)[..., 2] <= 0)
+        return np.where(below[..., None], 0.0, f)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
+
+    def pdf(self, wi: Array, wo: Array) -> Array:
+        """Density of `sample` in 1/sr, shape (...): the materials' densities, mixed by |v_i|."""
+        return np.sum(
+            [p * m.pdf(wi, wo) for p, m in zip(self._lobes, self._materials, strict=True)], axis=0
+        )
+
+    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
+        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.
+
+        Args:
+            wi: incident unit vectors (..., 3).
+            u: uniform variates in [0, 1), shape (..., 2).
+        Raises:
+            ShapeError: wi is not (..., 3), or u is not (..., 2).
+        """
+        wi, u = np.asarray(wi, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
+        wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
+        u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
+        edges = np.concatenate([[0.0], np.cumsum(self._lobes)])
+        lobe = np.clip(np.searchsorted(edges, u[:, 0], side="right") - 1, 0, len(self._lobes) - 1)
+        # The variate that chose the material is stretched over [0, 1) and used again.
+        rest = np.clip((u[:, 0] - edges[lobe]) / self._lobes[lobe], 0.0, 1.0 - 1e-12)
+        wo = np.zeros_like(wi)
+        wo[:, 2] = 1.0
+        usable = np.zeros(len(wi), dtype=bool)
+        for k, material in enumerate(self._materials):
+            mine = lobe == k
+            if np.any(mine):
+                wo[mine], pdf = material.sample(wi[mine], np.stack([rest[mine], u[mine, 1]], axis=-1))
+                usable[mine] = pdf > 0
+        density = np.where(usable, self.pdf(wi, wo), 0.0)
+        return wo.reshape(*shape, 3), density.reshape(shape)
+
+    def albedo(self, wi: Array, resolution: int = 48) -> Array:
+        """Directional albedo, shape (..., B), by quadrature over half vectors.
+
+        Args:
+            wi: incident unit vectors (..., 3).
+            resolution: nodes in elevation and in azimuth.
+        """
+        wi = np.asarray(wi, dtype=np.float64)
+        flat = wi.reshape(-1, 3)
+        out = np.empty((len(flat), self.bands.count))
+        for k, w in enumerate(flat):
+            wo, measure = mirrored_quadrature(w, resolution, resolution)
+            out[k] = measure @ self.eval_cos(w, wo)
+        return out.reshape(*wi.shape[:-1], -1)
+
+
+class ClippedBRDF:
+    """A BRDF with negative values cut to zero, as files must have them; counts what it cut."""
+
+    def __init__(self, brdf: BRDF):
+        """Wrap a BRDF."""
+        self._brdf = brdf
+        self._seen = 0
+        self._cut = 0
+        self.sample, self.pdf, self.albedo = brdf.sample, brdf.pdf, brdf.albedo
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return self._brdf.bands
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the BRDF is."""
+        return self._brdf.is_isotropic
+
+    @property
+    def clipped_share(self) -> float:
+        """Share of the values evaluated so far that were negative."""
+        return self._cut / max(self._seen, 1)
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, at least 0, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        f = self._brdf.eval(wi, wo)
+        self._seen += f.size
+        self._cut += int(np.count_nonzero(f < 0))
+        return np.maximum(f, 0.0)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, at least 0, shape (..., B)."""
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]

@@ -1,0 +1,81 @@
+"""A report as text for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from manifold.report import MethodResult, Report
+
+
+def format_report(report: Report) -> str:
+    """Summary of the methods, then the materials, then times; plain text that ends in a newline."""
+    synthetic = sum(report.is_synthetic)
+    kind = ""
+    if synthetic:
+        kind = " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
+    s = report.settings
+    lines = [
+        f"{len(report.names)} materials{kind}, {report.bands}",
+        f"GPLVM: {s['latent_dim']} dimensions, mapping {s['mapping']}, SE + delta kernel, mu {s['mu']:g}, "
+        f"length scale {s['length_scale']:g}, condition {report.condition:.2e}",
+        f"{report.n_pairs:,} direction pairs (grid '{report.grid}')",
+        "",
+        *_table(
+            ("method", "relative error", "90th pct.", "RMSE eq. 22", "negative", "reciprocity", "albedo", "fit s"),
+            [_method_row(m) for m in report.methods],
+        ),
+        "",
+        "Relative error: median over materials, cosine-weighted. RMSE of eq. 22: median, 1/sr. Reciprocity and",
+        "albedo: worst material. Reconstruction sees the material it predicts; all other methods do not.",
+        "",
+        *_material_table(report),
+        "",
+        f"Loading {report.seconds['load']:.1f} s, evaluating {report.seconds['evaluate']:.1f} s.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _method_row(method: MethodResult) -> tuple[str, ...]:
+    return (
+        method.title,
+        f"{method.median_relative_error:.3f}",
+        f"{method.p90_relative_error:.3f}",
+        f"{np.median(method.rmse):.3g}",
+        f"{method.negative_share:.2%}",
+        f"{method.reciprocity_error:.3f}",
+        f"{method.max_albedo:.2f}",
+        f"{method.seconds:.2f}",
+    )
+
+
+def _material_table(report: Report) -> list[str]:
+    """One row per material: latent, reconstruction, and held-out relative errors."""
+    reconstruction = next(m for m in report.methods if not m.is_held_out)
+    held_out = [m for m in report.methods if m.is_held_out]
+    head = ("material", "latent", "RMSE rec.", *(m.title for m in held_out))
+    rows = [
+        (
+            name,
+            ", ".join(f"{v:+.2f}" for v in report.latents[k]),
+            f"{reconstruction.rmse[k]:.3g}",
+            *(f"{m.relative_error[k]:.3f}" for m in held_out),
+        )
+        for k, name in enumerate(report.names)
+    ]
+    return _table(head, rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Aligned lines: the first column to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+
+    def line(row: Sequence[str]) -> str:
+        first, *rest = (
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        return "  ".join([first, *rest]).rstrip()
+
+    return [line(head), "-" * len(line(head)), *(line(row) for row in rows)]

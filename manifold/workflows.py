@@ -1,0 +1,211 @@
+"""One function per command: paths in, paths and results out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from manifold import __version__, atomic, corpus, gonio, plot
+from manifold.errors import UsageError
+from manifold.importing import ImportResult, import_files
+from manifold.io_rgl import write_bsdf
+from manifold.model import Manifold, Settings
+from manifold.plausibility import Plausibility, plausibility
+from manifold.prediction import ClippedBRDF
+from manifold.records import Array
+from manifold.report import Report, make_report
+from manifold.report_text import format_report
+from manifold.store import Library
+
+Progress = Callable[[int, int, str], None]
+"""Called by long work with (done, total, what)."""
+
+Stage = Callable[[str], AbstractContextManager[Progress | None]]
+"""Opens one stage of a long command by its title and gives the progress callback for it, or None."""
+
+DEFAULT_LIBRARY = Path("library.zarr")
+DEFAULT_MODEL = Path("model.h5")
+
+
+def no_stage(title: str) -> AbstractContextManager[None]:
+    """A stage nobody watches."""
+    return nullcontext()
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A predicted material and what is known of it.
+
+    Attributes:
+        latent: where it lies, shape (Q,).
+        path: the written file.
+        std: posterior standard deviation as a fraction of the prior's, 0 to 1.
+        is_extrapolation: whether the data say little at this latent.
+        nearest: the three nearest materials with their distances.
+        weights: the materials with the largest weights, by magnitude.
+        plausibility: of the prediction, before negative values are clipped for the file.
+        clipped_share: share of the file's values that were negative and became zero.
+        seconds: evaluating and writing, without loading the library.
+    """
+
+    latent: tuple[float, ...]
+    path: Path
+    std: float
+    is_extrapolation: bool
+    nearest: tuple[tuple[str, float], ...]
+    weights: tuple[tuple[str, float], ...]
+    plausibility: Plausibility
+    clipped_share: float
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        content = dict(vars(self))
+        content |= {"path": str(self.path), "plausibility": vars(self.plausibility)}
+        return {"program": f"manifold {__version__}", **content}
+
+
+def make_corpus(
+    folder: Path, *, seed: int = 0, anisotropic: bool = False, rgb: bool = False,
+    on_progress: Progress | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write the built-in synthetic corpus into a folder; see `corpus.write`."""
+    return corpus.write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=on_progress)
+
+
+def import_library(
+    library: Path, sources: Iterable[Path], *, replace: bool = False, on_progress: Progress | None = None
+) -> ImportResult:
+    """Import files and folders into a library; see `importing.import_files`."""
+    return import_files(library, sources, replace=replace, on_progress=on_progress)
+
+
+def embed(library: Path, model: Path, settings: Settings, on_progress: Progress | None = None) -> Manifold:
+    """Fit a manifold to a library and save it."""
+    fitted = Manifold.fit(Library.open(library), settings, on_progress)
+    fitted.save(model)
+    return fitted
+
+
+def predict(
+    model: Manifold | Path,
+    latent: Sequence[float],
+    output: Path,
+    *,
+    resolution: int = 32,
+    n_theta_i: int = 8,
+    on_progress: Progress | None = None,
+) -> Prediction:
+    """Predict the material at a latent and write it as an RGL file.
+
+    Args:
+        model: a fitted manifold, or the path of one.
+        latent: Q coordinates.
+        output: the file to write; its name becomes the material's.
+        resolution: nodes per axis of the outgoing grid.
+        n_theta_i: incident elevations.
+        on_progress: called while measured materials are read.
+    Raises:
+        UsageError: the name of the output does not end in `.bsdf`.
+        ShapeError: the latent does not have Q finite coordinates.
+    """
+    if output.suffix != ".bsdf":
+        raise UsageError(f"{output}: predictions are written as .bsdf files; name one with -o NAME.bsdf")
+    if isinstance(model, Path):
+        model = Manifold.load(model)
+    x = model.require_latent(latent)
+    model.load_materials(on_progress)
+    start = time.perf_counter()
+    brdf = model.predict(x)
+    clipped = ClippedBRDF(brdf)
+    name = output.name.removesuffix(".bsdf").removesuffix("_spec").removesuffix("_rgb")
+    file = gonio.measure(
+        clipped,
+        name,
+        description=_describe(model, x),
+        resolution=resolution,
+        n_theta_i=n_theta_i,
+        version=(1, 0) if model.bands.is_rgb else (3, 1),
+    )
+    write_bsdf(output, file)
+    seconds = time.perf_counter() - start
+    return Prediction(
+        latent=tuple(float(v) for v in x),
+        path=output,
+        std=float(model.std(x)),
+        is_extrapolation=bool(model.is_extrapolation(x)),
+        nearest=tuple(model.nearest(x, 3)),
+        weights=tuple(model.largest_weights(x, 5)),
+        plausibility=plausibility(brdf),
+        clipped_share=clipped.clipped_share,
+        seconds=seconds,
+    )
+
+
+def _describe(model: Manifold, x: Array) -> str:
+    """What a predicted file says about itself."""
+    synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
+    origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
+    at = ", ".join(f"{v:.4g}" for v in x)
+    return f"Predicted at latent ({at}) from {origin} by manifold {__version__}"
+
+
+def report(
+    model: Path, *, grid: str = "default", picture: Path | None = None, on_progress: Progress | None = None
+) -> Report:
+    """Evaluate a model; with `picture`, also draw the map of its latents."""
+    loaded = Manifold.load(model)
+    made = make_report(loaded, grid, on_progress)
+    if picture is not None:
+        plot.save(plot.latent_map(loaded), picture)
+    return made
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What `demo` left in its folder.
+
+    Attributes:
+        library, model, picture, report_text, report_json: paths.
+        predicted: the prediction.
+        report: the report.
+    """
+
+    library: Path
+    model: Path
+    picture: Path
+    report_text: Path
+    report_json: Path
+    predicted: Prediction
+    report: Report
+
+
+def demo(folder: Path, stage: Stage = no_stage) -> DemoResult:
+    """Run the whole program on the built-in corpus: files, library, model, prediction, report, picture.
+
+    A folder with an earlier demo is used again: what is finished is not done twice.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
+    with stage("Measuring the synthetic corpus") as step:
+        if len(list(files.glob("*_spec.bsdf"))) < len(corpus.isotropic_materials()):
+            make_corpus(files, on_progress=step)
+    with stage("Importing it into a library") as step:
+        import_library(library, [files], on_progress=step)
+    with stage("Embedding the materials") as step:
+        fitted = embed(library, model, Settings(), step)
+    with stage("Predicting a material between two") as step:
+        between = fitted.between("syn_satin_gold", "syn_metallic_gold", 0.5)
+        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+    with stage("Evaluating the model") as step:
+        made = make_report(fitted, "default", step)
+    text, document, picture = folder / "report.txt", folder / "report.json", folder / "latent_map.png"
+    atomic.write_text(text, format_report(made))
+    atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
+    plot.save(plot.latent_map(fitted, marked=between), picture)
+    return DemoResult(library, model, picture, text, document, predicted, made)

@@ -1,0 +1,191 @@
+"""Mappings T of BRDF values under which materials are combined: `T^-1(sum_i v_i T(f_i))`.
+
+BRDF values span six decades, and a sum over raw values sees only the highlights; a mapping compresses them.
+All mappings follow the same rules:
+
+- values keep their shape, a floating dtype is kept, and NaN (a masked cell) stays NaN both ways;
+- an exact zero maps to a finite number and back to exactly zero;
+- negative values (measurement noise) keep their sign under `identity` and `cube-root`, and count as zero
+  under the logarithms, whose inverse is never negative.
+
+`inverse(forward(f))` is f only to rounding. Where a prediction has to be a measured value bit for bit, take
+that value instead of mapping it back and forth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from manifold.errors import ShapeError, UsageError
+from manifold.records import Array
+
+
+class Mapping(Protocol):
+    """One T and its inverse."""
+
+    @property
+    def name(self) -> str:
+        """The name under which `mapping_named` finds it."""
+
+    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """T of BRDF values in 1/sr.
+
+        Args:
+            values: shape (..., B), bands last.
+            cosine_weight: `cos(theta_i) cos(theta_o)` per direction pair, shape (...), for the mappings that
+                weight by it; None is a weight of 1.
+        Returns:
+            Mapped values, shape (..., B).
+        """
+
+    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+        """T^-1 of mapped values (..., B), back to 1/sr, with the weight that `forward` had."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """`T(f) = f`: the mapping of Hikichi & Iwasaki. Highlights rule every distance."""
+
+    name = "identity"
+
+    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """The values themselves."""
+        return _as_floating(values)
+
+    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+        """The values themselves."""
+        return _as_floating(mapped)
+
+
+@dataclass(frozen=True)
+class CubeRoot:
+    """`T(f) = f^(1/3)`, signed: close to perceived lightness, and exact at zero."""
+
+    name = "cube-root"
+
+    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """The signed cube root."""
+        return np.cbrt(_as_floating(values))
+
+    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+        """The cube."""
+        mapped = _as_floating(mapped)
+        return mapped * mapped * mapped
+
+
+@dataclass(frozen=True)
+class Log:
+    """`T(f) = ln((f + epsilon) / epsilon)`, which is 0 at 0.
+
+    Attributes:
+        epsilon: in 1/sr; values far below it count as dark alike.
+    """
+
+    epsilon: float = 1e-3
+    name = "log"
+
+    def __post_init__(self) -> None:
+        _require_positive(self.epsilon)
+
+    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """The logarithm; negative values count as 0."""
+        return np.log1p(np.maximum(_as_floating(values), 0.0) / self.epsilon)
+
+    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+        """The exponential, at least 0."""
+        return np.expm1(np.maximum(_as_floating(mapped), 0.0)) * self.epsilon
+
+
+@dataclass(frozen=True, eq=False)
+class LogRelative:
+    """`T(f) = ln((f w + epsilon) / (f_ref w + epsilon))` with `w = max(cos(theta_i) cos(theta_o), floor)`.
+
+    The cosines tame grazing angles, where values are large and count for little. The reference (the median
+    material) only shifts T: it cancels in every combination whose weights sum to 1 and in every centred Gram
+    matrix, so None, a black reference, gives the same predictions. Give one where mapped values are looked at
+    on their own.
+
+    Attributes:
+        epsilon: in 1/sr.
+        floor: least cosine weight.
+        reference: values of the reference at the direction pairs that are mapped, in 1/sr, shape (..., B) or
+            anything that broadcasts to it; None for black.
+    Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2.
+    """
+
+    epsilon: float = 1e-3
+    floor: float = 1e-3
+    reference: Array | None = None
+    name = "log-relative"
+
+    def __post_init__(self) -> None:
+        _require_positive(self.epsilon)
+        _require_positive(self.floor)
+
+    def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """The logarithm of the weighted ratio; negative values count as 0."""
+        values = _as_floating(values)
+        return self._log(values, cosine_weight) - self._offset(values, cosine_weight)
+
+    def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
+        """The values again, at least 0."""
+        mapped = _as_floating(mapped)
+        total = np.maximum(mapped + self._offset(mapped, cosine_weight), 0.0)
+        return np.expm1(total) * self.epsilon / self._weight(mapped, cosine_weight)
+
+    def _log(self, values: Array, cosine_weight: Array | None) -> Array:
+        """`ln((f w + epsilon) / epsilon)`: 0 at 0."""
+        return np.log1p(np.maximum(values, 0.0) * (self._weight(values, cosine_weight) / self.epsilon))
+
+    def _offset(self, like: Array, cosine_weight: Array | None) -> Array | float:
+        if self.reference is None:
+            return 0.0
+        try:
+            reference = np.broadcast_to(np.asarray(self.reference, dtype=like.dtype), like.shape)
+        except ValueError:
+            shape = np.shape(self.reference)
+            raise ShapeError(f"reference has shape {shape}, expected one that fits {like.shape}") from None
+        return self._log(reference, cosine_weight)
+
+    def _weight(self, like: Array, cosine_weight: Array | None) -> Array | float:
+        if cosine_weight is None:
+            return 1.0
+        weight = np.asarray(cosine_weight, dtype=like.dtype)
+        if weight.shape != like.shape[:-1]:
+            raise ShapeError(
+                f"cosine_weight has shape {weight.shape}, expected {like.shape[:-1]}, one per direction pair"
+            )
+        return np.maximum(weight, self.floor)[..., None]
+
+
+MAPPINGS: dict[str, Callable[..., Mapping]] = {
+    factory.name: factory for factory in (Identity, Log, CubeRoot, LogRelative)
+}
+
+
+def mapping_named(name: str, **parameters: float | Array) -> Mapping:
+    """The mapping of that name, with its parameters where they differ from the defaults.
+
+    Raises:
+        UsageError: the name is unknown, or the mapping has no such parameter.
+    """
+    if name not in MAPPINGS:
+        raise UsageError(f"no mapping is called '{name}', expected one of {', '.join(MAPPINGS)}")
+    try:
+        return MAPPINGS[name](**parameters)
+    except TypeError:
+        raise UsageError(f"mapping '{name}' does not take {', '.join(parameters)}") from None
+
+
+def _as_floating(values: Array) -> Array:
+    values = np.asarray(values)
+    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float64)
+
+
+def _require_positive(epsilon: float) -> None:
+    if not (np.isfinite(epsilon) and epsilon > 0):
+        raise UsageError(f"epsilon or floor is {epsilon}, expected a positive number")

@@ -11,6 +11,7 @@ constants dropped. F times D is the likelihood of Hikichi & Iwasaki, eq. 21.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numba as nb
@@ -20,6 +21,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
+from threadpoolctl import threadpool_limits
 
 from manifold.dls import direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
@@ -30,7 +32,7 @@ from manifold.records import Array
 OPTIMIZERS = ("dls", "l-bfgs")
 CRITERIA = ("likelihood", "residual")
 _SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
-_DRIFT = 1e-9  # largest entry of K P - I tolerated before P is computed afresh
+_DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
 FitCallback = Callable[[int, float], Any]
@@ -159,7 +161,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         X, n_iter, n_evaluations = start, 0, 1
         if self.max_iter > 0:
             refine = _refine_dls if self.optimizer == "dls" else _refine_lbfgs
-            X, n_iter, n_evaluations = refine(objective, start, self.max_iter, self.tol, callback)
+            with _blas_threads(N):
+                X, n_iter, n_evaluations = refine(objective, start, self.max_iter, self.tol, callback)
         X = fix_gauge(X)
         objective_end = objective(X)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal
@@ -371,7 +374,7 @@ class IncrementalObjective:
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
 
     Every accepted move measures the error of P on the row it changed and on one more, and P is computed
-    afresh when that exceeds 1e-9.
+    afresh when that exceeds 5e-9.
 
     Args:
         objective: F.
@@ -587,6 +590,11 @@ def fix_gauge(X: Array) -> Array:
     X = X - X.mean(axis=0)
     largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
     return X * np.where(largest < 0, -1.0, 1.0)
+
+
+def _blas_threads(N: int) -> AbstractContextManager[Any]:
+    """One BLAS thread for small matrices: handing 200 x 200 entries around costs ten times the work itself."""
+    return threadpool_limits(1, user_api="blas") if N <= 500 else nullcontext()
 
 
 def _require_start(X0: Array, N: int, Q: int) -> Array:

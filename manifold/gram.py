@@ -53,7 +53,8 @@ def gram_matrix(
     n_outputs = 0
     total = -(-grid.n_pairs // BLOCK_PAIRS)
     for done, (wi, wo, f) in enumerate(value_blocks(materials, grid), start=1):
-        mapped = mapping.forward(f) * np.sqrt(cosine_weight(wi, wo))[:, None]
+        cosines = cosine_weight(wi, wo)
+        mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])) * np.sqrt(cosines)[:, None]
         flat = mapped.reshape(len(materials), -1)
         S += flat @ flat.T
         n_outputs += flat.shape[1]

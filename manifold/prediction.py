@@ -9,6 +9,7 @@ import numpy as np
 from manifold.brdf import BRDF
 from manifold.errors import ShapeError
 from manifold.mapping import Mapping
+from manifold.metrics import cosine_weight
 from manifold.plausibility import mirrored_quadrature
 from manifold.records import Array, Bands
 
@@ -64,15 +65,14 @@ class PredictedBRDF:
         """
         if len(self._materials) == 1 and self._weights[0] == 1.0:
             return self._materials[0].eval(wi, wo)
-        total: Array | None = None
+        wi, wo = np.asarray(wi, dtype=np.float64), np.asarray(wo, dtype=np.float64)
+        cosines = cosine_weight(wi, wo)
+        total = np.zeros((*cosines.shape, self.bands.count))
         for weight, material in zip(self._weights, self._materials, strict=True):
-            mapped = self._mapping.forward(material.eval(wi, wo))
-            mapped *= weight
-            total = mapped if total is None else total + mapped
-        assert total is not None
-        f = self._mapping.inverse(total)
-        below = (np.asarray(wi)[..., 2] <= 0) | (np.asarray(wo)[..., 2] <= 0)
-        return np.where(below[..., None], 0.0, f)
+            total += weight * self._mapping.forward(material.eval(wi, wo), cosines)
+        f = self._mapping.inverse(total, cosines)
+        f[cosines <= 0] = 0.0
+        return f
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""

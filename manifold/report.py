@@ -224,7 +224,7 @@ def _evaluate(
         weight = cosine_weight(wi, wo)
         values += f.size
         for m, method in enumerate(methods):
-            predicted = combine(method.weights, f, method.mapping)
+            predicted = combine(method.weights, f, method.mapping, weight)
             negative[m] += np.count_nonzero(predicted < 0)
             for i in range(N):
                 errors[m][i].add(f[i], predicted[i], weight)
@@ -254,16 +254,20 @@ def _evaluate(
 
 def _predict_pairs(materials: Sequence[MeasuredBRDF], method: Method, wi: Array, wo: Array) -> Array:
     """Predictions of one method for all materials at direction pairs (P, 3), shape (N, P, B)."""
-    return combine(method.weights, np.stack([m.eval(wi, wo) for m in materials]), method.mapping)
+    f = np.stack([m.eval(wi, wo) for m in materials])
+    return combine(method.weights, f, method.mapping, cosine_weight(wi, wo))
 
 
-def combine(weights: Array, f: Array, mapping: Mapping) -> Array:
+def combine(weights: Array, f: Array, mapping: Mapping, cosines: Array) -> Array:
     """Predictions T^-1(V T(f)) from values f (N, P, B) by weights V (M, N), shape (M, P, B).
+
+    `cosines` is cos(theta_i) cos(theta_o) per direction pair, shape (P,).
 
     A row that is a unit vector returns that material's values bit for bit.
     """
-    mapped = mapping.forward(f)
-    predicted = mapping.inverse((weights @ mapped.reshape(len(f), -1)).reshape(len(weights), *f.shape[1:]))
+    mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])).reshape(len(f), -1)
+    combined = (weights @ mapped).reshape(len(weights), *f.shape[1:])
+    predicted = mapping.inverse(combined, np.broadcast_to(cosines, combined.shape[:2]))
     for row, single in enumerate(np.count_nonzero(weights, axis=1) == 1):
         source = int(np.argmax(weights[row]))
         if single and weights[row, source] == 1.0:

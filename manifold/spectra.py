@@ -10,7 +10,7 @@ import difflib
 import warnings
 from collections.abc import Iterable
 from functools import lru_cache
-from importlib.util import find_spec
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -270,7 +270,8 @@ def _reflectances() -> dict[str, tuple[Array, Array]]:
 @lru_cache(maxsize=1)
 def _ior_files() -> dict[str, tuple[Path, Path]]:
     """The files of eta and k by material. Only Mitsuba's folder is looked up; Mitsuba is not imported."""
-    spec = find_spec("mitsuba")
+    # Past sys.modules: an imported mitsuba that has set a variant no longer says where it lies.
+    spec = PathFinder.find_spec("mitsuba")
     folders = [Path(p) / "data" / "ior" for p in (spec.submodule_search_locations or [])] if spec else []
     found = {
         path.name.removesuffix(".eta.spd"): (path, path.with_name(path.name.replace(".eta.", ".k.")))

@@ -79,7 +79,10 @@ def main() -> None:
     _line("mean relative error in %, alpha =", [a / 100 for a in ALPHAS])
     for resolution, n_theta_i in SETTINGS:
         options = {"resolution": resolution, "n_theta_i": n_theta_i}
-        _line(f"{resolution} x {resolution}, {n_theta_i} elevations", [mean_relative_error(a, **options) for a in ALPHAS])
+        _line(
+            f"{resolution} x {resolution}, {n_theta_i} elevations",
+            [mean_relative_error(a, **options) for a in ALPHAS],
+        )
     if arguments.choices:
         t = np.linspace(0.0, 1.0, 8)
         for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -16,14 +16,14 @@ ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", m
 DEFAULT_MODEL = Path("model.h5")
 
 
-class Optimizer(str, Enum):
+class Optimizer(StrEnum):
     """Choices of --optimizer."""
 
     dls = "dls"
     lbfgs = "l-bfgs"
 
 
-class Grid(str, Enum):
+class Grid(StrEnum):
     """Choices of --grid."""
 
     default = "default"
@@ -83,16 +83,17 @@ def embed(
 
 def predict(
     latent: Annotated[
-        str, typer.Option(help="Coordinates, separated by commas; negative ones may come first.", metavar="X,Y")
+        str,
+        typer.Option(help="Coordinates, separated by commas; negative ones may come first.", metavar="X,Y"),
     ],
     model: ModelOption = DEFAULT_MODEL,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")
     ] = Path("predicted.bsdf"),
-    resolution: Annotated[int, typer.Option(help="Nodes per axis of the outgoing grid.", min=4, max=512)] = 32,
-    n_theta_i: Annotated[
-        int, typer.Option("--incidences", help="Incident elevations.", min=2, max=128)
-    ] = 8,
+    resolution: Annotated[
+        int, typer.Option(help="Nodes per axis of the outgoing grid.", min=4, max=512)
+    ] = 32,
+    n_theta_i: Annotated[int, typer.Option("--incidences", help="Incident elevations.", min=2, max=128)] = 8,
     json: JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens."""
@@ -136,9 +137,7 @@ def parse_latent(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise UsageError(
-            f"--latent '{text}': expected numbers separated by commas, like -0.3,1.2"
-        ) from None
+        raise UsageError(f"--latent '{text}': expected numbers separated by commas, like -0.3,1.2") from None
 
 
 def report(

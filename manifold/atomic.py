@@ -23,7 +23,9 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise UsageError(f"{path}: cannot write this file ({reason}); check the folder, or name another") from error
+        raise UsageError(
+            f"{path}: cannot write this file ({reason}); check the folder, or name another"
+        ) from error
     finally:
         partial.unlink(missing_ok=True)
 

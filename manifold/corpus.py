@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold import gonio, spectra
-from manifold.corpus_recipes import anisotropic_recipes, isotropic_recipes
 from manifold.brdf import BRDF
+from manifold.corpus_recipes import anisotropic_recipes, isotropic_recipes
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, BsdfFile

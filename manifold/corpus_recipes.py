@@ -27,7 +27,7 @@ from manifold.records import Array, Bands
 
 Recipe = Callable[[Bands], BRDF]
 
-_VARNISH = 1.5  # index of refraction of paints, papers and coats
+_VARNISH = np.array(1.5)  # index of refraction of paints, papers and coats
 
 
 def _pigment(spectrum: str, bands: Bands, scale: float = 1.0) -> Array:
@@ -43,12 +43,12 @@ def _felt(spectrum: str, fuzz: float, scale: float = 1.0) -> Recipe:
     return recipe
 
 
-def _plastic(spectrum: str, alpha: float, scale: float = 1.0, eta: float = _VARNISH) -> Recipe:
+def _plastic(spectrum: str, alpha: float, scale: float = 1.0, eta: Array = _VARNISH) -> Recipe:
     return lambda bands: Plastic(GGX.isotropic(alpha), eta, _pigment(spectrum, bands, scale), bands)
 
 
 def _standard(reflectance: float) -> Recipe:
-    return lambda bands: Lambert(reflectance, bands)
+    return lambda bands: Lambert(np.array(reflectance), bands)
 
 
 def _tinted_metal(ggx: GGX, colour: Array, bands: Bands) -> BRDF:
@@ -105,7 +105,7 @@ def _iridescent(thickness_nm: float, alpha: float, spectrum: str) -> Recipe:
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = spectra.metal_ior("Cr", np.array(bands.wavelengths_nm))
-        film = ThinFilm(GGX.isotropic(alpha), 1.9, thickness_nm, eta, k, bands)
+        film = ThinFilm(GGX.isotropic(alpha), np.array(1.9), thickness_nm, eta, k, bands)
         base = MixedBRDF([(0.6, film), (0.4, Lambert(0.4 * _pigment(spectrum, bands), bands))])
         return Layered(RoughDielectric(GGX.isotropic(0.06), _VARNISH, bands), base)
 
@@ -140,7 +140,7 @@ def isotropic_recipes() -> dict[str, Recipe]:
         "paint_gray": _plastic("ohta/neutral 5 (.70 D)", 0.75),
         "card_brown": _plastic("ohta/dark skin", 0.45, 1.6),
         "card_black": _plastic("ohta/black 2 (1.5 D)", 0.40, 1.2),
-        "leaf_grass": _plastic("pmc/Summer Grass", 0.32, 1.0, 1.45),
+        "leaf_grass": _plastic("pmc/Summer Grass", 0.32, 1.0, np.array(1.45)),
         "standard_white": _standard(0.985),
         "satin_blue": _plastic("ohta/blue", 0.22),
         "satin_gold": _plastic("ohta/orange yellow", 0.25, 0.9),

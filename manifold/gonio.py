@@ -55,7 +55,7 @@ def default_phi_i(n: int) -> Array:
     return np.zeros(1) if n == 1 else np.linspace(-np.pi, 0.0, n)
 
 
-def _retro_reflection(brdf: BRDF, theta: Array, phi: Array) -> Array:
+def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
     """Band mean of f_cos(w, w), shape of theta and phi broadcast."""
     w = from_spherical(np.minimum(theta, _RETRO_LIMIT), phi)
     return np.maximum(brdf.eval_cos(w, w).mean(axis=-1), 0.0)
@@ -178,7 +178,7 @@ def measure(
     measured = np.empty((*shape, resolution, resolution), dtype=bool)
     for p, t in np.ndindex(shape):
         spectra[p, t], measured[p, t] = _measure_incidence(
-            brdf, warp, ndf, sigma, phi_i[p], theta_i[t], isotropic, resolution
+            brdf, warp, ndf, sigma, float(phi_i[p]), float(theta_i[t]), isotropic, resolution
         )
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)
@@ -203,7 +203,9 @@ def measure(
 
 def _require_light(retro: Array, name: str) -> Array:
     if not np.any(retro > 0):
-        raise UsageError(f"{name}: nothing is reflected back at any elevation, so it has no normal distribution")
+        raise UsageError(
+            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
+        )
     return retro
 
 

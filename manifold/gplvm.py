@@ -33,6 +33,7 @@ OPTIMIZERS = ("dls", "l-bfgs")
 CRITERIA = ("likelihood", "residual")
 _SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
+_WORTH_MOVING = 1e-6  # a relocation has to gain more than this in F
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
 FitCallback = Callable[[int, float], Any]
@@ -390,6 +391,7 @@ class IncrementalObjective:
         N, Q = X.shape
         self._Q = Q
         self._work = np.zeros((4, N))  # d, P d, S P d, S p
+        self._target = np.zeros(Q)
         self._inverse_2l2 = 0.5 / objective.kernel.length_scale**2
         self.move_to(np.ascontiguousarray(X, dtype=np.float64).reshape(-1))
 
@@ -416,36 +418,39 @@ class IncrementalObjective:
     def try_move(self, index: int, delta: float) -> float:
         """F with coordinate `index` of `x` moved by delta, pending."""
         i, q = divmod(index, self._Q)
+        self._target[:] = self._X[i]
+        self._target[q] += delta
+        return self._try_target(i)
+
+    def try_latent(self, i: int, target: Array) -> float:
+        """F with latent i moved to target (Q,), pending."""
+        self._target[:] = target
+        return self._try_target(i)
+
+    def _try_target(self, i: int) -> float:
+        S = self.objective.S
         t, a, b, c, change = _price(
-            self._X,
-            self._K,
-            self._P,
-            self.objective.S,
-            self._work,
-            i,
-            q,
-            delta,
-            self._inverse_2l2,
-            self._cached,
+            self._X, self._K, self._P, S, self._work, i, self._target, self._inverse_2l2, self._cached
         )
         self._cached = i
-        squared_norm = self._squared_norm + delta * (2.0 * self._flat[index] + delta)
         if not t > 0.0:  # rounding: no real move makes K indefinite
-            value = float("inf")
-            log_det = trace = float("nan")
-        else:
-            log_det, trace = self._log_det + np.log(t), self._trace + change
-            value = self.objective.value_of(log_det, trace, squared_norm)
-        self._pending = (i, q, delta, t, a, b, c, log_det, trace, squared_norm, value)
+            self._pending = (i, t, a, b, c, np.nan, np.nan, np.nan, np.inf)
+            return float("inf")
+        log_det, trace = self._log_det + np.log(t), self._trace + change
+        squared_norm = self._squared_norm
+        if self.objective.prior > 0.0:
+            squared_norm += float(self._target @ self._target - self._X[i] @ self._X[i])
+        value = self.objective.value_of(log_det, trace, squared_norm)
+        self._pending = (i, t, a, b, c, log_det, trace, squared_norm, value)
         return value
 
     def commit(self) -> None:
         """Make the pending move."""
-        i, q, delta, t, a, b, c, *state = self._pending
+        i, t, a, b, c, *state = self._pending
         self._log_det, self._trace, self._squared_norm, self.value = state
         self.n_commits += 1
         other = self.n_commits % self._X.shape[0]
-        self._X[i, q] += delta
+        self._X[i] = self._target
         drift = _commit(self._K, self._P, self._work, i, t, a, b, c, other)
         self._cached = -1
         if not drift < _DRIFT:
@@ -455,10 +460,26 @@ class IncrementalObjective:
     def reject(self) -> None:
         """Drop the pending move."""
 
+    def relocate(self, i: int, starts: Array, step: float) -> int:
+        """Move latent i to the best place found from any of the starts (M, Q), if that is better than here.
+
+        From each start a coordinate search runs over this one latent. It finds the far side of a fold, where
+        no path of small improvements leads. Returns the number of evaluations.
+        """
+        best_x, best, n_evaluations = _best_place(
+            self._X, self._K, self._P, self.objective.S, self._work, i, starts, step, self._inverse_2l2,
+            self._trace, self.objective.prior,
+        )  # fmt: skip
+        self._cached = -1
+        # Compared without the constants that no move of one latent changes.
+        if best < -_WORTH_MOVING and self.try_latent(i, best_x) < self.value:
+            self.commit()
+        return n_evaluations
+
 
 @nb.njit(cache=True)
-def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
-    """A rank-two update of K, latent i moved by delta along axis q: t, a, b, c and the change of the trace.
+def _price(X, K, P, S, work, i, target, inverse_2l2, cached):
+    """A rank-two update of K, latent i moved to target: t, a, b, c and the change of the trace.
 
     Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share.
     """
@@ -467,9 +488,7 @@ def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
     for j in range(N):
         squared = 0.0
         for k in range(Q):
-            difference = X[i, k] - X[j, k]
-            if k == q:
-                difference += delta
+            difference = target[k] - X[j, k]
             squared += difference * difference
         d[j] = np.exp(-squared * inverse_2l2) - K[i, j]
         Pd[j] = 0.0
@@ -499,6 +518,52 @@ def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
     t = (1.0 + b) * (1.0 + b) - a * c
     change = (c * pSp - 2.0 * (1.0 + b) * pSq + a * qSq) / t
     return t, a, b, c, change
+
+
+@nb.njit(cache=True)
+def _gain(X, K, P, S, work, i, target, inverse_2l2, cached, trace, prior):
+    """Change of F when latent i moves to target; inf where rounding spoils it."""
+    N, Q = X.shape
+    t, _, _, _, change = _price(X, K, P, S, work, i, target, inverse_2l2, cached)
+    if not (t > 0.0 and trace + change > 0.0):
+        return np.inf
+    value = 0.5 * np.log(t) + 0.5 * N * np.log1p(change / trace)
+    for k in range(Q):
+        value += 0.5 * prior * (target[k] * target[k] - X[i, k] * X[i, k])
+    return value
+
+
+@nb.njit(cache=True)
+def _best_place(X, K, P, S, work, i, starts, first_step, inverse_2l2, trace, prior):
+    """Best place for latent i by coordinate searches from all starts: place (Q,), change of F, evaluations."""
+    Q = X.shape[1]
+    best_x, best = X[i].copy(), 0.0
+    n_evaluations = 0
+    cached = -1
+    for m in range(starts.shape[0]):
+        x = starts[m].copy()
+        value = _gain(X, K, P, S, work, i, x, inverse_2l2, cached, trace, prior)
+        cached = i
+        n_evaluations += 1
+        step = first_step
+        while step > 0.05 * first_step:
+            improved = False
+            for k in range(Q):
+                for sense in (1.0, -1.0):
+                    here = x[k]
+                    x[k] = here + sense * step
+                    tried = _gain(X, K, P, S, work, i, x, inverse_2l2, cached, trace, prior)
+                    n_evaluations += 1
+                    if tried < value:
+                        value = tried
+                        improved = True
+                        break
+                    x[k] = here
+            if not improved:
+                step *= 0.5
+        if value < best:
+            best_x, best = x, value
+    return best_x, best, n_evaluations
 
 
 @nb.njit(cache=True)

@@ -155,17 +155,13 @@ def _inspect_model(path: Path) -> Inspection:
     table = Table(
         "",
         ("material", *(f"x{k + 1}" for k in range(s.latent_dim))),
-        tuple(
-            (name, *(f"{v:.3f}" for v in row)) for name, row in zip(model.names, model.X, strict=True)
-        ),
+        tuple((name, *(f"{v:.3f}" for v in row)) for name, row in zip(model.names, model.X, strict=True)),
     )
     document = {
         "path": str(path),
         "library": str(model.library.path),
         "settings": dict(vars(s)),
         "statistics": model.statistics,
-        "latents": {
-            name: [float(v) for v in row] for name, row in zip(model.names, model.X, strict=True)
-        },
+        "latents": {name: [float(v) for v in row] for name, row in zip(model.names, model.X, strict=True)},
     }
     return Inspection(f"{path}: manifold model", rows, document, (table,))

@@ -128,7 +128,9 @@ def _read_header(buffer: mmap.mmap, reader: _Reader) -> tuple[list[_Entry], int]
             "only files of the RGL material database and its tools can be read"
         )
     if (major, minor) != (1, 0):
-        raise reader.error(f"has tensor format {major}.{minor}, expected 1.0; convert it with the tool that wrote it")
+        raise reader.error(
+            f"has tensor format {major}.{minor}, expected 1.0; convert it with the tool that wrote it"
+        )
     if count * _SMALLEST_FIELD > size - _PREAMBLE.size:
         raise reader.error(f"announces {count} fields, more than its {size} bytes can hold; it is damaged")
     entries: list[_Entry] = []
@@ -356,7 +358,9 @@ def _check_layout(tensors: Mapping[str, Array], reader: _Reader) -> None:
     spectral = "spectra" in tensors
     if spectral == ("rgb" in tensors):
         found = ", ".join(tensors) or "none"
-        raise reader.error(f"needs either a field 'spectra' or a field 'rgb' (found: {found}); it is no RGL file")
+        raise reader.error(
+            f"needs either a field 'spectra' or a field 'rgb' (found: {found}); it is no RGL file"
+        )
     sizes: dict[str, int] = {}
     for name, (dtype, axes) in _FIELDS.items():
         if name == ("rgb" if spectral else "spectra"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -110,7 +110,9 @@ class Manifold:
         """
         names = library.names
         if len(names) < 2:
-            raise UsageError(f"{library.path.name} holds {len(names)} materials, expected at least 2; import more")
+            raise UsageError(
+                f"{library.path.name} holds {len(names)} materials, expected at least 2; import more"
+            )
         if not 1 <= settings.latent_dim < len(names):
             raise UsageError(
                 f"{settings.latent_dim} latent dimensions for {len(names)} materials, "
@@ -238,7 +240,7 @@ class Manifold:
         names = [name for name, weight in zip(self.names, weights, strict=True) if weight]
         return PredictedBRDF([self.material(name) for name in names], weights[weights != 0], self.mapping)
 
-    def require_latent(self, x: Array) -> Array:
+    def require_latent(self, x: Array | Sequence[float]) -> Array:
         """A latent as float64 (Q,), or a ShapeError that says how many coordinates were expected."""
         x = np.asarray(x, dtype=np.float64)
         if x.shape != (self.settings.latent_dim,) or not np.all(np.isfinite(x)):

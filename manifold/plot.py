@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
@@ -16,6 +17,11 @@ from manifold.errors import UsageError
 from manifold.model import Manifold
 from manifold.records import Array
 
+Box = tuple[float, float, float, float]
+
+_DOT_POINTS = 10.5  # diameter of a material
+_MARK = "#d55e00"
+_UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
 _GRID = 120  # background samples per axis
 _SUFFIXES = (".png", ".pdf", ".svg")
 _MARGIN = 0.18  # of the range of the latents, around them
@@ -35,20 +41,20 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     if model.settings.latent_dim == 2:
         _draw_uncertainty(figure, axes, model)
     colours = _material_colours(model)
-    axes.scatter(X[:, 0], X[:, 1], s=110, c=colours, edgecolors="black", linewidths=0.8, zorder=3)
-    _label(axes, X, [name.removeprefix("syn_").replace("_", " ") for name in model.names])
+    axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
+    names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
     if marked is not None:
-        x = _two_dimensions(np.asarray(marked, dtype=float)[None])[0]
-        axes.scatter(*x, marker="*", s=380, c="#d55e00", edgecolors="white", linewidths=1.2, zorder=5)
-        axes.annotate(
-            "predicted", x, xytext=(10, -14), textcoords="offset points", fontsize=10, weight="bold",
-            color="#d55e00", path_effects=[withStroke(linewidth=3, foreground="white")], zorder=6,
-        )  # fmt: skip
+        X = np.vstack([X, _two_dimensions(np.asarray(marked, dtype=float)[None])])
+        names.append("predicted")
+        axes.scatter(
+            X[-1:, 0], X[-1:, 1], 3 * _DOT_POINTS**2, _MARK, marker="*", edgecolors="white", zorder=5
+        )
     synthetic = all(model.library.attributes(name).is_synthetic for name in model.names)
     kind = "synthetic corpus" if synthetic else "measured materials"
     axes.set_title(f"Material manifold: {len(model.names)} materials ({kind}), {model.bands}", fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")
     axes.set_ylabel("latent $x_2$ (length scales)" if model.settings.latent_dim > 1 else "")
+    _label(figure, axes, X, names)
     return figure
 
 
@@ -75,7 +81,10 @@ def _draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     std = model.std(points).reshape(_GRID, _GRID)
-    image = axes.pcolormesh(x, y, std, cmap="cividis_r", vmin=0.0, vmax=1.0, shading="gouraud", alpha=0.55)
+    image = axes.imshow(
+        std, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto", interpolation="bilinear",
+        cmap=_UNCERTAINTY, vmin=0.0, vmax=1.0,
+    )  # fmt: skip
     bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.04)
     bar.set_label("posterior standard deviation, share of the prior's")
     axes.set_xlim(x[0], x[-1])
@@ -87,17 +96,55 @@ def _material_colours(model: Manifold) -> Array:
     wi = from_spherical(np.deg2rad(30.0), 0.0)
     albedo = np.stack([model.material(name).albedo(wi, resolution=16) for name in model.names])
     linear = np.clip(spectra.to_srgb(albedo, model.bands), 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return spectra.encode_srgb(linear)
 
 
-def _label(axes: Axes, X: Array, names: list[str]) -> None:
-    """Names beside their points, on the side away from the nearest neighbour, so that few overlap."""
-    for k, (x, name) in enumerate(zip(X, names, strict=True)):
-        others = np.delete(X, k, axis=0)
-        nearest = others[np.argmin(np.linalg.norm(others - x, axis=1))]
-        right, up = x[0] >= nearest[0], x[1] >= nearest[1]
-        axes.annotate(
-            name, x, xytext=(8 if right else -8, 5 if up else -5), textcoords="offset points",
-            ha="left" if right else "right", va="bottom" if up else "top", fontsize=8,
+def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
+    """Names near their points: each where it covers least of points and of names placed before it.
+
+    Names are set from the rim of the map inwards, and a line leads to a point whose name is far.
+    """
+    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    frame = axes.get_window_extent()
+    pixels = axes.transData.transform(X)
+    dot = 0.7 * _DOT_POINTS * figure.dpi / 72.0
+    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in pixels]
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    for k in np.argsort(-np.linalg.norm(pixels - pixels.mean(axis=0), axis=1)):
+        text = axes.annotate(
+            names[k], X[k], xytext=(0, 0), textcoords="offset pixels", fontsize=8, ha="center", va="center",
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.8)], zorder=4,
         )  # fmt: skip
+        extent = text.get_window_extent(renderer)
+        offset, box = _best_place(pixels[k], extent.width, extent.height, dot, taken, frame.extents)
+        text.set_position(offset)
+        taken.append(box)
+        near = np.clip(pixels[k], box[:2], box[2:])  # where the leading line meets the name
+        if np.linalg.norm(near - pixels[k]) > 2.0 * dot:
+            end = axes.transData.inverted().transform(near)
+            axes.plot(*np.stack([X[k], end], axis=-1), color="black", linewidth=0.6, zorder=2)
+
+
+def _best_place(
+    point: Array, width: float, height: float, dot: float, taken: list[Box], frame: Box
+) -> tuple[tuple[float, float], Box]:
+    """Offset of a label's centre from its point in pixels, and the box it fills: the cheapest of a few rings."""
+    best: tuple[float, tuple[float, float], Box] | None = None
+    for ring in range(6):
+        gap = dot * (1.2 + 1.5 * ring)
+        for angle in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
+            dx = np.cos(angle) * (gap + 0.5 * width)
+            dy = np.sin(angle) * (gap + 0.5 * height)
+            x, y = point[0] + dx, point[1] + dy
+            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
+            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
+            cost = sum(_overlap(box, other) for other in taken) + 0.4 * height * gap + 1e3 * outside
+            if best is None or cost < best[0]:
+                best = (cost, (dx, dy), box)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _overlap(a: Box, b: Box) -> float:
+    """Common area of two boxes (left, bottom, right, top)."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

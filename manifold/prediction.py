@@ -35,7 +35,7 @@ class PredictedBRDF:
                 f"weights have shape {weights.shape}, expected ({len(materials)},), finite and not all zero"
             )
         used = np.flatnonzero(weights)
-        self._materials = [materials[k] for k in used]
+        self._materials = [materials[int(k)] for k in used]
         self._weights = weights[used]
         self._mapping = mapping
         for material in self._materials[1:]:
@@ -80,9 +80,7 @@ class PredictedBRDF:
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr, shape (...): the materials' densities, mixed by |v_i|."""
-        return np.sum(
-            [p * m.pdf(wi, wo) for p, m in zip(self._lobes, self._materials, strict=True)], axis=0
-        )
+        return np.sum([p * m.pdf(wi, wo) for p, m in zip(self._lobes, self._materials, strict=True)], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.

@@ -14,7 +14,9 @@ def format_report(report: Report) -> str:
     synthetic = sum(report.is_synthetic)
     kind = ""
     if synthetic:
-        kind = " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
+        kind = (
+            " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
+        )
     s = report.settings
     lines = [
         f"{len(report.names)} materials{kind}, {report.bands}",
@@ -23,7 +25,16 @@ def format_report(report: Report) -> str:
         f"{report.n_pairs:,} direction pairs (grid '{report.grid}')",
         "",
         *_table(
-            ("method", "relative error", "90th pct.", "RMSE eq. 22", "negative", "reciprocity", "albedo", "fit s"),
+            (
+                "method",
+                "relative error",
+                "90th pct.",
+                "RMSE eq. 22",
+                "negative",
+                "reciprocity",
+                "albedo",
+                "fit s",
+            ),
             [_method_row(m) for m in report.methods],
         ),
         "",

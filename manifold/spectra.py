@@ -142,6 +142,11 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
     return values @ (weights @ to_rgb.T)
 
 
+def encode_srgb(linear: Array) -> Array:
+    """Linear sRGB in [0, 1], shape (..., 3), as display values in [0, 1] (IEC 61966-2-1)."""
+    return np.asarray(_colour().models.eotf_inverse_sRGB(np.clip(linear, 0.0, 1.0)))
+
+
 def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
     """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
 

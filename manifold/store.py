@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import warnings
@@ -457,25 +458,29 @@ def _read_extra(group: zarr.Group) -> dict[str, Array]:
     return {str(extra[str(i)].attrs["field"]): _read(extra, str(i)) for i in range(count)}
 
 
-# Writing: zarr composes the metadata, once per kind of array; the chunks are plain bytes and need no codec.
-# Written through zarr.Array, a material takes 45 ms instead of 10 (docs/design/library.md).
+# Writing: zarr composes the metadata and the index of a shard, once per kind of array; the chunks are plain
+# bytes and need no codec. Written through zarr.Array, a material takes several times as long
+# (docs/design/library.md).
 
 
 def _write_field(folder: Path, field: str, array: Array, bands: Bands) -> None:
     stored, dims, units = _FIELDS[field]
     attributes: dict[str, Any] = {"units": units} if units else {}
-    chunks = array.shape
+    chunks, shards = array.shape, None
     if field in ("vndf", "luminance"):
         chunks = (1, *array.shape[1:])
     elif field == "spectra":
         array = np.moveaxis(array, 2, -1)  # (P, T, H, W, B), still the file's memory
-        chunks = (1, 1, *array.shape[2:4], _chunk_bands(array.shape[4]))
+        _, elevations, height, width, count = array.shape
+        width_in_bands = _chunk_bands(count)
+        chunks = (1, 1, height, width, width_in_bands)
+        shards = (1, elevations, height, width, -(-count // width_in_bands) * width_in_bands)
         if bands.is_rgb:
             dims = (*dims[:-1], "channel")
             attributes["channels"] = list(RGB_NAMES)
     elif field == "valid" and array.ndim != 1:
         dims = tuple(f"valid_{axis}" for axis in range(array.ndim))
-    _write_array(folder / stored, array, chunks, dims, attributes)
+    _write_array(folder / stored, array, chunks, shards=shards, dims=dims, attributes=attributes)
 
 
 def _chunk_bands(count: int) -> int:
@@ -493,47 +498,111 @@ def _write_array(
     folder: Path,
     array: Array,
     chunks: tuple[int, ...],
+    *,
+    shards: tuple[int, ...] | None = None,
     dims: tuple[str, ...] | None = None,
     attributes: dict[str, Any] | None = None,
 ) -> None:
-    plain = array.dtype.newbyteorder("<")
+    """Write a zarr array of little-endian chunks, one file per chunk, or per shard of several chunks."""
+    array = np.asarray(array, dtype=array.dtype.newbyteorder("<"))
     chunks = tuple(max(1, size) for size in chunks)
     folder.mkdir()
-    metadata = _array_metadata(array.shape, plain.str, chunks, dims, json.dumps(attributes or {}))
+    metadata = _array_metadata(
+        array.shape, array.dtype.str, chunks, shards, dims, json.dumps(attributes or {})
+    )
     (folder / "zarr.json").write_bytes(metadata)
-    counts = [range(-(-size // chunk)) for size, chunk in zip(array.shape, chunks, strict=True)]
-    for index, key in zip(np.ndindex(*map(len, counts)), _chunk_keys(counts), strict=True):
-        block = array[tuple(slice(i * c, (i + 1) * c) for i, c in zip(index, chunks, strict=True))]
-        block = np.ascontiguousarray(block, dtype=plain).reshape(block.shape)  # () stays ()
-        if block.shape != chunks:  # Zarr stores edge chunks whole.
-            missing = np.subtract(chunks, block.shape)
-            block = np.pad(block, [(0, int(count)) for count in missing])
-        (folder / key).write_bytes(block.data)
+    order, index = _shard_layout(shards, chunks, array.dtype.str) if shards else ([()], b"")
+    for part, key in _blocks(array, shards or chunks):
+        with (folder / key).open("wb") as stream:
+            for position in order:
+                block = _block(part, position, chunks) if shards else part
+                stream.write(_padded(block, chunks).data)
+            stream.write(index)
+
+
+def _blocks(array: Array, size: tuple[int, ...]) -> Iterator[tuple[Array, str]]:
+    """The parts of an array on a grid, with their file names; those at the end may be smaller."""
+    counts = [range(-(-axis // part)) for axis, part in zip(array.shape, size, strict=True)]
+    for position, key in zip(np.ndindex(*map(len, counts)), _chunk_keys(counts), strict=True):
+        yield _block(array, position, size), key
+
+
+def _block(array: Array, position: tuple[int, ...], size: tuple[int, ...]) -> Array:
+    return array[tuple(slice(i * part, (i + 1) * part) for i, part in zip(position, size, strict=True))]
+
+
+def _padded(block: Array, size: tuple[int, ...]) -> Array:
+    """C-contiguous and of full size: zarr stores the chunks at the end whole."""
+    if block.shape != size:
+        missing = np.subtract(size, block.shape)
+        block = np.pad(block, [(0, int(count)) for count in missing])
+    return np.ascontiguousarray(block)
+
+
+@lru_cache(maxsize=64)
+def _shard_layout(
+    shards: tuple[int, ...], chunks: tuple[int, ...], dtype: str
+) -> tuple[list[tuple[int, ...]], bytes]:
+    """In which order zarr puts the chunks of a shard, and the index that it writes behind them.
+
+    Raises:
+        LibraryError: a version of zarr that lays shards out differently.
+    """
+    memory: dict[str, Any] = {}
+    array = _create_in_memory(memory, shards, dtype, chunks, shards)
+    array[...] = np.ones(shards, dtype)
+    stored = next(value for key, value in memory.items() if key.startswith("c")).to_bytes()
+    grid = tuple(shard // chunk for shard, chunk in zip(shards, chunks, strict=True))
+    size = math.prod(chunks) * np.dtype(dtype).itemsize
+    index = stored[math.prod(grid) * size :]
+    places = np.frombuffer(index, "<u8", 2 * math.prod(grid)).reshape(-1, 2)  # offset and length of each
+    order = np.argsort(places[:, 0])
+    if list(places[order, 0]) != [i * size for i in range(len(order))] or np.any(places[:, 1] != size):
+        raise LibraryError(f"zarr {zarr.__version__} lays out shards in an unknown way; install zarr 3.1")
+    return [tuple(int(i) for i in np.unravel_index(place, grid)) for place in order], index
 
 
 @lru_cache(maxsize=256)
 def _array_metadata(
-    shape: tuple[int, ...], dtype: str, chunks: tuple[int, ...], dims: tuple[str, ...] | None, attributes: str
+    shape: tuple[int, ...],
+    dtype: str,
+    chunks: tuple[int, ...],
+    shards: tuple[int, ...] | None,
+    dims: tuple[str, ...] | None,
+    attributes: str,
 ) -> bytes:
     memory: dict[str, Any] = {}
+    _create_in_memory(memory, shape, dtype, chunks, shards, dims, json.loads(attributes))
+    return memory["zarr.json"].to_bytes()
+
+
+def _create_in_memory(
+    memory: dict[str, Any],
+    shape: tuple[int, ...],
+    dtype: str,
+    chunks: tuple[int, ...],
+    shards: tuple[int, ...] | None,
+    dims: tuple[str, ...] | None = None,
+    attributes: dict[str, Any] | None = None,
+) -> zarr.Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        zarr.create_array(
+        return zarr.create_array(
             MemoryStore(memory),
             shape=shape,
             dtype=dtype,
             chunks=chunks,
+            shards=shards,
             compressors=None,
             filters=None,
             serializer=BytesCodec(endian="little") if np.dtype(dtype).itemsize > 1 else "auto",
-            # Dots, not folders in folders: making 80 folders per material takes longer than writing it.
+            # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
             chunk_key_encoding={"name": "default", "separator": "."},
             fill_value=0,
             zarr_format=3,
-            attributes=json.loads(attributes),
+            attributes=attributes,
             dimension_names=dims,
         )
-    return memory["zarr.json"].to_bytes()
 
 
 def _group_metadata(attributes: str) -> bytes:

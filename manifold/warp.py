@@ -236,7 +236,9 @@ class Warp:
         np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
         total = marginal[:, -1]
         if np.any(total <= 0):
-            raise ShapeError(f"slice {int(np.argmin(total))} of the warp is zero everywhere; it has no density")
+            raise ShapeError(
+                f"slice {int(np.argmin(total))} of the warp is zero everywhere; it has no density"
+            )
         return cls(
             np.ascontiguousarray(phi_nodes, dtype=np.float64),
             np.ascontiguousarray(theta_nodes, dtype=np.float64),

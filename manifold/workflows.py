@@ -94,7 +94,7 @@ def embed(library: Path, model: Path, settings: Settings, on_progress: Progress 
 
 def predict(
     model: Manifold | Path,
-    latent: Sequence[float],
+    latent: Array | Sequence[float],
     output: Path,
     *,
     resolution: int = 32,

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chi_square import chi_square_p_value
+from conftest import real_rgl_files
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mitsuba_reference import measured
-from conftest import real_rgl_files
 
 from manifold import corpus
 from manifold.brdf import BRDF, MeasuredBRDF
@@ -77,7 +77,10 @@ def reference_tables(file, wi, wo):
     k = np.clip(np.searchsorted(file.theta_i_rad, theta_i, side="right") - 1, 0, len(file.theta_i_rad) - 2)
     t = np.clip((theta_i - file.theta_i_rad[k]) / np.diff(file.theta_i_rad)[k], 0, 1)
     scale = bilinear(file.ndf[None, None], 0 * k, x, y)[:, 0] / (
-        4 * bilinear(file.sigma[None, None], 0 * k, np.sqrt(theta_i * 2 / np.pi), phi_i / (2 * np.pi) + 0.5)[:, 0]
+        4
+        * bilinear(file.sigma[None, None], 0 * k, np.sqrt(theta_i * 2 / np.pi), phi_i / (2 * np.pi) + 0.5)[
+            :, 0
+        ]
     )
     jacobian = 2 * np.pi**2 * x * np.sin(theta_m) * 4 * np.sum(wi * m, axis=-1)
     density = Warp.from_values(np.maximum(file.luminance, 0), file.phi_i_rad, file.theta_i_rad).data

@@ -1,0 +1,106 @@
+"""The built-in corpus: what it promises about itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manifold import corpus
+from manifold.brdf import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.records import Bands
+
+ISOTROPIC = {m.name: m for m in corpus.isotropic_materials()}
+FAMILIES = {
+    "felt", "paper", "paint", "card", "leaf", "standard", "satin", "gloss", "metallic", "chrome", "flake",
+    "iridescent", "metal",
+}  # fmt: skip
+
+
+def test_there_are_51_isotropic_and_11_anisotropic_materials():
+    anisotropic = corpus.anisotropic_materials()
+    assert len(ISOTROPIC) == 51
+    assert {m.family for m in ISOTROPIC.values()} == FAMILIES
+    assert len({m.name for m in anisotropic}) == 11
+    assert sorted(m.resolution for m in ISOTROPIC.values())[-2:] == [48, 64]
+
+
+def test_names_and_descriptions_say_synthetic():
+    for material in [*ISOTROPIC.values(), *corpus.anisotropic_materials()]:
+        assert material.name.startswith("syn_")
+        assert "Synthetic" in material.description
+
+
+@pytest.mark.parametrize("name", ["syn_satin_gold", "syn_gloss_yellow"])
+def test_files_have_the_shape_of_the_real_ones(name):
+    file = corpus.measure(ISOTROPIC[name])
+    n = ISOTROPIC[name].resolution
+    assert file.spectra.shape == (1, 8, 195, n, n)
+    assert file.wavelengths_nm[0] == pytest.approx(358.63, abs=0.01)
+    assert file.wavelengths_nm[-1] == pytest.approx(1001.89, abs=0.01)
+    assert np.all(file.spectra >= 0)
+    # The real files have 0.8 to 25 % exact zeros.
+    assert 0.008 < np.mean(file.spectra == 0) < 0.25
+    non_zero = np.any(file.spectra != 0, axis=2)
+    unmeasured = 1.0 - file.measured_mask[non_zero].mean()
+    assert 0.02 < unmeasured < 0.05  # 3 to 4 % of the non-zero cells of real files are extrapolated
+
+
+def test_elevations_differ_from_material_to_material():
+    names = ["syn_satin_gold", "syn_satin_blue", "syn_felt_green"]
+    grids = {tuple(corpus.measure(ISOTROPIC[n]).theta_i_rad) for n in names}
+    assert len(grids) == 3
+
+
+def test_a_seed_determines_every_byte(tmp_path):
+    paths = [tmp_path / f"{k}_spec.bsdf" for k in range(3)]
+    for path, seed in zip(paths, (0, 0, 1), strict=True):
+        write_bsdf(path, corpus.measure(ISOTROPIC["syn_felt_green"], seed=seed))
+    first, same, other = (path.read_bytes() for path in paths)
+    assert first == same
+    assert first != other
+
+
+@pytest.mark.parametrize("name", ["syn_felt_orange", "syn_satin_gold", "syn_metal_copper", "syn_paint_olive"])
+def test_files_follow_the_analytic_truth(name, rng):
+    material = ISOTROPIC[name]
+    brdf, truth = MeasuredBRDF(corpus.measure(material)), material.truth()
+    theta = rng.uniform(0, np.deg2rad(70), (2, 2000))
+    wi, wo = (from_spherical(t, rng.uniform(-np.pi, np.pi, 2000)) for t in theta)
+    error = np.abs(brdf.eval(wi, wo) / truth.eval(wi, wo) - 1.0)
+    # Interpolation, 0.6 % of speckle, up to 0.8 % of detector noise, and the odd hole.
+    assert np.median(error) < 0.02
+    assert np.quantile(error, 0.9) < 0.12
+
+
+def test_truth_is_available_at_other_wavelengths():
+    bands = Bands((450.0, 550.0, 650.0))
+    f = ISOTROPIC["syn_metal_copper"].truth(bands).eval(np.array([0.0, 0, 1]), np.array([0.0, 0, 1]))
+    assert f.shape == (3,)
+    assert f[0] < f[1] < f[2]  # copper is red
+
+
+def test_rgb_files_hold_the_colours_of_the_spectra():
+    green = corpus.measure(ISOTROPIC["syn_felt_green"], rgb=True)
+    assert green.wavelengths_nm is None
+    assert green.spectra.shape == (1, 8, 3, 32, 32)
+    red, green_, blue = green.spectra.mean(axis=(0, 1, 3, 4))
+    assert green_ > red
+    assert green_ > blue
+
+
+def test_writing_a_corpus_reports_progress_and_readable_files(tmp_path, monkeypatch):
+    few = tuple(ISOTROPIC.values())[:2]
+    monkeypatch.setattr(corpus, "isotropic_materials", lambda: few)
+    seen = []
+    paths = corpus.write(tmp_path / "new", rgb=True, on_progress=lambda *step: seen.append(step))
+    assert [read_bsdf(path).name for path in paths] == [m.name for m in few]
+    assert seen == [(1, 2, few[0].name), (2, 2, few[1].name)]
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(UsageError, match="cannot make this folder"):
+        corpus.write(tmp_path / "file" / "corpus")

@@ -69,6 +69,15 @@ def timed_s(action: Callable[[], object]) -> tuple[float, float]:
     return middle - start, time.perf_counter() - start
 
 
+def drop_from_memory(folder: Path) -> None:
+    """Free the page cache of what was written, so that every round finds the same memory to write to."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            descriptor = os.open(path, os.O_RDONLY)
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+            os.close(descriptor)
+
+
 def stored_bytes(folder: Path) -> int:
     """Bytes that a folder takes on disk."""
     return sum(path.lstat().st_blocks * 512 for path in [folder, *folder.rglob("*")])
@@ -87,6 +96,7 @@ def measure(files: Path, work: Path, rounds: int) -> dict[str, object]:
             ("import", [sys.executable, "-c", IMPORT, str(library), str(files)]),
         ):
             alone, with_sync = timed_s(lambda arguments=arguments: subprocess.run(arguments, check=True))
+            drop_from_memory(copy if key == "cp" else library)
             seconds[key].append(alone)
             seconds[f"{key}_sync"].append(with_sync)
     medians = {

@@ -1,0 +1,43 @@
+"""A library of a few RGB materials of the corpus, made once per test session, for tests that need one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from manifold import corpus
+from manifold.importing import import_files
+from manifold.io_rgl import write_bsdf
+from manifold.model import Manifold
+from manifold.records import BsdfFile
+from manifold.store import Library
+
+NAMES = (
+    "syn_felt_green", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper", "syn_paper_white", "syn_satin_gold",
+)  # fmt: skip
+
+
+@cache
+def measured(name: str) -> BsdfFile:
+    """A material of the corpus in RGB."""
+    materials = {m.name: m for m in corpus.isotropic_materials()}
+    return corpus.measure(materials[name], rgb=True)
+
+
+def small_library(folder: Path, *, names: Sequence[str] = NAMES, library: Path | None = None) -> Path:
+    """Write files into a folder and import them, by default into `library.zarr` there; the library's path."""
+    files = folder / "files"
+    files.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        write_bsdf(files / f"{name}_rgb.bsdf", measured(name))
+    path = folder / "library.zarr" if library is None else library
+    result = import_files(path, [files])
+    assert not result.failed
+    return path
+
+
+def small_model(folder: Path) -> Path:
+    """`model.h5` of a small library in a folder; the model's path."""
+    Manifold.fit(Library.open(small_library(folder))).save(folder / "model.h5")
+    return folder / "model.h5"

@@ -36,7 +36,10 @@ def main() -> None:
     arguments = parser.parse_args()
     library = llvm.use_newest()
     if library is None:
-        print("no usable libLLVM (Debian: apt-get install libllvm19); there is nothing to compare with", file=sys.stderr)
+        print(
+            "no usable libLLVM (Debian: apt-get install libllvm19); there is nothing to compare with",
+            file=sys.stderr,
+        )
         sys.exit(1)
     material = next(m for m in corpus.isotropic_materials() if m.name == arguments.material)
     with tempfile.TemporaryDirectory() as folder:
@@ -47,7 +50,9 @@ def main() -> None:
     print(f"{material.name}, {arguments.pairs:,} pairs x 195 bands, {os.cpu_count()} cores, {library.name}")
     for key in ("manifold", "mitsuba"):
         print(f"  {key:<9} {result[f'{key}_values_per_second'] / 1e6:8.1f} million values/s")
-    print(f"  ratio     {result['ratio']:8.1f} (rounds: {result['ratio_min']:.1f} to {result['ratio_max']:.1f}; target {TARGET:g})")
+    print(
+        f"  ratio     {result['ratio']:8.1f} (rounds: {result['ratio_min']:.1f} to {result['ratio_max']:.1f}; target {TARGET:g})"
+    )
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
 
@@ -59,7 +64,9 @@ def compare(path: Path, pairs: int, rounds: int) -> dict[str, float]:
 
     mi.set_variant("llvm_ad_spectral")
     rng = np.random.default_rng(0)
-    wi, wo = (from_spherical(np.arccos(rng.random(pairs)), rng.uniform(-np.pi, np.pi, pairs)) for _ in range(2))
+    wi, wo = (
+        from_spherical(np.arccos(rng.random(pairs)), rng.uniform(-np.pi, np.pi, pairs)) for _ in range(2)
+    )
     file = read_bsdf(path)
     brdf = MeasuredBRDF(file)
     plugin = mi.load_dict({"type": "measured", "filename": str(path)})

@@ -7,6 +7,7 @@ docs/design/goniometer.md contributes.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 from pathlib import Path
@@ -67,32 +68,31 @@ def mean_relative_error(alpha: float, *, in_mitsuba: bool = True, **options: obj
     return float(np.mean(np.abs(found - expected) / expected))
 
 
-def _line(label: str, errors: list[float]) -> None:
-    print(f"{label:<44}" + "".join(f"{100 * e:8.2f}" for e in errors))
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choices", action="store_true", help="also compare the alternatives of the design")
+    parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    _line("mean relative error in %, alpha =", [a / 100 for a in ALPHAS])
-    for resolution, n_theta_i in SETTINGS:
-        options = {"resolution": resolution, "n_theta_i": n_theta_i}
-        _line(
-            f"{resolution} x {resolution}, {n_theta_i} elevations",
-            [mean_relative_error(a, **options) for a in ALPHAS],
-        )
+    table: dict[str, list[float]] = {}
+
+    def add(label: str, **options: object) -> None:
+        table[label] = [100.0 * mean_relative_error(alpha, **options) for alpha in ALPHAS]  # type: ignore[arg-type]
+        print(f"{label:<44}" + "".join(f"{error:8.2f}" for error in table[label]), flush=True)
+
+    print(f"{'mean relative error in %, alpha =':<44}" + "".join(f"{alpha:8.2f}" for alpha in ALPHAS))
+    for resolution, n in SETTINGS:
+        add(f"{resolution} x {resolution}, {n} elevations", resolution=resolution, n_theta_i=n)
     if arguments.choices:
         t = np.linspace(0.0, 1.0, 8)
         for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):
             nodes = 0.5 * np.pi * (1 - share) * t + share * np.arccos(1.0 - t)
-            errors = [mean_relative_error(a, in_mitsuba=False, theta_i_rad=nodes) for a in ALPHAS]
-            _line(f"32 x 32, 8 elevations, even-cosine share {share:.1f}", errors)
-        for resolution, n_theta_i in SETTINGS:
-            options = {"resolution": resolution, "n_theta_i": n_theta_i, "compensate": False}
-            errors = [mean_relative_error(a, in_mitsuba=False, **options) for a in ALPHAS]
-            _line(f"{resolution} x {resolution}, {n_theta_i} elevations, not compensated", errors)
+            add(f"32 x 32, 8 elevations, even-cosine share {share:.1f}", in_mitsuba=False, theta_i_rad=nodes)
+        for resolution, n in SETTINGS:
+            label = f"{resolution} x {resolution}, {n} elevations, not compensated"
+            add(label, in_mitsuba=False, resolution=resolution, n_theta_i=n, compensate=False)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"alpha": ALPHAS, "percent": table}, indent=2) + "\n")
 
 
 if __name__ == "__main__":

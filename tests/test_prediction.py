@@ -1,0 +1,132 @@
+"""Weighted combinations of measured materials, and how physical they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chi_square import chi_square_p_value
+
+from manifold.brdf import BRDF
+from manifold.directions import from_spherical, hemisphere_quadrature
+from manifold.errors import BandMismatchError, ShapeError
+from manifold.mapping import mapping_named
+from manifold.microfacet import GGX, Lambert, Plastic, RoughConductor
+from manifold.plausibility import mirrored_quadrature, plausibility
+from manifold.prediction import ClippedBRDF, PredictedBRDF
+from manifold.records import Bands
+
+RGB = Bands(None)
+MATERIALS = [
+    Lambert(np.array([0.8, 0.4, 0.2]), RGB),
+    Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.1, 0.3, 0.6]), RGB),
+    RoughConductor(GGX.isotropic(0.3), np.full(3, 0.2), np.full(3, 3.0), RGB),
+]
+MAPPINGS = ["identity", "cube-root", "log", "log-relative"]
+
+
+def directions(rng, n):
+    theta, phi = rng.uniform(0, np.deg2rad(85), (2, n)), rng.uniform(-np.pi, np.pi, (2, n))
+    return from_spherical(theta[0], phi[0]), from_spherical(theta[1], phi[1])
+
+
+@pytest.mark.parametrize("mapping", MAPPINGS)
+@pytest.mark.parametrize("index", range(3))
+def test_a_unit_vector_gives_the_material_bit_for_bit(mapping, index, rng):
+    wi, wo = directions(rng, 200)
+    predicted = PredictedBRDF(MATERIALS, np.eye(3)[index], mapping_named(mapping))
+    np.testing.assert_array_equal(predicted.eval(wi, wo), MATERIALS[index].eval(wi, wo))
+
+
+@pytest.mark.parametrize("mapping", MAPPINGS)
+def test_predictions_are_combined_in_the_mapped_domain(mapping, rng):
+    weights = np.array([0.5, 0.7, -0.2])
+    T = mapping_named(mapping)
+    predicted = PredictedBRDF(MATERIALS, weights, T)
+    wi, wo = directions(rng, 50)
+    for a, b in zip(wi, wo, strict=True):
+        cosines = np.array(a[2] * b[2])
+        mapped = [T.forward(m.eval(a, b), cosines) for m in MATERIALS]
+        expected = T.inverse(sum(w * t for w, t in zip(weights, mapped, strict=True)), cosines)
+        np.testing.assert_allclose(predicted.eval(a, b), expected, rtol=1e-12, atol=1e-15)
+
+
+def test_identity_weights_interpolate_linearly(rng):
+    wi, wo = directions(rng, 100)
+    predicted = PredictedBRDF(MATERIALS, np.array([0.3, 0.7, 0.0]), mapping_named("identity"))
+    expected = 0.3 * MATERIALS[0].eval(wi, wo) + 0.7 * MATERIALS[1].eval(wi, wo)
+    np.testing.assert_allclose(predicted.eval(wi, wo), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("theta_deg", [0.0, 45.0, 75.0])
+def test_samples_of_a_prediction_follow_its_pdf(theta_deg, rng):
+    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.8, -0.3]), mapping_named("cube-root"))
+    assert chi_square_p_value(predicted, from_spherical(np.deg2rad(theta_deg), 1.0), rng) > 1e-4
+
+
+def test_albedo_of_a_prediction_is_its_integral():
+    predicted = PredictedBRDF(MATERIALS, np.array([0.4, 0.3, 0.3]), mapping_named("cube-root"))
+    wo, weights = hemisphere_quadrature(96, 192)
+    for theta in (0.0, 0.6, 1.1):
+        wi = from_spherical(theta, 0.4)
+        np.testing.assert_allclose(predicted.albedo(wi), weights @ predicted.eval_cos(wi, wo), rtol=5e-3)
+
+
+def test_quadrature_around_the_mirror_direction_integrates_sharp_lobes():
+    mirror = RoughConductor(GGX.isotropic(0.02), np.full(3, 0.2), np.full(3, 3.0), RGB)
+    wi = from_spherical(0.7, 0.0)
+    wo, measure = mirrored_quadrature(wi)
+    np.testing.assert_allclose(measure @ mirror.eval_cos(wi, wo), mirror.albedo(wi), rtol=0.01)
+
+
+def test_predictions_share_the_protocol_and_broadcast(rng):
+    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.5, 0.0]), mapping_named("cube-root"))
+    assert isinstance(predicted, BRDF)
+    assert isinstance(ClippedBRDF(predicted), BRDF)
+    wi, wo = directions(rng, 6)
+    assert predicted.eval(wi[0], wo.reshape(2, 3, 3)).shape == (2, 3, 3)
+    assert not np.any(predicted.eval(wi[0], -wo))
+
+
+def test_plausibility_of_an_ideal_diffuser_is_perfect():
+    found = plausibility(Lambert(np.array([1.0, 0.5, 0.1]), RGB))
+    assert found.negative_share == 0.0
+    assert found.reciprocity_error < 1e-12
+    assert found.max_albedo == pytest.approx(1.0, abs=0.01)  # 32 x 32 quadrature nodes
+
+
+def test_plausibility_sees_negative_values_and_gained_energy():
+    negative = PredictedBRDF(MATERIALS, np.array([-1.0, 2.0, 0.0]), mapping_named("identity"))
+    assert plausibility(negative).negative_share > 0.1
+    bright = PredictedBRDF(MATERIALS, np.array([1.0, 0.0, 1.0]), mapping_named("identity"))
+    assert plausibility(bright).max_albedo > 1.5
+
+
+def test_plausibility_sees_a_lack_of_reciprocity():
+    class OneSided(Lambert):
+        def eval(self, wi, wo):
+            return super().eval(wi, wo) * (1.0 + np.asarray(wi)[..., 2:])
+
+    assert plausibility(OneSided(np.array([0.5]), RGB)).reciprocity_error > 0.1
+
+
+def test_clipping_removes_and_counts_negative_values(rng):
+    wi, wo = directions(rng, 500)
+    predicted = PredictedBRDF(MATERIALS, np.array([-1.0, 2.0, 0.0]), mapping_named("identity"))
+    clipped = ClippedBRDF(predicted)
+    raw = predicted.eval(wi, wo)
+    np.testing.assert_array_equal(clipped.eval(wi, wo), np.maximum(raw, 0.0))
+    assert clipped.clipped_share == pytest.approx(np.mean(raw < 0))
+
+
+@pytest.mark.parametrize(
+    "weights", [np.ones(2), np.zeros(3), np.array([1.0, np.nan, 0.0]), np.ones((1, 3))], ids=str
+)
+def test_weights_that_fit_nothing_are_refused(weights):
+    with pytest.raises(ShapeError, match="weights have shape"):
+        PredictedBRDF(MATERIALS, weights, mapping_named("identity"))
+
+
+def test_materials_of_different_bands_are_refused():
+    other = Lambert(np.array([0.5]), Bands((500.0, 600.0)))
+    with pytest.raises(BandMismatchError):
+        PredictedBRDF([MATERIALS[0], other], np.array([0.5, 0.5]), mapping_named("identity"))

@@ -66,6 +66,7 @@ def direct_local_search(
     objective: MoveObjective,
     *,
     initial_step: float | Array = 0.5,
+    largest_step: float | None = None,
     tolerance: float = 1e-6,
     f_tolerance: float = 0.0,
     individual_steps: bool = False,
@@ -83,10 +84,11 @@ def direct_local_search(
     Args:
         objective: stands at the start; it stands at the best point found when this returns or raises.
         initial_step: first step in units of x, a number or shape (n,).
+        largest_step: how far individual steps may grow; the initial step, if None.
         tolerance: ends when every step is smaller.
         f_tolerance: ends, besides, when a round gains less than this times |value|.
-        individual_steps: one step per coordinate, doubled where it succeeds (up to the initial step) and
-            halved where it fails, instead of one for all. Better where coordinates differ in scale.
+        individual_steps: one step per coordinate, doubled where it succeeds and halved where it
+            fails, instead of one for all. Better where coordinates differ in scale.
         bounds: limits of every coordinate, as scipy takes them.
         maxfev: limit on evaluations, a move of one coordinate counting as one; 2000 n if None.
         max_sweeps: limit on rounds (a sweep and the pattern moves after it).
@@ -104,6 +106,7 @@ def direct_local_search(
     search = _Search(
         objective,
         steps=_per_coordinate(initial_step, n, "initial_step"),
+        largest=initial_step if largest_step is None else largest_step,
         limits=_limits(bounds, n),
         individual=individual_steps,
         maxfev=2000 * n if maxfev is None else maxfev,
@@ -143,13 +146,14 @@ class _Search:
         self,
         objective: MoveObjective,
         steps: Array,
+        largest: float | Array,
         limits: tuple[Array, Array],
         individual: bool,
         maxfev: int,
     ) -> None:
         self.objective = objective
         self.steps = steps
-        self.largest = steps.copy()
+        self.largest = np.maximum(steps, largest)
         self.heading = np.ones(steps.shape[0])  # the sense that succeeded last is tried first
         self.lower, self.upper = limits
         self.individual = individual

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from itertools import count
 from typing import Any
 
 import numba as nb
@@ -23,17 +24,17 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
-from manifold.dls import direct_local_search
+from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gpr import GPWeights, centre_gram
 from manifold.kernels import SquaredExponentialDelta
 from manifold.records import Array
 
-OPTIMIZERS = ("dls", "l-bfgs")
+OPTIMIZERS = ("dls", "l-bfgs", "both")
 CRITERIA = ("likelihood", "residual")
 _SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
-_WORTH_MOVING = 1e-6  # a relocation has to gain more than this in F
+_FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
 FitCallback = Callable[[int, float], Any]
@@ -49,11 +50,12 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         n_components: Q, the number of latent dimensions.
         mu: noise filter of the kernel, at least 1e-10.
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
-        optimizer: `dls` or `l-bfgs`.
+        optimizer: `dls`, direct local search; `l-bfgs`, by the analytic gradient; or `both`, a direct local
+            search from where L-BFGS ended, whose long steps leave local optima that a gradient cannot.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
         start_scale: standard deviation of the start along every axis.
-        max_iter: limit on rounds of the search or iterations of L-BFGS; 0 keeps the start.
+        max_iter: limit on rounds of the search; ten times as many iterations of L-BFGS; 0 keeps the start.
         tol: ends when a round gains less than this times |F|, or the search's steps fall below it.
 
     Attributes:
@@ -161,9 +163,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         objective_start = objective(start)[0]
         X, n_iter, n_evaluations = start, 0, 1
         if self.max_iter > 0:
-            refine = _refine_dls if self.optimizer == "dls" else _refine_lbfgs
             with _blas_threads(N):
-                X, n_iter, n_evaluations = refine(objective, start, self.max_iter, self.tol, callback)
+                X, n_iter, n_evaluations = self._refine(objective, start, callback)
         X = fix_gauge(X)
         objective_end = objective(X)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal
@@ -171,6 +172,19 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self._set_fitted(X, S, n_outputs)
         self.objective_, self.objective_start_ = objective_end, objective_start
         self.n_iter_, self.n_evaluations_ = max(n_iter, 1), n_evaluations
+
+    def _refine(
+        self, objective: LatentObjective, start: Array, callback: FitCallback | None
+    ) -> tuple[Array, int, int]:
+        """Latents (N, Q), rounds and evaluations of one optimizer, or of both in turn."""
+        stages = [_refine_lbfgs, _refine_dls] if self.optimizer == "both" else [_REFINERS[self.optimizer]]
+        X, n_iter, n_evaluations = start, 0, 0
+        for refine in stages:
+            X, more, evaluations, stopped = refine(objective, X, self.max_iter, self.tol, n_iter, callback)
+            n_iter, n_evaluations = n_iter + more, n_evaluations + evaluations
+            if stopped:
+                break
+        return X, n_iter, n_evaluations
 
     def _set_fitted(self, X: Array, S: Array, n_outputs: int) -> None:
         self.gp_ = GPWeights(X, self.mu, self.length_scale)
@@ -391,7 +405,6 @@ class IncrementalObjective:
         N, Q = X.shape
         self._Q = Q
         self._work = np.zeros((4, N))  # d, P d, S P d, S p
-        self._target = np.zeros(Q)
         self._inverse_2l2 = 0.5 / objective.kernel.length_scale**2
         self.move_to(np.ascontiguousarray(X, dtype=np.float64).reshape(-1))
 
@@ -418,39 +431,36 @@ class IncrementalObjective:
     def try_move(self, index: int, delta: float) -> float:
         """F with coordinate `index` of `x` moved by delta, pending."""
         i, q = divmod(index, self._Q)
-        self._target[:] = self._X[i]
-        self._target[q] += delta
-        return self._try_target(i)
-
-    def try_latent(self, i: int, target: Array) -> float:
-        """F with latent i moved to target (Q,), pending."""
-        self._target[:] = target
-        return self._try_target(i)
-
-    def _try_target(self, i: int) -> float:
-        S = self.objective.S
         t, a, b, c, change = _price(
-            self._X, self._K, self._P, S, self._work, i, self._target, self._inverse_2l2, self._cached
+            self._X,
+            self._K,
+            self._P,
+            self.objective.S,
+            self._work,
+            i,
+            q,
+            delta,
+            self._inverse_2l2,
+            self._cached,
         )
         self._cached = i
+        squared_norm = self._squared_norm + delta * (2.0 * self._flat[index] + delta)
         if not t > 0.0:  # rounding: no real move makes K indefinite
-            self._pending = (i, t, a, b, c, np.nan, np.nan, np.nan, np.inf)
-            return float("inf")
-        log_det, trace = self._log_det + np.log(t), self._trace + change
-        squared_norm = self._squared_norm
-        if self.objective.prior > 0.0:
-            squared_norm += float(self._target @ self._target - self._X[i] @ self._X[i])
-        value = self.objective.value_of(log_det, trace, squared_norm)
-        self._pending = (i, t, a, b, c, log_det, trace, squared_norm, value)
+            value = float("inf")
+            log_det = trace = float("nan")
+        else:
+            log_det, trace = self._log_det + np.log(t), self._trace + change
+            value = self.objective.value_of(log_det, trace, squared_norm)
+        self._pending = (i, q, delta, t, a, b, c, log_det, trace, squared_norm, value)
         return value
 
     def commit(self) -> None:
         """Make the pending move."""
-        i, t, a, b, c, *state = self._pending
+        i, q, delta, t, a, b, c, *state = self._pending
         self._log_det, self._trace, self._squared_norm, self.value = state
         self.n_commits += 1
         other = self.n_commits % self._X.shape[0]
-        self._X[i] = self._target
+        self._X[i, q] += delta
         drift = _commit(self._K, self._P, self._work, i, t, a, b, c, other)
         self._cached = -1
         if not drift < _DRIFT:
@@ -460,26 +470,10 @@ class IncrementalObjective:
     def reject(self) -> None:
         """Drop the pending move."""
 
-    def relocate(self, i: int, starts: Array, step: float) -> int:
-        """Move latent i to the best place found from any of the starts (M, Q), if that is better than here.
-
-        From each start a coordinate search runs over this one latent. It finds the far side of a fold, where
-        no path of small improvements leads. Returns the number of evaluations.
-        """
-        best_x, best, n_evaluations = _best_place(
-            self._X, self._K, self._P, self.objective.S, self._work, i, starts, step, self._inverse_2l2,
-            self._trace, self.objective.prior,
-        )  # fmt: skip
-        self._cached = -1
-        # Compared without the constants that no move of one latent changes.
-        if best < -_WORTH_MOVING and self.try_latent(i, best_x) < self.value:
-            self.commit()
-        return n_evaluations
-
 
 @nb.njit(cache=True)
-def _price(X, K, P, S, work, i, target, inverse_2l2, cached):
-    """A rank-two update of K, latent i moved to target: t, a, b, c and the change of the trace.
+def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
+    """A rank-two update of K, latent i moved by delta along axis q: t, a, b, c and the change of the trace.
 
     Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share.
     """
@@ -488,7 +482,9 @@ def _price(X, K, P, S, work, i, target, inverse_2l2, cached):
     for j in range(N):
         squared = 0.0
         for k in range(Q):
-            difference = target[k] - X[j, k]
+            difference = X[i, k] - X[j, k]
+            if k == q:
+                difference += delta
             squared += difference * difference
         d[j] = np.exp(-squared * inverse_2l2) - K[i, j]
         Pd[j] = 0.0
@@ -521,52 +517,6 @@ def _price(X, K, P, S, work, i, target, inverse_2l2, cached):
 
 
 @nb.njit(cache=True)
-def _gain(X, K, P, S, work, i, target, inverse_2l2, cached, trace, prior):
-    """Change of F when latent i moves to target; inf where rounding spoils it."""
-    N, Q = X.shape
-    t, _, _, _, change = _price(X, K, P, S, work, i, target, inverse_2l2, cached)
-    if not (t > 0.0 and trace + change > 0.0):
-        return np.inf
-    value = 0.5 * np.log(t) + 0.5 * N * np.log1p(change / trace)
-    for k in range(Q):
-        value += 0.5 * prior * (target[k] * target[k] - X[i, k] * X[i, k])
-    return value
-
-
-@nb.njit(cache=True)
-def _best_place(X, K, P, S, work, i, starts, first_step, inverse_2l2, trace, prior):
-    """Best place for latent i by coordinate searches from all starts: place (Q,), change of F, evaluations."""
-    Q = X.shape[1]
-    best_x, best = X[i].copy(), 0.0
-    n_evaluations = 0
-    cached = -1
-    for m in range(starts.shape[0]):
-        x = starts[m].copy()
-        value = _gain(X, K, P, S, work, i, x, inverse_2l2, cached, trace, prior)
-        cached = i
-        n_evaluations += 1
-        step = first_step
-        while step > 0.05 * first_step:
-            improved = False
-            for k in range(Q):
-                for sense in (1.0, -1.0):
-                    here = x[k]
-                    x[k] = here + sense * step
-                    tried = _gain(X, K, P, S, work, i, x, inverse_2l2, cached, trace, prior)
-                    n_evaluations += 1
-                    if tried < value:
-                        value = tried
-                        improved = True
-                        break
-                    x[k] = here
-            if not improved:
-                step *= 0.5
-        if value < best:
-            best_x, best = x, value
-    return best_x, best, n_evaluations
-
-
-@nb.njit(cache=True)
 def _commit(K, P, work, i, t, a, b, c, other):
     """Update K and P in place; the largest entry of rows i and `other` of K P - I, a measure of P's error."""
     N = K.shape[0]
@@ -596,41 +546,58 @@ def _commit(K, P, work, i, t, a, b, c, other):
 
 
 def _refine_dls(
-    objective: LatentObjective, start: Array, max_iter: int, tol: float, callback: FitCallback | None
-) -> tuple[Array, int, int]:
-    """Latents by direct local search: X (N, Q), rounds, evaluations."""
-    rounds = iter(range(1, max_iter + 1))
+    objective: LatentObjective,
+    start: Array,
+    max_iter: int,
+    tol: float,
+    done: int,
+    callback: FitCallback | None,
+) -> tuple[Array, int, int, bool]:
+    """Latents by direct local search: X (N, Q), rounds, evaluations, whether the callback stopped it."""
+    rounds = count(done + 1)
+    l = objective.kernel.length_scale
     result = direct_local_search(
         IncrementalObjective(objective, start),
-        initial_step=0.5 * objective.kernel.length_scale,
-        tolerance=tol * objective.kernel.length_scale,
+        initial_step=_FIRST_STEP * l,
+        largest_step=_LARGEST_STEP * l,
+        tolerance=10.0 * tol * l,
         f_tolerance=tol,
         individual_steps=True,
         maxfev=np.iinfo(np.int64).max,
         max_sweeps=max_iter,
         callback=None if callback is None else lambda x, value: callback(next(rounds), value),
     )
-    return result.x.reshape(start.shape), result.nit, result.nfev
+    return result.x.reshape(start.shape), result.nit, result.nfev, result.status == STOPPED
 
 
 def _refine_lbfgs(
-    objective: LatentObjective, start: Array, max_iter: int, tol: float, callback: FitCallback | None
-) -> tuple[Array, int, int]:
-    """Latents by L-BFGS with the analytic gradient: X (N, Q), iterations, evaluations."""
+    objective: LatentObjective,
+    start: Array,
+    max_iter: int,
+    tol: float,
+    done: int,
+    callback: FitCallback | None,
+) -> tuple[Array, int, int, bool]:
+    """Latents by L-BFGS: X (N, Q), iterations, evaluations, whether the callback stopped it."""
 
     def flat(x: Array) -> tuple[float, Array]:
         value, gradient = objective(x.reshape(start.shape))
         return value, gradient.reshape(-1)
 
-    rounds = iter(range(1, max_iter + 1))
+    rounds = count(done + 1)
 
     def report(intermediate_result: Any) -> None:
         if callback is not None:
             callback(next(rounds), float(intermediate_result.fun))
 
-    options = {"maxiter": max_iter, "maxfun": 50 * max_iter, "ftol": 1e-3 * tol, "gtol": tol, "maxcor": 20}
+    # One of its iterations costs a hundredth of a round of the search and gains less: a tighter tolerance.
+    limit = 10 * max_iter
+    options = {"maxiter": limit, "maxfun": 10 * limit, "ftol": 1e-2 * tol, "gtol": tol, "maxcor": 20}
     result = minimize(flat, start.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
-    return result.x.reshape(start.shape), int(result.nit), int(result.nfev)
+    return result.x.reshape(start.shape), int(result.nit), int(result.nfev), result.status == STOPPED
+
+
+_REFINERS = {"dls": _refine_dls, "l-bfgs": _refine_lbfgs}
 
 
 def pca_start(S: Array, n_components: int) -> Array:
@@ -658,7 +625,7 @@ def fix_gauge(X: Array) -> Array:
 
 
 def _blas_threads(N: int) -> AbstractContextManager[Any]:
-    """One BLAS thread for small matrices: handing 200 x 200 entries around costs ten times the work itself."""
+    """One BLAS thread for small matrices: sharing out 200 x 200 entries costs ten times the work itself."""
     return threadpool_limits(1, user_api="blas") if N <= 500 else nullcontext()
 
 

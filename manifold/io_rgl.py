@@ -21,13 +21,15 @@ from types import MappingProxyType
 import numpy as np
 
 from manifold import atomic
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, BsdfFile
 
 MAGIC = b"tensor_file\0"
 _PREAMBLE = struct.Struct("<12sBBI")
 _SMALLEST_FIELD = 14  # bytes of a field's header: empty name, no axes
 _MAX_AXES = 32  # numpy's own limit was this for decades; RGL files have at most 5
+_MAX_FIELDS = 1024  # RGL files have 13; without a limit the names of a large damaged file fill the memory
+_MAX_NAME = 0xFFFF  # bytes
 _ALIGNMENT = 8
 
 _DTYPES = {
@@ -49,21 +51,37 @@ _FOREIGN_WORDS = (
 
 
 class _Reader:
-    """Errors that name the file and, where there is one, the field."""
+    """Errors of one short line that name the file and, where there is one, the field, and say what to do."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, remedy: str = "the file is damaged: fetch it again") -> None:
         self.path = path
+        self.remedy = remedy  # what to do where an error says nothing better
 
-    def error(self, found: str, field: str | None = None) -> FileFormatError:
-        where = f"{self.path.name}: field '{field[:64]}' " if field is not None else f"{self.path.name}: "
-        return FileFormatError(where + found)
+    def error(self, found: str, field: str | None = None, remedy: str | None = None) -> FileFormatError:
+        where = f"{_printable(self.path.name or str(self.path), 255)}: "
+        if field is not None:
+            where += f"field '{_printable(field)}' "
+        return FileFormatError(f"{where}{found}; {remedy or self.remedy}")
+
+
+def _printable(text: str, limit: int = 64) -> str:
+    """The text on one line: what does not print as an escape, the middle of a long text left out."""
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1])
+    return text if len(text) <= limit else f"{text[: limit - 3]}..."
+
+
+def _shape_text(shape: tuple[int, ...]) -> str:
+    """A shape as numpy writes it, cut off where a damaged header makes it long."""
+    return str(shape) if len(shape) <= 8 else f"({', '.join(map(str, shape[:4]))}, ... {len(shape)} axes)"
 
 
 def read_tensors(path: Path | str) -> dict[str, Array]:
     """The fields of a tensor file in the order of the file: read-only views of the mapped file.
 
     Args:
-        path: any tensor file; nothing is assumed about its fields.
+        path: any tensor file; nothing is assumed about its fields. It must not be shortened while the arrays
+            live: the operating system ends a process that reads beyond the end of a mapped file. Replacing it
+            by renaming, as `write_tensors` does, is safe.
     Raises:
         FileFormatError: no such file, another format, or a header that points outside the file.
     """
@@ -88,6 +106,12 @@ class _Entry:
     def end(self) -> int:
         return self.offset + math.prod(self.shape) * self.dtype.itemsize
 
+    def header(self) -> bytes:
+        """As it stands in the file."""
+        name = self.name.encode("utf-8")
+        length, axes = struct.pack("<H", len(name)), struct.pack(f"<{len(self.shape)}Q", *self.shape)
+        return length + name + struct.pack("<HBQ", len(self.shape), _CODES[self.dtype], self.offset) + axes
+
     def view(self, buffer: mmap.mmap) -> Array:
         """The field's data, without a copy unless the file does not align it."""
         count = math.prod(self.shape)
@@ -105,17 +129,23 @@ def _map(path: Path, reader: _Reader) -> mmap.mmap:
     try:
         # A pipe would block in open(), a device could go on for ever: only regular files are opened.
         if not stat.S_ISREG(os.stat(path).st_mode):
-            raise reader.error("is no regular file, expected an RGL tensor file; name the .bsdf file itself")
+            raise reader.error(
+                "is no regular file, expected an RGL tensor file", remedy="name the .bsdf file itself"
+            )
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
             if size < _PREAMBLE.size:
                 raise reader.error(
-                    f"has {size} bytes, expected an RGL tensor file; it is empty or cut off: fetch it again"
+                    f"has {size} bytes, expected an RGL tensor file",
+                    remedy="it is empty or cut off: fetch it again",
                 )
             return mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise reader.error(f"cannot be read ({reason}); check the path and its permissions") from error
+        raise reader.error(
+            f"cannot be read ({reason}), expected an RGL tensor file",
+            remedy="check the path and its permissions",
+        ) from error
 
 
 def _read_header(buffer: mmap.mmap, reader: _Reader) -> tuple[list[_Entry], int]:
@@ -124,22 +154,25 @@ def _read_header(buffer: mmap.mmap, reader: _Reader) -> tuple[list[_Entry], int]
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
     if magic != MAGIC:
         raise reader.error(
-            f"found {_name_format(buffer[:2048])}, expected an RGL tensor file (it begins with 'tensor_file'); "
-            "only files of the RGL material database and its tools can be read"
+            f"found {_name_format(buffer[:2048])}, expected an RGL tensor file (it begins with 'tensor_file')",
+            remedy="only files of the RGL material database and its tools can be read",
         )
     if (major, minor) != (1, 0):
         raise reader.error(
-            f"has tensor format {major}.{minor}, expected 1.0; convert it with the tool that wrote it"
+            f"has tensor format {major}.{minor}, expected 1.0",
+            remedy="convert it with the tool that wrote it",
         )
     if count * _SMALLEST_FIELD > size - _PREAMBLE.size:
-        raise reader.error(f"announces {count} fields, more than its {size} bytes can hold; it is damaged")
+        raise reader.error(f"announces {count} fields, more than its {size} bytes can hold")
+    if count > _MAX_FIELDS:
+        raise reader.error(f"announces {count} fields, expected at most {_MAX_FIELDS}")
     entries: list[_Entry] = []
     names: set[str] = set()
     position = _PREAMBLE.size
     for index in range(count):
         entry, position = _read_entry(buffer, position, index, reader)
         if entry.name in names:
-            raise reader.error("appears twice, expected unique names; the file is damaged", entry.name)
+            raise reader.error("appears twice, expected unique names", entry.name)
         names.add(entry.name)
         entries.append(entry)
     return entries, position
@@ -154,36 +187,50 @@ def _read_entry(buffer: mmap.mmap, position: int, index: int, reader: _Reader) -
         nonlocal position
         width = struct.calcsize(format_)
         if position + width > size:
-            raise reader.error("has a header cut off by the end of the file; fetch the file again", shown)
+            raise reader.error("has a header cut off by the end of the file, expected all of it", shown)
         values = struct.unpack_from(format_, buffer, position)
         position += width
         return values
 
     (length,) = take("<H")
     if position + length > size:
-        raise reader.error(f"has a name of {length} bytes, more than the file holds; it is damaged", shown)
+        raise reader.error(f"has a name of {length} bytes, more than the file holds", shown)
     try:
         name = buffer[position : position + length].decode("utf-8")
     except UnicodeDecodeError:
-        raise reader.error("has a name that is not UTF-8; the file is damaged", shown) from None
-    if not name.isprintable():
-        raise reader.error("has a name that is not printable; the file is damaged", shown)
+        raise reader.error("has a name that is not UTF-8, expected text", shown) from None
     shown = name
     position += length
     ndim, code, offset = take("<HBQ")
     if ndim > _MAX_AXES:
-        raise reader.error(f"has {ndim} axes, expected at most {_MAX_AXES}; the file is damaged", shown)
+        raise reader.error(f"has {ndim} axes, expected at most {_MAX_AXES}", shown)
     if code not in _DTYPES:
-        raise reader.error(f"has dtype {code}, expected 1 to 11; the file is damaged", shown)
-    shape = take(f"<{ndim}Q")
-    entry = _Entry(name, np.dtype(_DTYPES[code]), shape, offset)
-    if max(shape, default=0) > size or offset > size or entry.end > size:
+        raise reader.error(f"has dtype {code}, expected 1 to 11", shown)
+    entry = _Entry(name, np.dtype(_DTYPES[code]), take(f"<{ndim}Q"), offset)
+    _check_entry(entry, reader, f"#{index + 1}")
+    if entry.end > size:
         raise reader.error(
-            f"with shape {shape} and dtype {entry.dtype.name} ends at byte {entry.end}, but the file has {size}; "
-            "it is cut off or damaged: fetch it again",
+            f"with shape {_shape_text(entry.shape)} and dtype {entry.dtype.name} ends at byte {entry.end}, "
+            f"but the file has {size}",
             shown,
+            remedy="it is cut off or damaged: fetch it again",
         )
     return entry, position
+
+
+def _check_entry(entry: _Entry, reader: _Reader, number: str) -> None:
+    """What every field must satisfy to be written and read back: a name to print, a shape numpy can hold."""
+    if not entry.name.isprintable():
+        raise reader.error("has a name that is not printable, expected text", number)
+    if len(entry.name.encode("utf-8")) > _MAX_NAME:
+        raise reader.error(f"has a name longer than {_MAX_NAME} bytes", entry.name)
+    if len(entry.shape) > _MAX_AXES:
+        raise reader.error(f"has {len(entry.shape)} axes, expected at most {_MAX_AXES}", entry.name)
+    # numpy refuses shapes whose non-zero axes overflow, be the array empty or not.
+    if math.prod(max(size, 1) for size in entry.shape) * entry.dtype.itemsize >= 2**63:
+        raise reader.error(
+            f"has shape {_shape_text(entry.shape)}, expected less than 2**63 bytes", entry.name
+        )
 
 
 def _require_separate(entries: list[_Entry], header_end: int, reader: _Reader) -> None:
@@ -194,11 +241,10 @@ def _require_separate(entries: list[_Entry], header_end: int, reader: _Reader) -
             continue
         if entry.offset < last_end:
             raise reader.error(
-                f"starts at byte {entry.offset}, inside {last_name} which ends at byte {last_end}; "
-                "the file is damaged",
+                f"starts at byte {entry.offset}, inside {last_name}; expected it behind byte {last_end}",
                 entry.name,
             )
-        last_name, last_end = f"field '{entry.name}'", entry.end
+        last_name, last_end = f"field '{_printable(entry.name)}'", entry.end
 
 
 def _name_format(head: bytes) -> str:
@@ -285,57 +331,87 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
         UsageError: the file cannot be written.
     """
     path = Path(path)
-    wavelengths = file.wavelengths_nm
+    reader = _Reader(path, _WRITE_REMEDY)
+    spectral = file.wavelengths_nm is not None
     tensors: dict[str, Array] = {
-        "version": np.array(file.version, dtype="<u4"),
-        "description": np.frombuffer(file.description.encode("utf-8", "surrogateescape"), dtype="u1"),
+        "version": _stored("version", file.version, "<u4", reader),
+        "description": _stored("description", file.description, "u1", reader),
         "phi_i": file.phi_i_rad,
         "theta_i": file.theta_i_rad,
-        **({} if wavelengths is None else {"wavelengths": wavelengths}),
+        **({"wavelengths": file.wavelengths_nm} if file.wavelengths_nm is not None else {}),
         "sigma": file.sigma,
         "ndf": file.ndf,
         "vndf": file.vndf,
         "luminance": file.luminance,
-        "rgb" if wavelengths is None else "spectra": file.spectra,
-        "jacobian": np.array([file.jacobian], dtype="u1"),
+        "spectra" if spectral else "rgb": file.spectra,
+        "jacobian": _stored("jacobian", (bool(file.jacobian),), "u1", reader),
         "valid": file.valid,
-        **file.extra,
     }
-    _check(tensors, _Reader(path))
+    for name in file.extra:
+        if name in _FIELDS:
+            raise reader.error("stands among the extra fields, expected another name there", name)
+    tensors |= file.extra
+    _check_arrays(tensors, reader)
+    _check(tensors, reader)
     write_tensors(path, tensors)
+
+
+_WRITE_REMEDY = "correct the record; nothing was written"
+
+
+def _stored(name: str, value: str | tuple[int, ...], dtype: str, reader: _Reader) -> Array:
+    """A text or numbers of a record as the array that the file holds."""
+    try:
+        if isinstance(value, str):
+            return np.frombuffer(value.encode("utf-8", "surrogateescape"), dtype=dtype)
+        return np.array(value, dtype=dtype)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise reader.error(f"cannot be stored as {np.dtype(dtype).name} ({error})", name) from None
 
 
 def write_tensors(path: Path | str, fields: Mapping[str, Array]) -> None:
     """Write named arrays as a tensor file, atomically, every field aligned to 8 bytes.
 
     Raises:
-        FileFormatError: an array has a dtype the format does not know.
+        FileFormatError: a field that tensor files cannot hold.
         UsageError: the file cannot be written.
     """
     path = Path(path)
-    reader = _Reader(path)
+    if not path.name:
+        raise UsageError(f"{path}: names no file, expected the path of a tensor file; add a file name")
+    reader = _Reader(path, _WRITE_REMEDY)
+    _check_arrays(fields, reader)
+    position = _aligned(_PREAMBLE.size + sum(map(_header_size, fields, fields.values())))
+    entries: list[_Entry] = []
     for name, array in fields.items():
-        if array.dtype not in _CODES:
-            raise reader.error(f"has dtype {array.dtype}, which tensor files cannot hold", name)
-    names = {name: name.encode("utf-8") for name in fields}
-    header_size = _PREAMBLE.size + sum(
-        2 + len(names[name]) + 11 + 8 * array.ndim for name, array in fields.items()
-    )
-    header = bytearray(_PREAMBLE.pack(MAGIC, 1, 0, len(fields)))
-    offsets = []
-    position = _aligned(header_size)
-    for name, array in fields.items():
-        offsets.append(position)
-        header += struct.pack("<H", len(names[name])) + names[name]
-        header += struct.pack(f"<HBQ{array.ndim}Q", array.ndim, _CODES[array.dtype], position, *array.shape)
-        position = _aligned(position + array.nbytes)
+        entries.append(_Entry(name, array.dtype, array.shape, position))
+        position = _aligned(entries[-1].end)
     with atomic.replacing(path) as partial, open(partial, "wb") as out:
-        out.write(header)
-        for offset, array in zip(offsets, fields.values(), strict=True):
-            out.write(bytes(offset - out.tell()))
+        out.write(_PREAMBLE.pack(MAGIC, 1, 0, len(entries)))
+        for entry in entries:
+            out.write(entry.header())
+        for entry, array in zip(entries, fields.values(), strict=True):
+            out.write(bytes(entry.offset - out.tell()))
             if array.size:
                 out.write(np.ascontiguousarray(array).data)
         out.write(bytes(position - out.tell()))
+
+
+def _header_size(name: str, array: Array) -> int:
+    return len(_Entry(name, array.dtype, array.shape, 0).header())
+
+
+def _check_arrays(fields: Mapping[str, Array], reader: _Reader) -> None:
+    """Everything given is an array that a tensor file can hold, under a name that can be read back."""
+    if len(fields) > _MAX_FIELDS:
+        raise reader.error(f"would hold {len(fields)} fields, expected at most {_MAX_FIELDS}")
+    for number, (name, array) in enumerate(fields.items(), start=1):
+        if not isinstance(array, np.ndarray):
+            raise reader.error(f"is a {type(array).__name__}, expected a NumPy array", name)
+        if array.dtype not in _CODES:
+            known = ", ".join(dtype.name for dtype in _CODES)
+            raise reader.error(f"has dtype {array.dtype.str}, expected little-endian {known}", name)
+        _check_entry(_Entry(name, array.dtype, array.shape, 0), reader, f"#{number}")
 
 
 def _aligned(position: int) -> int:
@@ -357,9 +433,10 @@ def _check_layout(tensors: Mapping[str, Array], reader: _Reader) -> None:
     """Presence, dtype and shape of every field."""
     spectral = "spectra" in tensors
     if spectral == ("rgb" in tensors):
-        found = ", ".join(tensors) or "none"
+        found = _printable(", ".join(tensors), 200) or "none"
         raise reader.error(
-            f"needs either a field 'spectra' or a field 'rgb' (found: {found}); it is no RGL file"
+            f"found fields {found}, expected either 'spectra' or 'rgb' among them",
+            remedy="it is no RGL file, or a damaged one: fetch it again",
         )
     sizes: dict[str, int] = {}
     for name, (dtype, axes) in _FIELDS.items():
@@ -370,7 +447,7 @@ def _check_layout(tensors: Mapping[str, Array], reader: _Reader) -> None:
                 raise reader.error("stands beside 'rgb', expected it beside 'spectra' only", name)
             continue
         if name not in tensors:
-            raise reader.error("is missing; the file is incomplete: fetch it again", name)
+            raise reader.error("is missing, expected in every RGL file", name)
         array = tensors[name]
         if array.dtype != np.dtype(dtype):
             raise reader.error(f"has dtype {array.dtype.name}, expected {np.dtype(dtype).name}", name)
@@ -389,16 +466,20 @@ def _check_shape(
     """Match a shape against axes; the first field with a letter fixes its size for the others."""
     if len(shape) != len(axes):
         words = ", ".join(_AXIS_WORDS.get(a, str(a) or "any") if isinstance(a, str) else str(a) for a in axes)
-        raise reader.error(f"has shape {shape}, expected {len(axes)} axes ({words})", name)
+        raise reader.error(f"has shape {_shape_text(shape)}, expected {len(axes)} axes ({words})", name)
     for axis, (letter, size) in enumerate(zip(axes, shape, strict=True)):
         expected = letter if isinstance(letter, int) else sizes.setdefault(letter, size) if letter else size
         if size != expected:
             word = f" ({_AXIS_WORDS[letter]})" if isinstance(letter, str) else ""
-            raise reader.error(f"has shape {shape}, expected {expected} along axis {axis}{word}", name)
+            raise reader.error(
+                f"has shape {_shape_text(shape)}, expected {expected} along axis {axis}{word}", name
+            )
     required = 2 if name in _AT_LEAST_TWO else 1
     interpolated = shape[2:] if name in ("vndf", "luminance") else shape
     if name != "description" and min(interpolated) < required:
-        raise reader.error(f"has shape {shape}, expected at least {required} along every axis", name)
+        raise reader.error(
+            f"has shape {_shape_text(shape)}, expected at least {required} along every axis", name
+        )
 
 
 def _check_grids(tensors: Mapping[str, Array], reader: _Reader) -> None:
@@ -414,9 +495,14 @@ def _check_grids(tensors: Mapping[str, Array], reader: _Reader) -> None:
             continue
         values = tensors[name]
         if not np.all(np.isfinite(values)):
-            raise reader.error("has values that are not finite", name)
-        if np.any(np.diff(values) <= 0):
-            raise reader.error("is not strictly increasing", name)
+            raise reader.error("has values that are not finite, expected finite ones", name)
+        falls = np.flatnonzero(values[1:] <= values[:-1])
+        if falls.size:
+            k = int(falls[0])
+            raise reader.error(
+                f"goes from {values[k]:.6g} to {values[k + 1]:.6g} at index {k}, expected increasing values",
+                name,
+            )
         if values[0] < low or values[-1] > high:
             raise reader.error(f"runs from {values[0]:.4g} to {values[-1]:.4g}, expected {words}", name)
 
@@ -427,7 +513,7 @@ def _check_values(tensors: Mapping[str, Array], reader: _Reader) -> None:
         if name in tensors:
             low, high = tensors[name].min(), tensors[name].max()  # NaN wins in both: no temporaries needed
             if not (np.isfinite(low) and np.isfinite(high)):
-                raise reader.error("has values that are not finite", name)
+                raise reader.error("has values that are not finite, expected finite ones", name)
             if name in ("ndf", "vndf") and low < 0:
                 raise reader.error(f"has negative values (down to {low:.4g}), expected a density", name)
             if name == "sigma" and low <= 0:

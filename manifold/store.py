@@ -512,12 +512,13 @@ def _write_array(
         array.shape, array.dtype.str, chunks, shards, dims, json.dumps(attributes or {})
     )
     (folder / "zarr.json").write_bytes(metadata)
+    buffer = np.empty(chunks, array.dtype)  # One for all chunks: fresh memory costs more than the copy.
     order, index = _shard_layout(shards, chunks, array.dtype.str) if shards else ([()], b"")
     for part, key in _blocks(array, shards or chunks):
         with (folder / key).open("wb") as stream:
             for position in order:
                 block = _block(part, position, chunks) if shards else part
-                stream.write(_padded(block, chunks).data)
+                stream.write(_whole_chunk(block, buffer).data)
             stream.write(index)
 
 
@@ -532,17 +533,18 @@ def _block(array: Array, position: tuple[int, ...], size: tuple[int, ...]) -> Ar
     return array[tuple(slice(i * part, (i + 1) * part) for i, part in zip(position, size, strict=True))]
 
 
-def _padded(block: Array, size: tuple[int, ...]) -> Array:
-    """C-contiguous and of full size: zarr stores the chunks at the end whole."""
-    if block.shape == size and block.flags.c_contiguous:
+def _whole_chunk(block: Array, buffer: Array) -> Array:
+    """A block C-contiguous and of full size, as zarr stores it, in the buffer where it has to be copied."""
+    if block.shape == buffer.shape and block.flags.c_contiguous:
         return block
-    full = np.zeros(size, block.dtype)
-    inside = full[tuple(slice(0, axis) for axis in block.shape)]
+    if block.shape != buffer.shape:
+        buffer[...] = 0
+    inside = buffer[tuple(slice(0, axis) for axis in block.shape)]
     for last in range(
         block.shape[-1]
     ):  # Reads each plane of a file in one go: 2.5 times as fast as one copy.
         inside[..., last] = block[..., last]
-    return full
+    return buffer
 
 
 @lru_cache(maxsize=64)

@@ -17,7 +17,7 @@ from manifold.microfacet import GGX, Lambert, Plastic, RoughConductor
 from manifold.records import Bands
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from bench_goniometer import ALPHAS, mean_relative_error  # noqa: E402
+from bench_goniometer import ALPHAS, mean_relative_error
 
 RGB = Bands(None)
 

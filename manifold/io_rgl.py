@@ -65,7 +65,7 @@ class _Reader:
 
 
 def _printable(text: str, limit: int = 64) -> str:
-    """The text on one line: what does not print as an escape, the middle of a long text left out."""
+    """The text on one line: what does not print as an escape, the end of a long text left out."""
     text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1])
     return text if len(text) <= limit else f"{text[: limit - 3]}..."
 

@@ -80,7 +80,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         optimizer: str = "dls",
         prior: float = 0.0,
         start_scale: float = 1.0,
-        max_iter: int = 500,
+        max_iter: int = 400,
         tol: float = 1e-6,
     ) -> None:
         self.n_components = n_components

@@ -100,7 +100,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         """Fit to data Y (N, D), which is centred here; y is ignored.
 
         `callback(iteration, F)` is called after every round; StopIteration ends the refinement with the best
-        latents so far, any other exception leaves the estimator as it was.
+        latents so far, any other exception leaves the latents of the estimator as they were.
         """
         Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
         Y_c = Y - Y.mean(axis=0)
@@ -217,7 +217,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
 
         A training sample gets its training latent.
         """
-        check_is_fitted(self)
+        check_is_fitted(self, "embedding_")
         if self.Y_fit_ is None:
             raise UsageError("this model was fitted on a Gram matrix; use transform_gram")
         Y = validate_data(self, Y, reset=False, dtype=np.float64)
@@ -242,7 +242,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             ShapeError: cross is not (M, N), norm is not (M,), or either is not finite.
             UsageError: the criterion is unknown.
         """
-        check_is_fitted(self)
+        check_is_fitted(self, "embedding_")
         cross, norm = self._centred_products(cross, norm)
         if criterion not in CRITERIA:
             raise UsageError(f"criterion '{criterion}', expected one of {', '.join(CRITERIA)}")
@@ -253,19 +253,19 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
 
     def inverse_transform(self, X: Array) -> Array:
         """Predicted data at latents X (M, Q), (M, D); a training latent gives its datum, bit for bit."""
-        check_is_fitted(self)
+        check_is_fitted(self, "embedding_")
         if self.Y_fit_ is None:
             raise UsageError("this model was fitted on a Gram matrix; multiply `weights(X)` by the data")
         return self.weights(X) @ self.Y_fit_
 
     def weights(self, X: Array) -> Array:
         """Weights of the training samples at latents X (M, Q), shape (M, N)."""
-        check_is_fitted(self)
+        check_is_fitted(self, "embedding_")
         return self.gp_.weights(X)
 
     def std(self, X: Array) -> Array:
         """Posterior standard deviation at latents X (M, Q), in units of the outputs, shape (M,)."""
-        check_is_fitted(self)
+        check_is_fitted(self, "embedding_")
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
 
     def _centred_products(self, cross: Array, norm: Array) -> tuple[Array, Array]:

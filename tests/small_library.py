@@ -17,12 +17,13 @@ NAMES = (
     "syn_felt_green", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper", "syn_paper_white", "syn_satin_gold",
 )  # fmt: skip
 
+_MATERIALS = {m.name: m for m in corpus.isotropic_materials()}
+
 
 @cache
 def measured(name: str) -> BsdfFile:
     """A material of the corpus in RGB."""
-    materials = {m.name: m for m in corpus.isotropic_materials()}
-    return corpus.measure(materials[name], rgb=True)
+    return corpus.measure(_MATERIALS[name], rgb=True)
 
 
 def small_library(folder: Path, *, names: Sequence[str] = NAMES, library: Path | None = None) -> Path:

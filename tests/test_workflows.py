@@ -1,0 +1,111 @@
+"""The main job from end to end, and its results in Mitsuba."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from conftest import real_rgl_folder
+from mitsuba_reference import measured
+from small_library import small_model
+
+from manifold import corpus, workflows
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.io_rgl import read_bsdf
+from manifold.model import Manifold, Settings
+from manifold.store import Library
+
+FEW = ("syn_satin_gold", "syn_metallic_gold", "syn_felt_green", "syn_paper_white", "syn_gloss_red")
+
+
+@pytest.fixture(scope="module")
+def few_materials():
+    """The corpus cut down to a few materials, so that the demo takes seconds."""
+    few = tuple(m for m in corpus.isotropic_materials() if m.name in FEW)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(corpus, "isotropic_materials", lambda: few)
+        yield few
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory, few_materials):
+    return workflows.demo(tmp_path_factory.mktemp("demo"))
+
+
+def directions(rng, n):
+    theta, phi = rng.uniform(0, np.deg2rad(75), (2, n)), rng.uniform(-np.pi, np.pi, (2, n))
+    w = from_spherical(theta, phi).astype(np.float32).astype(np.float64)
+    return w / np.linalg.norm(w, axis=-1, keepdims=True)
+
+
+def test_the_demo_leaves_everything_it_names(demo):
+    for path in (demo.model, demo.picture, demo.report_text, demo.report_json, demo.predicted.path):
+        assert path.stat().st_size > 0
+    assert Library.open(demo.library).names == tuple(sorted(FEW))
+    assert demo.predicted.path.name == "predicted_spec.bsdf"
+    assert json.loads(demo.report_json.read_text())["names"] == sorted(FEW)
+    assert "synthetic" in demo.report_text.read_text()
+
+
+def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, rng):
+    model = Manifold.load(demo.model)
+    brdf = model.predict(np.array(demo.predicted.latent))
+    file = read_bsdf(demo.predicted.path)
+    wi, wo = directions(rng, 1500)
+    bands = rng.integers(0, 195, (1500, 4))
+    f_cos, _ = measured(demo.predicted.path, wi, wo, file.wavelengths_nm[bands].astype(float))
+    expected = np.take_along_axis(brdf.eval_cos(wi, wo), bands, axis=1)
+    error = np.abs(f_cos - expected) / np.abs(expected).mean()
+    # 32 x 32 nodes and 8 elevations through materials that are themselves noisy interpolants.
+    assert np.median(error) < 0.02
+    assert error.mean() < 0.05
+
+
+def test_the_predicted_file_says_what_it_is(demo):
+    file = read_bsdf(demo.predicted.path)
+    assert file.name == "predicted"
+    assert file.description.startswith("Predicted at latent (")
+    assert "synthetic" in file.description
+    assert file.spectra.min() >= 0.0
+
+
+def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
+    monkeypatch.setattr(workflows, "make_corpus", lambda *_, **__: pytest.fail("measured again"))
+    again = workflows.demo(demo.model.parent)
+    assert again.predicted.latent == demo.predicted.latent
+
+
+def test_a_prediction_at_a_material_is_that_material(tmp_path):
+    model = Manifold.load(small_model(tmp_path))
+    made = workflows.predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
+    assert made.std == 0.0
+    assert made.weights == (("syn_satin_gold", 1.0),)
+    assert made.nearest[0] == ("syn_satin_gold", 0.0)
+    assert not made.is_extrapolation
+
+
+def test_predictions_go_into_bsdf_files_only(tmp_path):
+    with pytest.raises(UsageError, match=r"-o NAME\.bsdf"):
+        workflows.predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
+
+
+def test_the_main_job_runs_on_real_files(tmp_path, rng):
+    folder = real_rgl_folder()
+    if folder is None:
+        pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
+    library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
+    result = workflows.import_library(library, [folder])
+    assert not result.failed
+    fitted = workflows.embed(library, model, Settings())
+    assert len(fitted.names) == len(result.imported)
+    suffix = "rgb" if fitted.bands.is_rgb else "spec"
+    made = workflows.predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
+    assert np.all(np.isfinite(read_bsdf(made.path).spectra))
+    report = workflows.report(model, picture=tmp_path / "map.png")
+    assert report.methods[0].rmse == (0.0,) * len(fitted.names)
+    assert not any(report.is_synthetic)
+    refitted = next(m for m in report.methods if m.key == "gp_refitted")
+    nearest = next(m for m in report.methods if m.key == "nearest")
+    assert refitted.median_relative_error < nearest.median_relative_error

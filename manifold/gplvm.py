@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -51,7 +52,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         mu: noise filter of the kernel, at least 1e-10.
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
         optimizer: `dls`, direct local search; `l-bfgs`, by the analytic gradient; or `both`, a direct local
-            search from where L-BFGS ended, whose long steps leave local optima that a gradient cannot.
+            search with long steps from where L-BFGS ended, hence never worse than `l-bfgs`.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
         start_scale: standard deviation of the start along every axis.
@@ -80,7 +81,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         optimizer: str = "dls",
         prior: float = 0.0,
         start_scale: float = 1.0,
-        max_iter: int = 400,
+        max_iter: int = 300,
         tol: float = 1e-6,
     ) -> None:
         self.n_components = n_components
@@ -177,9 +178,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self, objective: LatentObjective, start: Array, callback: FitCallback | None
     ) -> tuple[Array, int, int]:
         """Latents (N, Q), rounds and evaluations of one optimizer, or of both in turn."""
-        stages = [_refine_lbfgs, _refine_dls] if self.optimizer == "both" else [_REFINERS[self.optimizer]]
         X, n_iter, n_evaluations = start, 0, 0
-        for refine in stages:
+        for refine in _STAGES[self.optimizer]:
             X, more, evaluations, stopped = refine(objective, X, self.max_iter, self.tol, n_iter, callback)
             n_iter, n_evaluations = n_iter + more, n_evaluations + evaluations
             if stopped:
@@ -552,13 +552,15 @@ def _refine_dls(
     tol: float,
     done: int,
     callback: FitCallback | None,
+    *,
+    first_step: float = _FIRST_STEP,
 ) -> tuple[Array, int, int, bool]:
     """Latents by direct local search: X (N, Q), rounds, evaluations, whether the callback stopped it."""
     rounds = count(done + 1)
     l = objective.kernel.length_scale
     result = direct_local_search(
         IncrementalObjective(objective, start),
-        initial_step=_FIRST_STEP * l,
+        initial_step=first_step * l,
         largest_step=_LARGEST_STEP * l,
         tolerance=10.0 * tol * l,
         f_tolerance=tol,
@@ -597,7 +599,12 @@ def _refine_lbfgs(
     return result.x.reshape(start.shape), int(result.nit), int(result.nfev), result.status == STOPPED
 
 
-_REFINERS = {"dls": _refine_dls, "l-bfgs": _refine_lbfgs}
+# From the start, small steps keep the order of the latents; at an optimum, only long ones can leave it.
+_STAGES: dict[str, list[Callable[..., tuple[Array, int, int, bool]]]] = {
+    "dls": [_refine_dls],
+    "l-bfgs": [_refine_lbfgs],
+    "both": [_refine_lbfgs, partial(_refine_dls, first_step=_LARGEST_STEP)],
+}
 
 
 def pca_start(S: Array, n_components: int) -> Array:

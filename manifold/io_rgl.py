@@ -31,6 +31,7 @@ _MAX_AXES = 32  # numpy's own limit was this for decades; RGL files have at most
 _MAX_FIELDS = 1024  # RGL files have 13; without a limit the names of a large damaged file fill the memory
 _MAX_NAME = 0xFFFF  # bytes
 _ALIGNMENT = 8
+_SNIFFED = 8192  # bytes of another format's header that may hold the word that tells it
 
 _DTYPES = {
     1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8",
@@ -42,10 +43,14 @@ _FOREIGN = (
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),
+    (b"SCATFUN", "a Fourier BSDF of layerlab or pbrt-v3"),
+    (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
 )
 _FOREIGN_WORDS = (
+    (("<!doctype html", "<html"), "an HTML page, as failed downloads leave"),
     (("<windowelement", "<opticsdefinition", "<?xml"), "a Radiance / WINDOW BSDF (XML)"),
-    (("mini-diff", "minidiff", "reflet", "lighttools", "light tools"), "a Synopsys Mini-Diff BSDF"),
+    # Mini-Diff files share most words with Zemax files; only theirs write the incidence as AOI.
+    (("mini-diff", "minidiff", "reflet", "lighttools", "light tools", "\naoi"), "a Synopsys Mini-Diff BSDF"),
     (("spectralcontent", "scattertype", "sampleorientation", "samplerotation", "zemax"), "a Zemax BSDF"),
 )
 
@@ -154,7 +159,7 @@ def _read_header(buffer: mmap.mmap, reader: _Reader) -> tuple[list[_Entry], int]
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
     if magic != MAGIC:
         raise reader.error(
-            f"found {_name_format(buffer[:2048])}, expected an RGL tensor file (it begins with 'tensor_file')",
+            f"found {_name_format(buffer[:_SNIFFED])}, expected an RGL tensor file (it begins with 'tensor_file')",
             remedy="only files of the RGL material database and its tools can be read",
         )
     if (major, minor) != (1, 0):
@@ -252,7 +257,7 @@ def _name_format(head: bytes) -> str:
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             return name
-    text = head.decode("latin-1").lower()
+    text = head.replace(b"\0", b"").decode("latin-1").lower()  # without zeros UTF-16 reads like ASCII
     for words, name in _FOREIGN_WORDS:
         if any(word in text for word in words):
             return name
@@ -262,7 +267,7 @@ def _name_format(head: bytes) -> str:
 
 
 # What an RGL file must hold: dtype and axes per field; an axis is a number, or a letter that all fields share.
-_FIELDS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+_FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {
     "version": ("<u4", (2,)),
     "description": ("u1", ("",)),
     "phi_i": ("<f4", ("P",)),
@@ -275,7 +280,7 @@ _FIELDS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "spectra": ("<f4", ("P", "T", "B", "H", "H")),
     "rgb": ("<f4", ("P", "T", 3, "H", "H")),
     "jacobian": ("u1", (1,)),
-    "valid": ("u1", ("",)),
+    "valid": ("u1", None),  # its size counts, packed bits have no axes of their own
 }
 _AXIS_WORDS = {"P": "phi_i", "T": "theta_i", "B": "wavelengths", "H": "side of the outgoing grid"}
 _AT_LEAST_TWO = ("theta_i", "sigma", "ndf", "vndf", "luminance")  # what is interpolated needs two nodes
@@ -377,8 +382,10 @@ def write_tensors(path: Path | str, fields: Mapping[str, Array]) -> None:
         UsageError: the file cannot be written.
     """
     path = Path(path)
-    if not path.name:
-        raise UsageError(f"{path}: names no file, expected the path of a tensor file; add a file name")
+    if not path.name or "\0" in path.name:
+        raise UsageError(
+            f"{_printable(str(path), 255)}: names no file, expected the path of a tensor file; add a file name"
+        )
     reader = _Reader(path, _WRITE_REMEDY)
     _check_arrays(fields, reader)
     position = _aligned(_PREAMBLE.size + sum(map(_header_size, fields, fields.values())))
@@ -406,6 +413,8 @@ def _check_arrays(fields: Mapping[str, Array], reader: _Reader) -> None:
     if len(fields) > _MAX_FIELDS:
         raise reader.error(f"would hold {len(fields)} fields, expected at most {_MAX_FIELDS}")
     for number, (name, array) in enumerate(fields.items(), start=1):
+        if not isinstance(name, str):
+            raise reader.error(f"has a name of type {type(name).__name__}, expected text", f"#{number}")
         if not isinstance(array, np.ndarray):
             raise reader.error(f"is a {type(array).__name__}, expected a NumPy array", name)
         if array.dtype not in _CODES:
@@ -451,7 +460,8 @@ def _check_layout(tensors: Mapping[str, Array], reader: _Reader) -> None:
         array = tensors[name]
         if array.dtype != np.dtype(dtype):
             raise reader.error(f"has dtype {array.dtype.name}, expected {np.dtype(dtype).name}", name)
-        _check_shape(name, array.shape, axes, sizes, reader)
+        if axes is not None:
+            _check_shape(name, array.shape, axes, sizes, reader)
     cells = tensors["luminance"].size
     if tensors["valid"].size not in (cells, -(-cells // 8)):
         raise reader.error(
@@ -495,7 +505,7 @@ def _check_grids(tensors: Mapping[str, Array], reader: _Reader) -> None:
             continue
         values = tensors[name]
         if not np.all(np.isfinite(values)):
-            raise reader.error("has values that are not finite, expected finite ones", name)
+            raise _bad_value(name, values, ~np.isfinite(values), "finite values", reader)
         falls = np.flatnonzero(values[1:] <= values[:-1])
         if falls.size:
             k = int(falls[0])
@@ -513,14 +523,22 @@ def _check_values(tensors: Mapping[str, Array], reader: _Reader) -> None:
         if name in tensors:
             low, high = tensors[name].min(), tensors[name].max()  # NaN wins in both: no temporaries needed
             if not (np.isfinite(low) and np.isfinite(high)):
-                raise reader.error("has values that are not finite, expected finite ones", name)
+                raise _bad_value(name, tensors[name], ~np.isfinite(tensors[name]), "finite values", reader)
             if name in ("ndf", "vndf") and low < 0:
-                raise reader.error(f"has negative values (down to {low:.4g}), expected a density", name)
+                raise _bad_value(name, tensors[name], tensors[name] < 0, "no negative densities", reader)
             if name == "sigma" and low <= 0:
-                raise reader.error(f"has values down to {low:.4g}, expected positive areas", name)
+                raise _bad_value(name, tensors[name], tensors[name] <= 0, "positive areas", reader)
     peaks = tensors["vndf"].max(axis=(2, 3))
     if np.any(peaks <= 0):
         phi, theta = (int(k[0]) for k in np.nonzero(peaks <= 0))
         raise reader.error(f"is zero everywhere at incidence ({phi}, {theta}), expected a density", "vndf")
     if tensors["jacobian"][0] > 1:
         raise reader.error(f"is {int(tensors['jacobian'][0])}, expected 0 or 1", "jacobian")
+
+
+def _bad_value(name: str, values: Array, bad: Array, expected: str, reader: _Reader) -> FileFormatError:
+    """The error of a table with bad values: the first of them, where it stands, and how many there are."""
+    index = tuple(int(k) for k in np.unravel_index(int(np.argmax(bad)), bad.shape))
+    count = int(np.count_nonzero(bad))
+    others = f" and {count - 1} more values are bad" if count > 1 else ""
+    return reader.error(f"is {values[index]:.4g} at index {index}{others}, expected {expected}", name)

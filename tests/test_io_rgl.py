@@ -15,6 +15,7 @@ import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -385,7 +386,7 @@ def test_a_file_can_be_written_over_itself(tmp_path: Path) -> None:
 NAN, INF = np.float32("nan"), np.float32("inf")
 
 
-def put(array: Array, index: object, value: object) -> Array:
+def put(array: Array, index: Any, value: Any) -> Array:
     array = array.copy()
     array[index] = value
     return array
@@ -468,7 +469,7 @@ def test_bad_content_names_its_field_when_written_and_leaves_nothing(case: str, 
     attribute = {"phi_i": "phi_i_rad", "theta_i": "theta_i_rad", "wavelengths": "wavelengths_nm"}.get(
         name, name
     )
-    bad = dataclasses.replace(small_file(), **{attribute: spoil(small_fields()[name])})
+    bad = dataclasses.replace(small_file(), **{attribute: spoil(small_fields()[name])})  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=f"^bad_spec.bsdf: field '{name}' .*{words}"):
         write_bsdf(tmp_path / "bad_spec.bsdf", bad)
     assert list(tmp_path.iterdir()) == []

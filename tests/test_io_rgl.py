@@ -315,7 +315,7 @@ def test_the_mask_of_a_real_file_follows_its_zeros(path: Path) -> None:
     assert mask.shape == file.luminance.shape
     # 3 to 4 % of the non-zero cells were extrapolated by the database (2 % on the finer grid).
     assert np.mean(mask[non_zero]) > 0.96
-    # Up to 46 of 8192 cells are marked measured and hold zeros in all channels; the wrong polarity has far more.
+    # Not none: up to 46 of 8192 cells are marked measured and hold zeros in all channels (0.6 %).
     assert np.mean(mask & ~non_zero) < 0.006
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from manifold.errors import UsageError
@@ -27,7 +27,8 @@ def replacing(path: Path) -> Iterator[Path]:
             f"{path}: cannot write this file ({reason}); check the folder, or name another"
         ) from error
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):  # what could not be made need not be removed
+            partial.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

@@ -231,6 +231,7 @@ def test_a_hand_made_file_is_read_as_it_was_made(tmp_path: Path, shift: int) -> 
     assert list(found) == list(fields)
     for name, array in fields.items():
         assert_same_array(found[name], array, name)
+        assert found[name].flags.aligned
     file = read_bsdf(path)
     assert_same_array(file.spectra, fields["spectra"], "spectra")
     assert list(file.extra) == list(found)[len(PIPELINE_ORDER) :]
@@ -734,7 +735,7 @@ UNWRITABLE: dict[str, dict[str, object]] = {
     "a version below 0": {"version": (-1, 0)},
     "a version beyond 32 bits": {"version": (2**32, 0)},
     "a description with half a character": {"description": "\ud800"},
-    "an extra field under a name of the format": {"extra": {"sigma": np.ones(1)}},
+    "an extra field under a name of the format": {"extra": {"sigma": np.ones((2, 2), np.float32)}},
     "an extra field named rgb": {"extra": {"rgb": np.ones(1)}},
     "an extra field of objects": {"extra": {"o": np.array([None])}},
     "an extra field in big-endian order": {"extra": {"o": np.ones(1, ">f4")}},

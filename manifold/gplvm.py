@@ -164,7 +164,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         objective_start = objective(start)[0]
         X, n_iter, n_evaluations = start, 0, 1
         if self.max_iter > 0:
-            with _blas_threads(N):
+            with blas_threads(N):
                 X, n_iter, n_evaluations = self._refine(objective, start, callback)
         X = fix_gauge(X)
         objective_end = objective(X)[0]
@@ -631,7 +631,7 @@ def fix_gauge(X: Array) -> Array:
     return X * np.where(largest < 0, -1.0, 1.0)
 
 
-def _blas_threads(N: int) -> AbstractContextManager[Any]:
+def blas_threads(N: int) -> AbstractContextManager[Any]:
     """One BLAS thread for small matrices: sharing out 200 x 200 entries costs ten times the work itself."""
     return threadpool_limits(1, user_api="blas") if N <= 500 else nullcontext()
 

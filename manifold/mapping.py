@@ -45,6 +45,9 @@ class Mapping(Protocol):
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
         """T^-1 of mapped values (..., B), back to 1/sr, with the weight that `forward` had."""
 
+    def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """Derivative of T^-1 where it gives these values (..., B)."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -59,6 +62,10 @@ class Identity:
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
         """The values themselves."""
         return _as_floating(mapped)
+
+    def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """1."""
+        return np.ones_like(_as_floating(values))
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,11 @@ class CubeRoot:
         """The cube."""
         mapped = _as_floating(mapped)
         return mapped * mapped * mapped
+
+    def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """`3 f^(2/3)`."""
+        root = np.cbrt(_as_floating(values))
+        return 3.0 * root * root
 
 
 @dataclass(frozen=True)
@@ -98,6 +110,10 @@ class Log:
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
         """The exponential, at least 0."""
         return np.expm1(np.maximum(_as_floating(mapped), 0.0)) * self.epsilon
+
+    def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """`f + epsilon`, also at 0, where the inverse stops: a search must be able to leave it."""
+        return _as_floating(values) + self.epsilon
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +152,11 @@ class LogRelative:
         mapped = _as_floating(mapped)
         total = np.maximum(mapped + self._offset(mapped, cosine_weight), 0.0)
         return np.expm1(total) * self.epsilon / self._weight(mapped, cosine_weight)
+
+    def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
+        """`f + epsilon / w`, also at 0, where the inverse stops: a search must be able to leave it."""
+        values = _as_floating(values)
+        return values + self.epsilon / self._weight(values, cosine_weight)
 
     def _log(self, values: Array, cosine_weight: Array | None) -> Array:
         """`ln((f w + epsilon) / epsilon)`: 0 at 0."""

@@ -1,0 +1,138 @@
+"""Embed a material that a manifold has not seen: the latent whose *decoded* prediction is nearest to its data.
+
+Rows are what one latent each decodes: for a whole-material model a single row of all bands, for a monochrome
+one a row per band, whose structure coordinates are shared. First the mapped residual is minimised from
+several starts, through the Gram matrix alone; then, from the best end, the error of the decoded BRDF in the
+metric that reports use, `||w (T^-1(V T(F)) - f)|| / ||w f||`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve
+from scipy.optimize import minimize
+
+from manifold.gpr import GPWeights
+from manifold.mapping import Mapping
+from manifold.records import Array
+
+_STARTS = 5  # nearest training materials to start from
+_MAX_ITER = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Decoder:
+    """What turns latents into BRDF values at P outputs.
+
+    Attributes:
+        gp: of the n training samples.
+        n_structure: leading latent coordinates that all rows of a material share.
+        group: rows per training material: 1 for whole materials, B for monochrome samples.
+        mapped: T of the training samples, shape (n, P).
+        mapping: T.
+        cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
+        gram_weight: weight of each output in the mapped residual, shape (P,).
+        prior: weight of the Gaussian prior on each row's latent.
+    """
+
+    gp: GPWeights
+    n_structure: int
+    group: int
+    mapped: Array
+    mapping: Mapping
+    cosines: Array
+    gram_weight: Array
+    prior: float
+
+    def decode(self, latents: Array) -> Array:
+        """Values f at latents (R, Q), shape (R, P)."""
+        return self.mapping.inverse(
+            (self.gp.weights(latents) @ self.mapped)[..., None], self._row_cosines(len(latents))
+        )[..., 0]
+
+    def encode(self, f: Array) -> Array:
+        """Latents (R, Q) of a new material with values f (R, P)."""
+        T = self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
+        weighted = self.mapped * self.gram_weight
+        S, cross = weighted @ self.mapped.T, T @ weighted.T
+        norm = np.sum(T * T * self.gram_weight, axis=1)
+        residual = self._mapped_residual(S, cross, norm)
+        ends = [self._minimise(residual, start) for start in self._starts(S, cross, norm)]
+        best = min(ends, key=lambda end: end[1])[0]
+        return self._minimise(self._decoded_error(f), best)[0]
+
+    def _row_cosines(self, rows: int) -> Array:
+        return np.broadcast_to(self.cosines, (rows, self.cosines.size))
+
+    def _starts(self, S: Array, cross: Array, norm: Array) -> list[Array]:
+        """Latents (R, Q) of the nearest training materials, with the colours of their own or of any bands."""
+        distance = norm[:, None] + np.diag(S)[None, :] - 2.0 * cross  # [R, n]
+        by_material = distance.reshape(len(norm), -1, self.group)  # [R, N, group]
+        nearest = np.argsort(by_material.min(axis=2).sum(axis=0), kind="stable")[:_STARTS]
+        anywhere = self.gp.X[distance.argmin(axis=1), self.n_structure :]
+        starts = []
+        for material in nearest:
+            own = material * self.group + by_material[:, material].argmin(axis=1)
+            structure = np.repeat(
+                self.gp.X[material * self.group, : self.n_structure][None], len(norm), axis=0
+            )
+            starts.append(np.hstack([structure, self.gp.X[own, self.n_structure :]]))
+            if self.group > 1:
+                starts.append(np.hstack([structure, anywhere]))
+        return starts
+
+    def _mapped_residual(self, S: Array, cross: Array, norm: Array) -> Callable[[Array], tuple[float, Array]]:
+        """log of ||T(f) - V T(F)||^2, and its derivative with respect to the weights V (R, n)."""
+        floor = 1e-14 * norm.sum()
+
+        def objective(V: Array) -> tuple[float, Array]:
+            VS = V @ S
+            squared = max(float(norm.sum() - 2.0 * np.sum(V * cross) + np.sum(VS * V)), floor)
+            return np.log(squared), 2.0 * (VS - cross) / squared
+
+        return objective
+
+    def _decoded_error(self, f: Array) -> Callable[[Array], tuple[float, Array]]:
+        """log of ||w (T^-1(V T(F)) - f)||^2, and its derivative with respect to V (R, n)."""
+        rows = self._row_cosines(len(f))
+        w2 = self.cosines**2
+        floor = 1e-14 * float(np.sum(w2 * f * f)) + np.finfo(float).tiny
+
+        def objective(V: Array) -> tuple[float, Array]:
+            decoded = self.mapping.inverse((V @ self.mapped)[..., None], rows)
+            slope = self.mapping.slope(decoded, rows)[..., 0]
+            difference = decoded[..., 0] - f
+            squared = max(float(np.sum(w2 * difference * difference)), floor)
+            return np.log(squared), (2.0 * w2 * difference * slope) @ self.mapped.T / squared
+
+        return objective
+
+    def _minimise(
+        self, objective: Callable[[Array], tuple[float, Array]], start: Array
+    ) -> tuple[Array, float]:
+        """Latents (R, Q) where R / 2 objective + prior / 2 ||x||^2 is least nearby, and that value."""
+        R, Q = start.shape
+        Qs, X, gp = self.n_structure, self.gp.X, self.gp
+
+        def unpack(z: Array) -> Array:
+            return np.hstack([np.broadcast_to(z[:Qs], (R, Qs)), z[Qs:].reshape(R, Q - Qs)])
+
+        def value_and_gradient(z: Array) -> tuple[float, Array]:
+            x = unpack(z)
+            k = gp.kernel.smooth(x, X)  # [R, n]
+            W = cho_solve((gp.L, True), k.T).T
+            value, dV = objective(W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples)
+            # Pull the derivative back through the centring, the solve, and the kernel.
+            dW = dV - dV.mean(axis=1, keepdims=True)
+            A = cho_solve((gp.L, True), dW.T).T * k
+            gradient = -(A.sum(axis=1, keepdims=True) * x - A @ X) / gp.kernel.length_scale**2
+            gradient = 0.5 * R * gradient + self.prior * x
+            total = 0.5 * R * value + 0.5 * self.prior * float(np.sum(x * x))
+            return total, np.concatenate([gradient[:, :Qs].sum(axis=0), gradient[:, Qs:].ravel()])
+
+        z0 = np.concatenate([start[0, :Qs], start[:, Qs:].ravel()])
+        found = minimize(value_and_gradient, z0, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_ITER})
+        return unpack(found.x), float(found.fun)

@@ -21,6 +21,8 @@ from manifold.records import Array
 
 _STARTS = 5  # nearest training materials to start from
 _MAX_ITER = 200
+_COLOUR_TABLE = 257  # values of a single colour coordinate that are decoded
+_COLOUR_MARGIN = 0.25  # of the training colours' range, on either side
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +50,11 @@ class Decoder:
     prior: float
 
     def decode(self, latents: Array) -> Array:
-        """Values f at latents (R, Q), shape (R, P)."""
-        return self.mapping.inverse(
+        """Values f at latents (R, Q), at least 0, shape (R, P)."""
+        f = self.mapping.inverse(
             (self.gp.weights(latents) @ self.mapped)[..., None], self._row_cosines(len(latents))
-        )[..., 0]
+        )
+        return np.maximum(f[..., 0], 0.0)
 
     def encode(self, f: Array) -> Array:
         """Latents (R, Q) of a new material with values f (R, P)."""
@@ -63,6 +66,41 @@ class Decoder:
         ends = [self._minimise(residual, start) for start in self._starts(S, cross, norm)]
         best = min(ends, key=lambda end: end[1])[0]
         return self._minimise(self._decoded_error(f), best)[0]
+
+    def encode_colours(self, structure: Array, f: Array) -> Array:
+        """Colour coordinates of bands with values f (R, P), structure (Q_s,) kept: (R, Q_c).
+
+        One colour coordinate is looked up in a table of decoded values, which serves any number of bands at
+        once; more of them are searched for band by band.
+        """
+        colours = self.gp.X[:, self.n_structure :]
+        if colours.shape[1] > 1:
+            return np.concatenate([self._search_colour(structure, row[None]) for row in f])
+        low, high = float(colours.min()), float(colours.max())
+        margin = _COLOUR_MARGIN * (high - low)
+        grid = np.linspace(low - margin, high + margin, _COLOUR_TABLE)[:, None]
+        decoded = self.decode(np.hstack([np.tile(structure, (len(grid), 1)), grid]))  # [table, P]
+        w2 = self.cosines**2
+        error = (decoded**2) @ w2 - 2.0 * (f * w2) @ decoded.T  # [R, table], less what f alone contributes
+        k = np.clip(error.argmin(axis=1), 1, len(grid) - 2)
+        left, middle, right = (error[np.arange(len(f)), k + shift] for shift in (-1, 0, 1))
+        curvature = left - 2.0 * middle + right
+        step = np.divide(0.5 * (left - right), curvature, out=np.zeros(len(f)), where=curvature > 0)
+        return grid[k] + (np.clip(step, -1.0, 1.0) * (grid[1] - grid[0]))[:, None]
+
+    def _search_colour(self, structure: Array, f: Array) -> Array:
+        """Colour (1, Q_c) of one band, from the colours of the nearest training samples."""
+        w2 = self.cosines**2
+        T = self.mapping.forward(f[..., None], self._row_cosines(1))[..., 0]
+        nearest = np.argsort(((self.mapped - T) ** 2) @ w2, kind="stable")[:_STARTS]
+        objective = self._decoded_error(f)
+        ends = [
+            self._minimise(
+                objective, np.hstack([structure, self.gp.X[k, self.n_structure :]])[None], fixed=True
+            )
+            for k in nearest
+        ]
+        return min(ends, key=lambda end: end[1])[0][:, self.n_structure :]
 
     def _row_cosines(self, rows: int) -> Array:
         return np.broadcast_to(self.cosines, (rows, self.cosines.size))
@@ -111,9 +149,12 @@ class Decoder:
         return objective
 
     def _minimise(
-        self, objective: Callable[[Array], tuple[float, Array]], start: Array
+        self, objective: Callable[[Array], tuple[float, Array]], start: Array, *, fixed: bool = False
     ) -> tuple[Array, float]:
-        """Latents (R, Q) where R / 2 objective + prior / 2 ||x||^2 is least nearby, and that value."""
+        """Latents (R, Q) where R / 2 objective + prior / 2 ||x||^2 is least nearby, and that value.
+
+        With `fixed` the structure stays where it is.
+        """
         R, Q = start.shape
         Qs, X, gp = self.n_structure, self.gp.X, self.gp
 
@@ -130,8 +171,9 @@ class Decoder:
             A = cho_solve((gp.L, True), dW.T).T * k
             gradient = -(A.sum(axis=1, keepdims=True) * x - A @ X) / gp.kernel.length_scale**2
             gradient = 0.5 * R * gradient + self.prior * x
+            shared = np.zeros(Qs) if fixed else gradient[:, :Qs].sum(axis=0)
             total = 0.5 * R * value + 0.5 * self.prior * float(np.sum(x * x))
-            return total, np.concatenate([gradient[:, :Qs].sum(axis=0), gradient[:, Qs:].ravel()])
+            return total, np.concatenate([shared, gradient[:, Qs:].ravel()])
 
         z0 = np.concatenate([start[0, :Qs], start[:, Qs:].ravel()])
         found = minimize(value_and_gradient, z0, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_ITER})

@@ -146,18 +146,30 @@ def report(
         Grid, typer.Option(help="12,420 direction pairs, or the 1,458,000 of the seed's eq. 22 (minutes).")
     ] = Grid.default,
     json: JsonOption = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="Also leave materials out of ten models and baselines (minutes for 195 bands)."
+        ),
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
     ] = None,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
     from manifold import workflows
-    from manifold.report_text import format_report
+    from manifold.report_text import format_comparison, format_report
 
     with terminal.progress("Evaluating") as step:
         made = workflows.report(model, grid=grid.value, picture=picture, on_progress=step)
     typer.echo(format_report(made), nl=False)
-    terminal.write_json(json, made.to_json())
+    document = made.to_json()
+    if compare:
+        with terminal.progress("Leaving out") as step:
+            results = workflows.compare(model, step)
+        typer.echo("\n" + format_comparison(results), nl=False)
+        document["comparison"] = [vars(result) for result in results]
+    terminal.write_json(json, document)
 
 
 def demo(

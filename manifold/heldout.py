@@ -16,7 +16,7 @@ import numpy as np
 from manifold import gram
 from manifold.brdf import BRDF
 from manifold.encoding import Decoder
-from manifold.gplvm import GPLVM
+from manifold.gplvm import GPLVM, blas_threads
 from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.monochrome import MonochromeGPLVM
@@ -128,7 +128,8 @@ def compare(
         start = time.perf_counter()
         errors, negative = [], 0.0
         for i in range(len(materials)):
-            predicted = method.predict(data, i)
+            with blas_threads(0):  # the matrices are small: a second thread costs more than it does
+                predicted = method.predict(data, i)
             errors.append(data.relative_error(i, predicted))
             negative += float(np.mean(predicted < 0)) / len(materials)
             if on_progress is not None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from manifold.heldout import Result
 from manifold.report import MethodResult, Report
 
 
@@ -46,6 +47,24 @@ def format_report(report: Report) -> str:
         f"Loading {report.seconds['load']:.1f} s, evaluating {report.seconds['evaluate']:.1f} s.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def format_comparison(results: Sequence[Result]) -> str:
+    """Encode-decode leave-one-out of several methods; plain text that ends in a newline."""
+    rows = [
+        (
+            r.title,
+            str(r.numbers),
+            f"{r.median:.3f}",
+            f"{r.p90:.3f}",
+            f"{r.negative_share:.2%}",
+            f"{r.seconds:.1f}",
+        )
+        for r in results
+    ]
+    head = ("encode-decode leave-one-out", "numbers", "median", "90th pct.", "negative", "seconds")
+    note = "Relative error of materials that a model was fitted without; numbers describe one material.\n"
+    return "\n".join(_table(head, rows)) + "\n\n" + note
 
 
 def _method_row(method: MethodResult) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, corpus, gonio, plot
+from manifold import __version__, atomic, corpus, gonio, heldout, plot
 from manifold.errors import UsageError
 from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import write_bsdf
@@ -164,6 +164,16 @@ def report(
     if picture is not None:
         plot.save(plot.latent_map(loaded), picture)
     return made
+
+
+def compare(model: Path, on_progress: Progress | None = None) -> list[heldout.Result]:
+    """Encode-decode leave-one-out of models and baselines on the library of a model; see `heldout.compare`."""
+    materials = Manifold.load(model).load_materials()
+    if len(materials) < 4:
+        raise UsageError(
+            f"{model}: a comparison needs at least 4 materials, found {len(materials)}; import more"
+        )
+    return heldout.compare(materials, on_progress=on_progress)
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,10 @@ def run(arguments: list[str] | None = None) -> None:
         app(args=arguments, prog_name="manifold")
     except ManifoldError as error:
         _fail(str(error), debug)
-    except KeyboardInterrupt:
-        print("manifold: interrupted; what was finished is kept", file=sys.stderr)
-        sys.exit(_EXIT_INTERRUPTED)
+    except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
+        if leaving.code == _EXIT_INTERRUPTED:
+            print("manifold: interrupted; what was finished is kept", file=sys.stderr)
+        raise
     except BrokenPipeError:
         # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

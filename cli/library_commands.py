@@ -20,10 +20,26 @@ DEFAULT_LIBRARY = Path("library.zarr")
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("corpus", epilog="Example: manifold corpus rgl_like --seed 7")(corpus)
-    app.command("fetch", epilog="Example: manifold fetch satin_gold paper_blue --to rgl")(fetch)
-    app.command("import", epilog="Example: manifold import rgl --library library.zarr")(import_)
-    app.command("info", epilog="Example: manifold info library.zarr --verify")(info)
+    app.command(
+        "corpus",
+        short_help="Write the built-in synthetic corpus.",
+        epilog="Example: manifold corpus rgl_like --seed 7",
+    )(corpus)
+    app.command(
+        "fetch",
+        short_help="Download files of the RGL database.",
+        epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
+    )(fetch)
+    app.command(
+        "import",
+        short_help="Import files or folders into a library.",
+        epilog="Example: manifold import rgl --library library.zarr",
+    )(import_)
+    app.command(
+        "info",
+        short_help="Show what a file, a library or a model holds.",
+        epilog="Example: manifold info library.zarr --verify",
+    )(info)
 
 
 def corpus(

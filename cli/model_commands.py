@@ -32,10 +32,24 @@ class Grid(StrEnum):
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
-    app.command("embed", epilog="Example: manifold embed --latent-dim 2 --mapping cube-root")(embed)
-    app.command("predict", epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf")(predict)
-    app.command("report", epilog="Example: manifold report --json report.json --picture map.png")(report)
-    app.command("demo", epilog="Example: manifold demo demo")(demo)
+    app.command(
+        "embed",
+        short_help="Fit a manifold to a library.",
+        epilog="Example: manifold embed --latent-dim 2 --mapping cube-root",
+    )(embed)
+    app.command(
+        "predict",
+        short_help="Write the material at a latent coordinate.",
+        epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
+    )(predict)
+    app.command(
+        "report",
+        short_help="Evaluate a model.",
+        epilog="Example: manifold report --json report.json --picture map.png",
+    )(report)
+    app.command(
+        "demo", short_help="Run everything on the built-in corpus.", epilog="Example: manifold demo demo"
+    )(demo)
 
 
 def embed(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numba as nb
 import numpy as np
 
 from manifold import warp
+from manifold.cube_root import cube_root
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
+from manifold.pairs import DirectionPairs, elevation, locate, phi_to_u, signs, theta_to_u
 from manifold.records import Array, Bands, BsdfFile
 from manifold.warp import Warp
 
@@ -46,102 +48,131 @@ class BRDF(Protocol):
 
 
 @nb.njit(cache=True, inline="always")
-def _elevation(x, y, z):
-    """Angle from the normal, stable near it."""
-    d = np.sqrt(x * x + y * y + (z - 1.0) * (z - 1.0))
-    return 2.0 * np.arcsin(min(0.5 * d, 1.0))
-
-
-@nb.njit(cache=True, inline="always")
-def _theta_to_u(theta):
-    return np.sqrt(theta * (2.0 / np.pi))
-
-
-@nb.njit(cache=True, inline="always")
-def _phi_to_u(phi):
-    return (phi + np.pi) / (2.0 * np.pi)
-
-
-@nb.njit(cache=True, inline="always")
-def _signs(reduction, wx, wy):
-    """Signs that move an incident direction into the measured range of azimuths of a symmetric file."""
-    if reduction < 2:
-        return 1.0, 1.0
-    sy = -1.0 if wy >= 0.0 else 1.0
-    if reduction == 4:
-        return (-1.0 if wx >= 0.0 else 1.0), sy
-    return sy, sy
-
-
-@nb.njit(cache=True)
-def _locate(wi, wo, isotropic, reduction):
-    """Angles of the incident direction and unit-square coordinates of the half vector."""
-    sx, sy = _signs(reduction, wi[0], wi[1])
-    ix, iy, iz = wi[0] * sx, wi[1] * sy, wi[2]
-    mx, my, mz = ix + wo[0] * sx, iy + wo[1] * sy, iz + wo[2]
-    norm = np.sqrt(mx * mx + my * my + mz * mz)
-    mx, my, mz = mx / norm, my / norm, mz / norm
-    theta_i = _elevation(ix, iy, iz)
-    phi_i = np.arctan2(iy, ix)
-    theta_m = _elevation(mx, my, mz)
-    phi_m = np.arctan2(my, mx)
-    ux = _theta_to_u(theta_m)
-    uy = _phi_to_u(phi_m - phi_i if isotropic else phi_m)
-    uy -= np.floor(uy)
-    cos_im = ix * mx + iy * my + iz * mz
-    return theta_i, phi_i, ux, uy, theta_m, cos_im
-
-
-@nb.njit(cache=True, inline="always")
 def _half_vector_jacobian(ux, theta_m, cos_im):
     """Solid angle of outgoing directions per area of the half vector's unit square."""
     return max(2.0 * np.pi * np.pi * ux * np.sin(theta_m), 1e-6) * 4.0 * cos_im
 
 
-@nb.njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "nsz"})
+_FASTMATH = {"contract", "reassoc", "nsz"}  # no assumption that values are finite: a masked cell may be NaN
+
+
+@nb.njit(cache=True, fastmath=_FASTMATH)
+def _eval_row(
+    theta_i,
+    phi_i,
+    ux,
+    uy,
+    cos_o,
+    jacobian,
+    divide,
+    ndf,
+    sigma,
+    data,
+    conditional,
+    marginal,
+    phi_nodes,
+    theta_nodes,
+    spectra,
+    row,
+):
+    """All bands of one located pair above the horizon, into row (B,)."""
+    slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
+    u, v, _pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
+    scale = 1.0
+    if jacobian:
+        scale = warp.bilinear(ndf, ux, uy) / (
+            4.0 * warp.bilinear(sigma, theta_to_u(theta_i), phi_to_u(phi_i))
+        )
+    if divide:
+        scale /= cos_o
+    j, tx = warp.cell(u, spectra.shape[2])
+    i, ty = warp.cell(v, spectra.shape[1])
+    # Two slices a pass: the elevations around theta_i, at the one or two azimuths around phi_i.
+    for s in range(0, 4, 2):
+        if s > 0 and weights[s] == 0.0 and weights[s + 1] == 0.0:
+            continue
+        a, b = slices[s], slices[s + 1]
+        # A slice without weight is not read: it may hold what is not a number.
+        if weights[s] == 0.0:
+            a = b
+        if weights[s + 1] == 0.0:
+            b = a
+        wa, wb = weights[s] * scale, weights[s + 1] * scale
+        w00, w01, w10, w11 = (1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx
+        a00, a01, a10, a11 = wa * w00, wa * w01, wa * w10, wa * w11
+        b00, b01, b10, b11 = wb * w00, wb * w01, wb * w10, wb * w11
+        # One name per row: the compiler then sees eight streams with stride one.
+        p00, p01 = spectra[a, i, j], spectra[a, i, j + 1]
+        p10, p11 = spectra[a, i + 1, j], spectra[a, i + 1, j + 1]
+        q00, q01 = spectra[b, i, j], spectra[b, i, j + 1]
+        q10, q11 = spectra[b, i + 1, j], spectra[b, i + 1, j + 1]
+        if s == 0:
+            for k in range(row.shape[0]):
+                row[k] = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
+                    b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
+                )
+        else:
+            for k in range(row.shape[0]):
+                row[k] += (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
+                    b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
+                )
+
+
+@nb.njit(cache=True, parallel=True, fastmath=_FASTMATH)
 def _eval_loop(
     wi, wo, isotropic, reduction, jacobian, divide, ndf, sigma, data, conditional, marginal, phi_nodes,
     theta_nodes, spectra, out,
 ):  # fmt: skip
-    n_rows, n_cols = spectra.shape[1], spectra.shape[2]
-    n_bands = out.shape[1]
     for k in nb.prange(wi.shape[0]):
         if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
-            for b in range(n_bands):
-                out[k, b] = 0.0
+            out[k] = 0.0
             continue
-        theta_i, phi_i, ux, uy, _theta_m, _c = _locate(wi[k], wo[k], isotropic, reduction)
-        slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
-        u, v, _pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
-        scale = 1.0
-        if jacobian:
-            scale = warp.bilinear(ndf, ux, uy) / (
-                4.0 * warp.bilinear(sigma, _theta_to_u(theta_i), _phi_to_u(phi_i))
-            )
-        if divide:
-            scale /= wo[k, 2]
-        j, tx = warp.cell(u, n_cols)
-        i, ty = warp.cell(v, n_rows)
-        first = True
-        for s in range(4):
-            w = weights[s] * scale
-            if weights[s] == 0.0:
-                continue
-            grid = spectra[slices[s]]
-            w00, w01 = w * (1 - ty) * (1 - tx), w * (1 - ty) * tx
-            w10, w11 = w * ty * (1 - tx), w * ty * tx
-            r00 = grid[i, j]
-            r01 = grid[i, j + 1]
-            r10 = grid[i + 1, j]
-            r11 = grid[i + 1, j + 1]
-            row = out[k]
-            if first:
-                for b in range(n_bands):
-                    row[b] = w00 * r00[b] + w01 * r01[b] + w10 * r10[b] + w11 * r11[b]
-                first = False
-            else:
-                for b in range(n_bands):
-                    row[b] += w00 * r00[b] + w01 * r01[b] + w10 * r10[b] + w11 * r11[b]
+        theta_i, phi_i, ux, uy, _theta_m, _c = locate(wi[k], wo[k], isotropic, reduction)
+        _eval_row(
+            theta_i, phi_i, ux, uy, wo[k, 2], jacobian, divide, ndf, sigma, data, conditional, marginal,
+            phi_nodes, theta_nodes, spectra, out[k],
+        )  # fmt: skip
+
+
+# The next two run on one core and let go of the interpreter: their callers have several blocks to share out.
+
+
+@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
+def _eval_located(
+    located, jacobian, ndf, sigma, data, conditional, marginal, phi_nodes, theta_nodes, spectra, out
+):
+    for k in range(located.shape[0]):
+        theta_i, phi_i, ux, uy, cos_o = located[k]
+        if cos_o <= 0.0:
+            out[k] = 0.0
+            continue
+        _eval_row(
+            theta_i, phi_i, ux, uy, cos_o, jacobian, True, ndf, sigma, data, conditional, marginal, phi_nodes,
+            theta_nodes, spectra, out[k],
+        )  # fmt: skip
+
+
+@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
+def _add_located(
+    located, jacobian, ndf, sigma, data, conditional, marginal, phi_nodes, theta_nodes, spectra, weight,
+    take_root, total,
+):  # fmt: skip
+    row = np.empty(total.shape[1])  # stays in the first cache
+    for k in range(located.shape[0]):
+        theta_i, phi_i, ux, uy, cos_o = located[k]
+        if cos_o <= 0.0:
+            continue
+        _eval_row(
+            theta_i, phi_i, ux, uy, cos_o, jacobian, True, ndf, sigma, data, conditional, marginal, phi_nodes,
+            theta_nodes, spectra, row,
+        )  # fmt: skip
+        sums = total[k]
+        if take_root:
+            for b in range(row.shape[0]):
+                sums[b] += weight * cube_root(row[b])
+        else:
+            for b in range(row.shape[0]):
+                sums[b] += weight * row[b]
 
 
 @nb.njit(cache=True, parallel=True)
@@ -152,7 +183,7 @@ def _pdf_loop(
         out[k] = 0.0
         if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
             continue
-        theta_i, phi_i, ux, uy, theta_m, cos_im = _locate(wi[k], wo[k], isotropic, reduction)
+        theta_i, phi_i, ux, uy, theta_m, cos_im = locate(wi[k], wo[k], isotropic, reduction)
         slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
         u, v, vndf_pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
         lum_pdf = warp.density(luminance, slices, weights, u, v)
@@ -169,9 +200,9 @@ def _sample_loop(
         wo[k, 0], wo[k, 1], wo[k, 2] = 0.0, 0.0, 1.0
         if wi[k, 2] <= 0.0:
             continue
-        sx, sy = _signs(reduction, wi[k, 0], wi[k, 1])
+        sx, sy = signs(reduction, wi[k, 0], wi[k, 1])
         ix, iy, iz = wi[k, 0] * sx, wi[k, 1] * sy, wi[k, 2]
-        theta_i = _elevation(ix, iy, iz)
+        theta_i = elevation(ix, iy, iz)
         phi_i = np.arctan2(iy, ix)
         slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
         x, y, lum_pdf = uniforms[k, 1], uniforms[k, 0], 1.0
@@ -200,17 +231,6 @@ def _samplable(luminance: Array) -> Array:
     density = np.maximum(luminance, 0.0)
     black = density.sum(axis=(2, 3), keepdims=True) <= 0
     return np.where(black, 1.0, density)
-
-
-def _flat_pairs(wi: Array, wo: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Two direction arrays broadcast against each other, as contiguous (K, 3), and their common shape."""
-    wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
-    try:
-        wi, wo = np.broadcast_arrays(wi, wo)
-    except ValueError as error:
-        raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
-    shape = wi.shape[:-1]
-    return np.ascontiguousarray(wi.reshape(-1, 3)), np.ascontiguousarray(wo.reshape(-1, 3)), shape
 
 
 class MeasuredBRDF:
@@ -249,14 +269,58 @@ class MeasuredBRDF:
         """Whether the file depends on the difference of the azimuths only."""
         return self._isotropic
 
-    def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
-        wi, wo, shape = _flat_pairs(wi, wo)
-        out = np.empty((wi.shape[0], self._bands.count))
-        _eval_loop(
-            wi, wo, self._isotropic, self._reduction, self._jacobian, divide, self._ndf, self._sigma,
-            *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes, self._spectra, out,
+    @property
+    def _lookup(self) -> Any:
+        """What the compiled loops look a located pair up in."""
+        return (
+            self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
+            self._spectra,
         )  # fmt: skip
-        return out.reshape(*shape, -1)
+
+    def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
+        pairs = DirectionPairs(wi, wo)
+        out = np.empty((len(pairs), self._bands.count))
+        _eval_loop(  # type: ignore[call-arg]
+            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._jacobian, divide, *self._lookup, out
+        )
+        return out.reshape(*pairs.shape, -1)
+
+    def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
+        """`eval` of K pairs into a given array, on one core and outside the interpreter's lock.
+
+        For those who share materials or blocks of pairs out among threads.
+
+        Args:
+            pairs: K direction pairs.
+            out: overwritten, float64, C-contiguous, shape (K, B).
+        Raises:
+            ShapeError: out is anything else.
+        """
+        self._require_rows(pairs, out)
+        located = pairs.located(self._isotropic, self._reduction)
+        _eval_located(located, self._jacobian, *self._lookup, out)  # type: ignore[call-arg]
+
+    def add_weighted(self, pairs: DirectionPairs, weight: float, total: Array, *, cube_root: bool) -> None:
+        """Add weight * f, or weight times the signed cube root of f, in one pass; threads as in `eval_into`.
+
+        Args:
+            pairs: K direction pairs; those below the horizon add nothing.
+            weight: the factor.
+            total: added to, float64, C-contiguous, shape (K, B).
+            cube_root: add the root instead of f.
+        Raises:
+            ShapeError: total is anything else.
+        """
+        self._require_rows(pairs, total)
+        located = pairs.located(self._isotropic, self._reduction)
+        _add_located(located, self._jacobian, *self._lookup, weight, cube_root, total)  # type: ignore[call-arg]
+
+    def _require_rows(self, pairs: DirectionPairs, rows: Array) -> None:
+        expected = (len(pairs), self._bands.count)
+        if rows.shape != expected or rows.dtype != np.float64 or not rows.flags.c_contiguous:
+            raise ShapeError(
+                f"array of values has shape {rows.shape} of {rows.dtype}, expected {expected} of float64, contiguous"
+            )
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B).
@@ -274,13 +338,13 @@ class MeasuredBRDF:
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
-        wi, wo, shape = _flat_pairs(wi, wo)
-        out = np.empty(wi.shape[0])
+        pairs = DirectionPairs(wi, wo)
+        out = np.empty(len(pairs))
         _pdf_loop(
-            wi, wo, self._isotropic, self._reduction, self._vndf.phi_nodes, self._vndf.theta_nodes,
+            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._vndf.phi_nodes, self._vndf.theta_nodes,
             *self._vndf.tables, self._luminance.data, out,
         )  # fmt: skip
-        return out.reshape(shape)
+        return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chi_square import chi_square_p_value
+from small_library import measured
 
-from manifold.brdf import BRDF
+from manifold import gonio
+from manifold.brdf import BRDF, MeasuredBRDF
+from manifold.cube_root import cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
 from manifold.microfacet import GGX, Lambert, Plastic, RoughConductor
+from manifold.pairs import DirectionPairs
 from manifold.plausibility import mirrored_quadrature, plausibility
 from manifold.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
@@ -48,6 +54,62 @@ def test_predictions_are_combined_in_the_mapped_domain(mapping, rng):
         mapped = [T.forward(m.eval(a, b), cosines) for m in MATERIALS]
         expected = T.inverse(sum(w * t for w, t in zip(weights, mapped, strict=True)), cosines)
         np.testing.assert_allclose(predicted.eval(a, b), expected, rtol=1e-12, atol=1e-15)
+
+
+class Wrapped:
+    """A measured BRDF that the fused loops do not recognise, so that predictions take the general path."""
+
+    def __init__(self, brdf):
+        self._brdf = brdf
+        self.bands, self.is_isotropic = brdf.bands, brdf.is_isotropic
+        self.sample, self.pdf, self.albedo = brdf.sample, brdf.pdf, brdf.albedo
+        self.eval, self.eval_cos = brdf.eval, brdf.eval_cos
+
+
+@pytest.fixture(scope="module")
+def measured_materials():
+    """Isotropic and anisotropic, two resolutions, one with negative values."""
+    files = [measured("syn_satin_gold"), measured("syn_gloss_yellow")]
+    files.append(
+        gonio.measure(Plastic(GGX.anisotropic(0.2, 0.4), np.array(1.5), np.full(3, 0.3), RGB), "brushed")
+    )
+    noisy = measured("syn_felt_green")
+    files.append(replace(noisy, spectra=noisy.spectra - np.float32(0.05)))
+    return [MeasuredBRDF(file) for file in files]
+
+
+@pytest.mark.parametrize("mapping", MAPPINGS)
+@pytest.mark.parametrize("n", [1, 100, 9000])
+def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_materials, mapping, n, rng):
+    weights = np.array([0.6, -0.3, 0.5, 0.2])
+    wi, wo = directions(rng, n)
+    wo[::7] *= [1.0, 1.0, -1.0]  # some below the horizon
+    fused = PredictedBRDF(measured_materials, weights, mapping_named(mapping)).eval(wi, wo)
+    wrapped = PredictedBRDF([Wrapped(m) for m in measured_materials], weights, mapping_named(mapping))
+    general = wrapped.eval(wi, wo)
+    # The fused cube root is within 4 units in the last place; differences of large terms cost some more.
+    np.testing.assert_allclose(fused, general, rtol=1e-9, atol=1e-12 * np.abs(general).max())
+    assert not np.any(fused[::7])
+
+
+def test_values_go_into_a_given_array(measured_materials, rng):
+    wi, wo = directions(rng, 300)
+    pairs = DirectionPairs(wi, wo)
+    for material in measured_materials:
+        out = np.full((300, 3), np.nan)
+        material.eval_into(pairs, out)
+        np.testing.assert_allclose(out, material.eval(wi, wo), rtol=1e-12)
+        with pytest.raises(ShapeError, match="array of values"):
+            material.eval_into(pairs, np.empty((300, 2)))
+        with pytest.raises(ShapeError, match="array of values"):
+            material.add_weighted(pairs, 1.0, np.empty((300, 3), dtype=np.float32), cube_root=True)
+
+
+def test_the_compiled_cube_root_is_the_cube_root(rng):
+    x = rng.choice([-1.0, 1.0], 100_000) * 10.0 ** rng.uniform(-300, 300, 100_000)
+    found = np.array([cube_root(v) for v in x])
+    np.testing.assert_allclose(found, np.cbrt(x), rtol=1e-15)
+    assert cube_root(0.0) == 0.0
 
 
 def test_identity_weights_interpolate_linearly(rng):

@@ -1,0 +1,129 @@
+"""Direction pairs in the coordinates of RGL files: located once, however many materials look them up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numba as nb
+import numpy as np
+
+from manifold.directions import require_directions
+from manifold.errors import ShapeError
+from manifold.records import Array
+
+
+@nb.njit(cache=True, inline="always")
+def elevation(x, y, z):
+    """Angle from the normal, stable near it."""
+    d = np.sqrt(x * x + y * y + (z - 1.0) * (z - 1.0))
+    return 2.0 * np.arcsin(min(0.5 * d, 1.0))
+
+
+@nb.njit(cache=True, inline="always")
+def theta_to_u(theta):
+    """Unit-square coordinate of an elevation in radians."""
+    return np.sqrt(theta * (2.0 / np.pi))
+
+
+@nb.njit(cache=True, inline="always")
+def phi_to_u(phi):
+    """Unit-square coordinate of an azimuth in radians."""
+    return (phi + np.pi) / (2.0 * np.pi)
+
+
+@nb.njit(cache=True, inline="always")
+def signs(reduction, wx, wy):
+    """Signs that move an incident direction into the measured range of azimuths of a symmetric file."""
+    if reduction < 2:
+        return 1.0, 1.0
+    sy = -1.0 if wy >= 0.0 else 1.0
+    if reduction == 4:
+        return (-1.0 if wx >= 0.0 else 1.0), sy
+    return sy, sy
+
+
+@nb.njit(cache=True)
+def locate(wi, wo, isotropic, reduction):
+    """Angles of the incident direction and unit-square coordinates of the half vector."""
+    sx, sy = signs(reduction, wi[0], wi[1])
+    ix, iy, iz = wi[0] * sx, wi[1] * sy, wi[2]
+    mx, my, mz = ix + wo[0] * sx, iy + wo[1] * sy, iz + wo[2]
+    norm = np.sqrt(mx * mx + my * my + mz * mz)
+    mx, my, mz = mx / norm, my / norm, mz / norm
+    theta_i = elevation(ix, iy, iz)
+    phi_i = np.arctan2(iy, ix)
+    theta_m = elevation(mx, my, mz)
+    phi_m = np.arctan2(my, mx)
+    ux = theta_to_u(theta_m)
+    uy = phi_to_u(phi_m - phi_i if isotropic else phi_m)
+    uy -= np.floor(uy)
+    cos_im = ix * mx + iy * my + iz * mz
+    return theta_i, phi_i, ux, uy, theta_m, cos_im
+
+
+@nb.njit(cache=True, nogil=True)
+def _locate_all(wi, wo, isotropic, reduction, out):
+    for k in range(wi.shape[0]):
+        if wi[k, 2] > 0.0 and wo[k, 2] > 0.0:
+            out[k, 0], out[k, 1], out[k, 2], out[k, 3], _theta_m, _c = locate(
+                wi[k], wo[k], isotropic, reduction
+            )
+            out[k, 4] = wo[k, 2]
+        else:
+            out[k, 4] = 0.0
+
+
+class DirectionPairs:
+    """K pairs of directions, checked and flat.
+
+    Attributes:
+        wi, wo: contiguous unit vectors, shape (K, 3).
+        shape: what the pairs were broadcast to, the vectors' axis left out.
+    """
+
+    def __init__(self, wi: Array, wo: Array) -> None:
+        """Broadcast two arrays of unit vectors (..., 3) against each other.
+
+        Raises:
+            ShapeError: an array is not (..., 3), not finite, not of unit length, or they do not broadcast.
+        """
+        wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
+        try:
+            wi, wo = np.broadcast_arrays(wi, wo)
+        except ValueError as error:
+            raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
+        self._set(
+            np.ascontiguousarray(wi.reshape(-1, 3)), np.ascontiguousarray(wo.reshape(-1, 3)), wi.shape[:-1]
+        )
+
+    def _set(self, wi: Array, wo: Array, shape: tuple[int, ...]) -> None:
+        self.wi, self.wo, self.shape = wi, wo, shape
+        self._located: dict[tuple[bool, int], Array] = {}
+
+    def __len__(self) -> int:
+        return self.wi.shape[0]
+
+    def blocks(self, size: int) -> Iterator[tuple[slice, DirectionPairs]]:
+        """Runs of at most `size` pairs, and where they stand among all."""
+        for start in range(0, len(self), size):
+            rows = slice(start, start + size)
+            block = DirectionPairs.__new__(DirectionPairs)
+            block._set(self.wi[rows], self.wo[rows], self.wi[rows].shape[:1])
+            yield rows, block
+
+    def located(self, isotropic: bool, reduction: int) -> Array:
+        """`theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
+
+        A pair below the horizon has cosine 0, and nothing else. Remembered: the arcs take as long as looking up
+        fifty bands, and most materials share one symmetry.
+
+        Args:
+            isotropic: u_y is relative to the incident azimuth.
+            reduction: 1, or 2 or 4 where a file holds half or a quarter of the azimuths.
+        """
+        key = (isotropic, reduction)
+        if key not in self._located:
+            out = np.empty((len(self), 5))
+            _locate_all(self.wi, self.wo, isotropic, reduction, out)
+            self._located[key] = out
+        return self._located[key]

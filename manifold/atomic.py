@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,18 +18,35 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         UsageError: the folder does not exist, or the file cannot be written.
     """
+    require_writable(path)
     partial = path.with_name(f".{os.getpid()}.{path.name}")
     try:
         yield partial
         os.replace(partial, path)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise UsageError(
-            f"{path}: cannot write this file ({reason}); check the folder, or name another"
-        ) from error
+        # By number: h5py puts a paragraph where others put the reason.
+        raise _cannot_write(path, os.strerror(error.errno) if error.errno else str(error)) from error
     finally:
         with suppress(OSError):  # what could not be made need not be removed
             partial.unlink()
+
+
+def require_writable(path: Path) -> None:
+    """Raise what `replacing` would, as far as it can be known before the work.
+
+    Raises:
+        UsageError: there is no such folder, it cannot be written, or the path is a folder itself.
+    """
+    if path.is_dir():
+        raise _cannot_write(path, os.strerror(errno.EISDIR))
+    if not path.parent.is_dir():
+        raise _cannot_write(path, os.strerror(errno.ENOTDIR if path.parent.exists() else errno.ENOENT))
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise _cannot_write(path, "its folder is not writable")
+
+
+def _cannot_write(path: Path, reason: str) -> UsageError:
+    return UsageError(f"{path}: cannot write this file ({reason}); check the folder, or name another")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -107,6 +107,7 @@ def write(
     seed: int = 0,
     anisotropic: bool = False,
     rgb: bool = False,
+    keep: bool = False,
     on_progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Path]:
     """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
@@ -115,6 +116,7 @@ def write(
         folder: made if missing.
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
+        keep: leave files that are there already as they are; a file under its final name is whole.
         on_progress: called with (done, total, name) after each material.
     Returns:
         The paths, in the order of the corpus.
@@ -130,7 +132,8 @@ def write(
     materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
     for done, material in enumerate(materials, start=1):
         path = folder / f"{material.name}_{'rgb' if rgb else 'spec'}.bsdf"
-        write_bsdf(path, measure(material, seed=seed, rgb=rgb))
+        if not (keep and path.exists()):
+            write_bsdf(path, measure(material, seed=seed, rgb=rgb))
         paths.append(path)
         if on_progress is not None:
             on_progress(done, len(materials), material.name)

@@ -38,3 +38,7 @@ class NumericalError(ManifoldError):
 
 class UsageError(ManifoldError):
     """A value given by the user cannot be used."""
+
+
+class LatentError(UsageError, ShapeError):
+    """A latent coordinate has the wrong number of values, or values that are no numbers."""

@@ -14,6 +14,7 @@ that value instead of mapping it back and forth.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -195,7 +196,9 @@ def mapping_named(name: str, **parameters: float | Array) -> Mapping:
         UsageError: the name is unknown, or the mapping has no such parameter.
     """
     if name not in MAPPINGS:
-        raise UsageError(f"no mapping is called '{name}', expected one of {', '.join(MAPPINGS)}")
+        near = difflib.get_close_matches(name.lower(), MAPPINGS, 1)
+        advice = f"; did you mean {near[0]}?" if near else ""
+        raise UsageError(f"no mapping is called '{name}', expected one of {', '.join(MAPPINGS)}{advice}")
     try:
         return MAPPINGS[name](**parameters)
     except TypeError:

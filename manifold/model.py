@@ -21,7 +21,7 @@ import numpy as np
 
 from manifold import atomic, gram
 from manifold.brdf import MeasuredBRDF
-from manifold.errors import LibraryError, ManifoldError, ModelError, ShapeError, UsageError
+from manifold.errors import LatentError, LibraryError, ManifoldError, ModelError, UsageError
 from manifold.gplvm import GPLVM
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping, mapping_named
@@ -32,6 +32,7 @@ from manifold.store import Library
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 1
+LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
 Progress = Callable[[int, int, str], None]
@@ -111,12 +112,14 @@ class Manifold:
         names = library.names
         if len(names) < 2:
             raise UsageError(
-                f"{library.path.name} holds {len(names)} materials, expected at least 2; import more"
+                f"{library.path.name}: found {len(names)} material{'s' * (len(names) != 1)}, "
+                "expected at least 2; import more"
             )
         if not 1 <= settings.latent_dim < len(names):
+            most = len(names) - 1
             raise UsageError(
                 f"{settings.latent_dim} latent dimensions for {len(names)} materials, "
-                f"expected 1 to {len(names) - 1}; lower --latent-dim or import more"
+                f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
             )
         mapping, grid = mapping_named(settings.mapping), RusinkiewiczGrid.named(settings.grid)
         model = cls(library, names, np.empty((len(names), 0)), np.empty((0, 0)), 0, settings, {})
@@ -232,7 +235,7 @@ class Manifold:
         """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
 
         Raises:
-            ShapeError: x is not (Q,) or not finite.
+            LatentError: x is not (Q,) or not finite.
         """
         weights = self.weights(self.require_latent(x))
         if np.count_nonzero(weights) > 1:
@@ -241,12 +244,17 @@ class Manifold:
         return PredictedBRDF([self.material(name) for name in names], weights[weights != 0], self.mapping)
 
     def require_latent(self, x: Array | Sequence[float]) -> Array:
-        """A latent as float64 (Q,), or a ShapeError that says how many coordinates were expected."""
+        """A latent as float64 (Q,), or a LatentError that says how many coordinates were expected."""
         x = np.asarray(x, dtype=np.float64)
         if x.shape != (self.settings.latent_dim,) or not np.all(np.isfinite(x)):
-            raise ShapeError(
-                f"latent {np.array2string(x, separator=', ')} has {x.size} coordinates, "
-                f"expected {self.settings.latent_dim} finite ones"
+            raise LatentError(
+                f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, "
+                f"expected {self.settings.latent_dim} finite ones; give as many as the model has dimensions"
+            )
+        if np.any(np.abs(x) > LARGEST_COORDINATE):
+            raise LatentError(
+                f"latent {np.array2string(x, separator=', ')}: expected coordinates up to {LARGEST_COORDINATE:g}; "
+                "the materials lie within a few units of zero"
             )
         return x
 
@@ -295,14 +303,17 @@ class Manifold:
         path = Path(path)
         stored = _read_model(path)
         if library is None:
-            library = path.resolve().parent / stored["library"]
+            library = Path(os.path.normpath(path.resolve().parent / stored["library"]))
+            if not library.exists():
+                raise LibraryError(f"{path}: its library is not at {library}; say where with --library")
         if not isinstance(library, Library):
             library = Library.open(library)
         missing = sorted(set(stored["names"]) - set(library.names))
         if missing:
+            shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
             raise LibraryError(
-                f"{library.path.name} lacks {len(missing)} materials of {path.name} ({', '.join(missing[:3])}...); "
-                "import them again, name the right library with --library, or embed again"
+                f"{library.path.name} lacks {len(missing)} of the {len(stored['names'])} materials of {path.name} "
+                f"({shown}); import them again, name the right library with --library, or embed again"
             )
         if library.content_hash != stored["library_hash"]:
             warnings.warn(
@@ -321,6 +332,9 @@ def _read_model(path: Path) -> dict[str, Any]:
     """The content of a model file, checked."""
     if not path.exists():
         raise ModelError(f"{path}: no such model; `manifold embed --model {path}` makes one")
+    if not path.is_file() or not h5py.is_hdf5(path):
+        what = "a folder" if path.is_dir() else "no HDF5 file, or cut off at its beginning"
+        raise ModelError(f"{path}: {what}, expected a model; `manifold embed` makes one")
     try:
         with h5py.File(path, "r") as file:
             if file.attrs.get("format") != FORMAT:
@@ -350,7 +364,8 @@ def _read_model(path: Path) -> dict[str, Any]:
     except ManifoldError:
         raise
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise ModelError(f"{path}: not a readable model ({error}); embed again") from error
+        reason = str(error).partition("\n")[0]
+        raise ModelError(f"{path}: not a readable model ({reason}); embed again") from error
     _require_consistent(path, content)
     return content
 

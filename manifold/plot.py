@@ -58,14 +58,24 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     return figure
 
 
+def require_writable(path: Path) -> None:
+    """Raise what `save` would, as far as it can be known before the work.
+
+    Raises:
+        UsageError: the suffix is unknown, or the folder cannot be written.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
+    atomic.require_writable(path)
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG (or what the suffix says), atomically.
 
     Raises:
         UsageError: the file cannot be written, or the suffix is unknown.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
+    require_writable(path)
     with atomic.replacing(path) as partial:
         figure.savefig(partial)
 

@@ -104,6 +104,8 @@ class Library:
             LibraryError: nothing there, no library of this package, another schema version, or damaged.
         """
         folder = staging.resolved(path)
+        if folder.exists() and not folder.is_dir():
+            raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
         if not folder.is_dir():
             raise LibraryError(f"{path}: no such library; `manifold import FILES --library {path}` makes one")
         staging.recover(folder)
@@ -129,7 +131,10 @@ class Library:
         try:
             found = [entry.name for entry in os.scandir(folder) if entry.is_dir()]
         except OSError as error:
-            raise _damaged(self.path.name, error) from error
+            raise LibraryError(
+                f"{self.path.name}: its folder 'materials' cannot be read ({error.strerror}); "
+                "import its files again into a new library"
+            ) from error
         return tuple(sorted(name for name in found if not name.startswith(".")))
 
     def __len__(self) -> int:
@@ -241,10 +246,11 @@ class Library:
                 found = content_sha256(self.read(name), info.source_file, info.sha256)
                 if found != info.content_sha256:
                     raise LibraryError(
-                        f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}..."
+                        f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
+                        f"{self._repair(name)}"
                     )
             except ManifoldError as error:
-                problems.append(f"{error}; {self._repair(name)}")
+                problems.append(str(error))
             if callback:
                 callback(done, len(names), name)
         return problems
@@ -289,7 +295,9 @@ class Library:
         except ManifoldError:
             raise
         except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors
-            raise _damaged(name, error) from error
+            raise LibraryError(
+                f"{name}: damaged in the library ({_first_line(error)}); {self._repair(name)}"
+            ) from error
 
     def _repair(self, name: str) -> str:
         return f"delete {self.path / 'materials' / name} and import its file again"
@@ -347,9 +355,11 @@ def _root_attributes(folder: Path, shown: Path | str) -> dict[str, Any]:
     try:
         attributes = _attributes(_open_group(folder))
     except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
+        found = f"its zarr.json cannot be used ({_first_line(error)})"
+        if not (folder / "zarr.json").exists():
+            found = "a folder without zarr.json"
         raise LibraryError(
-            f"{shown}: not a library of this package ({_first_line(error)}); "
-            "expected a folder made by `manifold import`"
+            f"{shown}: not a library: {found}, expected a folder made by `manifold import`; name another path"
         ) from error
     if attributes.get("schema") != SCHEMA:
         raise LibraryError(f"{shown}: a zarr store, but not a library made by `manifold import`")
@@ -391,10 +401,6 @@ def _band_range(bands: slice | None, count: int, where: str) -> slice:
             f"{where}: {bands} selects no range of the {count} bands; use a non-empty one with step 1"
         )
     return slice(start, stop)
-
-
-def _damaged(name: str, error: Exception) -> LibraryError:
-    return LibraryError(f"{name}: damaged in the library ({_first_line(error)})")
 
 
 def _first_line(error: Exception) -> str:

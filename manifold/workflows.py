@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold import __version__, atomic, corpus, gonio, heldout, plot
-from manifold.errors import UsageError
+from manifold.errors import LibraryError, UsageError
 from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import write_bsdf
 from manifold.model import Manifold, Settings
@@ -87,6 +87,7 @@ def import_library(
 
 def embed(library: Path, model: Path, settings: Settings, on_progress: Progress | None = None) -> Manifold:
     """Fit a manifold to a library and save it."""
+    atomic.require_writable(model)
     fitted = Manifold.fit(Library.open(library), settings, on_progress)
     fitted.save(model)
     return fitted
@@ -97,6 +98,7 @@ def predict(
     latent: Array | Sequence[float],
     output: Path,
     *,
+    library: Path | None = None,
     resolution: int = 32,
     n_theta_i: int = 8,
     on_progress: Progress | None = None,
@@ -107,23 +109,25 @@ def predict(
         model: a fitted manifold, or the path of one.
         latent: Q coordinates.
         output: the file to write; its name becomes the material's.
+        library: where the model's library is now, if not where the model remembers it.
         resolution: nodes per axis of the outgoing grid.
         n_theta_i: incident elevations.
         on_progress: called while measured materials are read.
     Raises:
-        UsageError: the name of the output does not end in `.bsdf`.
-        ShapeError: the latent does not have Q finite coordinates.
+        UsageError: the name of the output does not end in `.bsdf`, or the file cannot be written.
+        LatentError: the latent does not have Q finite coordinates.
     """
-    if output.suffix != ".bsdf":
+    name = output.name.removesuffix(".bsdf").removesuffix("_spec").removesuffix("_rgb")
+    if output.suffix != ".bsdf" or not name:
         raise UsageError(f"{output}: predictions are written as .bsdf files; name one with -o NAME.bsdf")
+    atomic.require_writable(output)
     if isinstance(model, Path):
-        model = Manifold.load(model)
+        model = Manifold.load(model, library)
     x = model.require_latent(latent)
     model.load_materials(on_progress)
     start = time.perf_counter()
     brdf = model.predict(x)
     clipped = ClippedBRDF(brdf)
-    name = output.name.removesuffix(".bsdf").removesuffix("_spec").removesuffix("_rgb")
     file = gonio.measure(
         clipped,
         name,
@@ -156,19 +160,24 @@ def _describe(model: Manifold, x: Array) -> str:
 
 
 def report(
-    model: Path, *, grid: str = "default", picture: Path | None = None, on_progress: Progress | None = None
-) -> Report:
+    model: Path, *, library: Path | None = None, grid: str = "default", picture: Path | None = None,
+    on_progress: Progress | None = None,
+) -> Report:  # fmt: skip
     """Evaluate a model; with `picture`, also draw the map of its latents."""
-    loaded = Manifold.load(model)
+    if picture is not None:
+        plot.require_writable(picture)
+    loaded = Manifold.load(model, library)
     made = make_report(loaded, grid, on_progress)
     if picture is not None:
         plot.save(plot.latent_map(loaded), picture)
     return made
 
 
-def compare(model: Path, on_progress: Progress | None = None) -> list[heldout.Result]:
+def compare(
+    model: Path, *, library: Path | None = None, on_progress: Progress | None = None
+) -> list[heldout.Result]:
     """Encode-decode leave-one-out of models and baselines on the library of a model; see `heldout.compare`."""
-    materials = Manifold.load(model).load_materials()
+    materials = Manifold.load(model, library).load_materials()
     if len(materials) < 4:
         raise UsageError(
             f"{model}: a comparison needs at least 4 materials, found {len(materials)}; import more"
@@ -203,10 +212,11 @@ def demo(folder: Path, stage: Stage = no_stage) -> DemoResult:
     folder.mkdir(parents=True, exist_ok=True)
     files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
     with stage("Measuring the synthetic corpus") as step:
-        if len(list(files.glob("*_spec.bsdf"))) < len(corpus.isotropic_materials()):
-            make_corpus(files, on_progress=step)
+        corpus.write(files, keep=True, on_progress=step)
     with stage("Importing it into a library") as step:
-        import_library(library, [files], on_progress=step)
+        imported = import_library(library, [files], on_progress=step)
+        if imported.failed:
+            raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
     with stage("Embedding the materials") as step:
         fitted = embed(library, model, Settings(), step)
     with stage("Predicting a material between two") as step:

@@ -10,9 +10,15 @@ import typer
 from . import terminal
 
 LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
+MovedLibraryOption = Annotated[
+    Path | None,
+    typer.Option("--library", "-L", help="Where the model's library is, if it has moved.", metavar="FOLDER"),
+]
 JsonOption = Annotated[
     Path | None,
-    typer.Option("--json", help="Also write the result as JSON to this file; - is stdout.", metavar="FILE"),
+    typer.Option(
+        "--json", help="Also write the results as JSON; with - stdout holds nothing else.", metavar="FILE"
+    ),
 ]
 
 DEFAULT_LIBRARY = Path("library.zarr")
@@ -43,8 +49,15 @@ def register(app: typer.Typer) -> None:
 
 
 def corpus(
-    folder: Annotated[Path, typer.Argument(help="Where to write the files; made if missing.")],
-    seed: Annotated[int, typer.Option(help="Of the measurement noise; the same seed, the same bytes.")] = 0,
+    folder: Annotated[
+        Path, typer.Argument(help="Where to write the files; made if missing.", metavar="FOLDER")
+    ],
+    seed: Annotated[
+        int,
+        typer.Option(
+            help="Number that fixes the measurement noise: same seed, same bytes.", metavar="N", min=0
+        ),
+    ] = 0,
     anisotropic: Annotated[
         bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
     ] = False,
@@ -56,16 +69,19 @@ def corpus(
     with terminal.progress("Measuring synthetic materials") as step:
         paths = workflows.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
     size = sum(path.stat().st_size for path in paths)
-    terminal.show_rows(
+    terminal.Results().rows(
         f"Synthetic corpus in {folder}", {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
     )
 
 
 def fetch(
-    names: Annotated[list[str] | None, typer.Argument(help="Materials; all isotropic ones if none.")] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Materials; all 51 isotropic ones if none.", metavar="NAME"),
+    ] = None,
     to: Annotated[Path, typer.Option(help="Where to put the files.", metavar="FOLDER")] = Path("rgl"),
     base_url: Annotated[
-        str | None, typer.Option(help="Another server with the same folders.", metavar="URL")
+        str | None, typer.Option(help="Another server with the same folders and files.", metavar="URL")
     ] = None,
     anisotropic: Annotated[
         bool, typer.Option("--anisotropic", help="With no names: add the 11 anisotropic ones.")
@@ -78,6 +94,7 @@ def fetch(
     """
     from manifold import fetch as fetching
 
+    results = terminal.Results(json)
     with terminal.progress("Downloading", in_bytes=True) as step:
         result = fetching.fetch(
             names or None,
@@ -86,7 +103,7 @@ def fetch(
             anisotropic=anisotropic,
             on_progress=step,
         )
-    terminal.show_rows(
+    results.rows(
         f"Files in {to}",
         {
             "downloaded": len(result.downloaded),
@@ -94,8 +111,7 @@ def fetch(
             "without a known checksum": ", ".join(result.without_checksum) or "none",
         },
     )
-    terminal.write_json(
-        json,
+    results.document(
         {
             "downloaded": [str(path) for path in result.downloaded],
             "present": [str(path) for path in result.present],
@@ -105,7 +121,7 @@ def fetch(
 
 
 def import_(
-    sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.")],
+    sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.", metavar="SOURCE")],
     library: LibraryOption = DEFAULT_LIBRARY,
     replace: Annotated[
         bool, typer.Option("--replace", help="Exchange materials whose file has changed.")
@@ -119,14 +135,19 @@ def import_(
     from manifold import workflows
     from manifold.errors import LibraryError
 
+    results = terminal.Results(json)
     with terminal.progress("Importing") as step:
         result = workflows.import_library(library, sources, replace=replace, on_progress=step)
-    terminal.show_rows(
+    results.rows(
         f"Library {library}",
-        {"imported": len(result.imported), "replaced": len(result.replaced), "skipped": len(result.skipped)},
+        {
+            "imported": len(result.imported),
+            "replaced": len(result.replaced),
+            "skipped": len(result.skipped),
+            "left out": len(result.failed),
+        },
     )
-    terminal.write_json(
-        json,
+    results.document(
         {
             "library": str(library),
             "imported": list(result.imported),
@@ -136,25 +157,36 @@ def import_(
         },
     )
     if result.failed:
-        raise LibraryError(
-            f"{len(result.failed)} of the files were left out: " + "; ".join(result.failed.values())
-        )
+        raise LibraryError(_shortened(list(result.failed.values()), "left out"))
 
 
 def info(
-    path: Annotated[Path, typer.Argument(help="A .bsdf file, a library, or a model.")] = DEFAULT_LIBRARY,
-    verify: Annotated[bool, typer.Option("--verify", help="Of a library: hash everything again.")] = False,
+    path: Annotated[
+        Path, typer.Argument(help="A .bsdf file, a library, or a model.", metavar="PATH")
+    ] = DEFAULT_LIBRARY,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
+    ] = False,
+    library: MovedLibraryOption = None,
     json: JsonOption = None,
 ) -> None:
     """Show what a .bsdf file, a library, or a model holds."""
     from manifold import inspection
     from manifold.errors import LibraryError
 
-    with terminal.progress("Verifying") as step:
-        shown = inspection.inspect(path, verify=verify, on_progress=step)
-    terminal.show_rows(shown.title, shown.rows)
+    results = terminal.Results(json)
+    with terminal.progress("Verifying" if verify else "Reading") as step:
+        shown = inspection.inspect(path, library=library, verify=verify, on_progress=step)
+    results.rows(shown.title, shown.rows)
     for table in shown.tables:
-        terminal.show_table(table.title, table.columns, table.rows)
-    terminal.write_json(json, shown.document)
+        results.text("\n")
+        results.table(table.columns, table.rows)
+    results.document(shown.document)
     if shown.problems:
-        raise LibraryError(f"{path}: {len(shown.problems)} problems: " + "; ".join(shown.problems))
+        raise LibraryError(_shortened(shown.problems, "damaged"))
+
+
+def _shortened(messages: list[str], what: str) -> str:
+    """The first three messages, and how many more."""
+    shown = messages[:3] + ([f"and {len(messages) - 3} more (--json lists them)"] if messages[3:] else [])
+    return (f"{len(messages)} {what}: " if messages[1:] else "") + "; ".join(shown)

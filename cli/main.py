@@ -6,11 +6,12 @@ import os
 import sys
 import traceback
 import warnings
+from typing import TextIO
 
 import typer
 
 from manifold import __version__
-from manifold.errors import ManifoldError
+from manifold.errors import ManifoldError, UsageError
 
 from . import library_commands, model_commands
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 
 _EXIT_ERROR = 1
+_EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
 
 
@@ -50,14 +52,22 @@ model_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:
-    """Run the command line and leave with its status: 0 done, 2 usage, 1 anything else, 130 interrupted."""
+    """Run the command line and leave with its status.
+
+    0: done. 2: the command line cannot be followed (a word of it, or a file or folder that it names). 1: anything
+    else that went wrong. 130: interrupted.
+    """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    # A closed stream is None, and a write to it would be an error of its own.
+    sys.stdout, sys.stderr = sys.stdout or _nowhere(), sys.stderr or _nowhere()
     if not debug:
         warnings.showwarning = _show_warning
     try:
         app(args=arguments, prog_name="manifold")
+    except UsageError as error:
+        _fail(str(error), debug, _EXIT_USAGE)
     except ManifoldError as error:
         _fail(str(error), debug)
     except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
@@ -77,14 +87,22 @@ def run(arguments: list[str] | None = None) -> None:
         _fail(f"internal error: {type(error).__name__}: {error}; run again with --debug and report it", debug)
 
 
-def _fail(message: str, debug: bool) -> None:
+def _fail(message: str, debug: bool, status: int = _EXIT_ERROR) -> None:
     if debug:
         traceback.print_exc()
-    print(f"manifold: {message}", file=sys.stderr)
-    sys.exit(_EXIT_ERROR)
+    print(f"manifold: {_one_line(message)}", file=sys.stderr)
+    sys.exit(status)
+
+
+def _one_line(message: object) -> str:
+    return " ".join(str(message).split())
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
     """Warnings of this package as one line; those of libraries are for developers."""
     if category.__module__.startswith("manifold"):
-        print(f"manifold: {message}", file=sys.stderr)
+        print(f"manifold: warning: {_one_line(message)}", file=sys.stderr)
+
+
+def _nowhere() -> TextIO:
+    return open(os.devnull, "w", encoding="utf-8")

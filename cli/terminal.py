@@ -1,9 +1,10 @@
-"""What all commands share on the terminal: progress, tables, JSON, and how errors end."""
+"""What all commands share on the terminal: progress bars, and results as text and as JSON."""
 
 from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,19 +19,13 @@ from rich.progress import (
     TextColumn,
     TimeElapsedColumn,
 )
-from rich.table import Table
 
 from manifold import atomic
 
 Step = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""
 
-_PIPE_WIDTH = 200  # columns where stdout is no terminal: a table must not be cut for a screen nobody has
-
-
-def stdout() -> Console:
-    """The console for results."""
-    return Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH, highlight=False, soft_wrap=True)
+_WIDTH = 80  # columns that lists are broken to; a line with a single long word may be longer
 
 
 @contextmanager
@@ -55,38 +50,84 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
         yield step
 
 
-def show_rows(title: str, rows: Mapping[str, object]) -> None:
-    """Print a title, then one aligned line per label and value."""
-    console = stdout()
-    console.print(f"[bold]{title}[/bold]")
-    width = max((len(label) for label in rows), default=0)
-    for label, value in rows.items():
-        console.print(f"  {label:<{width}}  {value}", markup=False)
+class Results:
+    """What a command prints on stdout: text for people and, where asked, a JSON file; for `-`, JSON alone."""
+
+    def __init__(self, json_target: Path | None = None) -> None:
+        """Refuse a JSON file that cannot be written, before any work.
+
+        Raises:
+            UsageError: its folder is missing or not writable, or it is a folder itself.
+        """
+        self._target = json_target
+        self._only_json = json_target is not None and str(json_target) == "-"
+        if json_target is not None and not self._only_json:
+            atomic.require_writable(json_target)
+
+    def text(self, text: str) -> None:
+        """Print lines as they are."""
+        if not self._only_json:
+            sys.stdout.write(text)
+
+    def title(self, title: str) -> None:
+        """Print a line, bold on a terminal."""
+        if not self._only_json:
+            Console(highlight=False, soft_wrap=True).print(title, style="bold", markup=False)
+
+    def rows(self, title: str, rows: Mapping[str, object]) -> None:
+        """Print a title, then one aligned line per label and value; a list of values is broken into lines."""
+        self.title(title)
+        width = max((len(label) for label in rows), default=0)
+        for label, value in rows.items():
+            self.text(_row(f"  {label:<{width}}  ", value) + "\n")
+
+    def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+        """Print a table, never cut: numbers to the right, words to the left."""
+        cells = [[str(cell) for cell in row] for row in rows]
+        widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
+        is_number = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]
+
+        def line(row: Sequence[str]) -> str:
+            return "  ".join(
+                cell.rjust(width) if number else cell.ljust(width)
+                for cell, width, number in zip(row, widths, is_number, strict=True)
+            ).rstrip()
+
+        self.title(line(columns))
+        self.text("".join(f"{line(row)}\n" for row in cells))
+
+    def document(self, document: Mapping[str, Any]) -> None:
+        """Write the results as JSON where they were asked for.
+
+        Raises:
+            UsageError: the file cannot be written.
+        """
+        if self._target is None:
+            return
+        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        if self._only_json:
+            sys.stdout.write(text)
+        else:
+            atomic.write_text(self._target, text)
 
 
-def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table; every column but the first is right-aligned."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(str(value) for value in row))
-    stdout().print(table)
+def _row(head: str, value: object) -> str:
+    if not isinstance(value, list):
+        return f"{head}{value}"
+    items = [str(item).replace(" ", "\0") for item in value]  # lines break between items only
+    broken = textwrap.fill(
+        ", ".join(items), _WIDTH, initial_indent=head, subsequent_indent=" " * len(head),
+        break_long_words=False, break_on_hyphens=False, drop_whitespace=True,
+    )  # fmt: skip
+    return broken.replace("\0", " ")
 
 
-def write_json(target: Path | None, document: Mapping[str, Any]) -> None:
-    """Write a document as JSON to a file, atomically, or to stdout for `-`; nothing for None.
-
-    Raises:
-        UsageError: the file cannot be written.
-    """
-    if target is None:
-        return
-    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    if str(target) == "-":
-        sys.stdout.write(text)
-        return
-    atomic.write_text(target, text)
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def megabytes(size: int) -> str:

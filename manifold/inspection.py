@@ -17,12 +17,13 @@ from manifold.store import Library
 
 Progress = Callable[[int, int, str], None]
 
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
 
 @dataclass(frozen=True)
 class Table:
-    """A table: its title, its column heads, its rows."""
+    """A table: its column heads, its rows."""
 
-    title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[object, ...], ...]
 
@@ -46,9 +47,16 @@ class Inspection:
     problems: list[str] = field(default_factory=list)
 
 
-def inspect(path: Path, *, verify: bool = False, on_progress: Progress | None = None) -> Inspection:
-    """Look at a `.bsdf` file, a library folder, or a model file.
+def inspect(
+    path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
+) -> Inspection:
+    """Look at a `.bsdf` file, a library folder, or a model file, told apart by their content.
 
+    Args:
+        path: what to look at.
+        library: where a model's library is now, if not where the model remembers it.
+        verify: read and hash a library again.
+        on_progress: called with (done, total, what).
     Raises:
         UsageError: there is nothing at this path, or verification is asked of something else than a library.
         FileFormatError, LibraryError, ModelError: it is damaged.
@@ -59,9 +67,19 @@ def inspect(path: Path, *, verify: bool = False, on_progress: Progress | None = 
         return _inspect_library(path, verify, on_progress)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
-    if path.suffix in (".h5", ".hdf5"):
-        return _inspect_model(path)
+    if path.suffix in (".h5", ".hdf5") or _begins_with(path, _HDF5_MAGIC):
+        return _inspect_model(path, library)
     return _inspect_file(read_bsdf(path), path)
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    if not path.is_file():  # reading a pipe or a device may never end
+        return False
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(magic)) == magic
+    except OSError:
+        return False  # whoever reads it next says why
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
@@ -71,7 +89,7 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
         "bands": str(file.bands),
-        "theta_i": ", ".join(f"{np.rad2deg(t):.1f}" for t in file.theta_i_rad) + " degrees",
+        "theta_i in degrees": [f"{np.rad2deg(t):.1f}" for t in file.theta_i_rad],
         "outgoing grid": f"{H} x {W}",
         "ndf": " x ".join(str(n) for n in file.ndf.shape),
         "vndf": " x ".join(str(n) for n in file.vndf.shape[2:]),
@@ -112,7 +130,6 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
         problems = library.verify(on_progress)
         rows["verified"] = "all hashes match" if not problems else f"{len(problems)} problems"
     table = Table(
-        "",
         ("material", "grid", "pipeline", "MB", "description"),
         tuple(
             (
@@ -138,8 +155,8 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
     return Inspection(f"{path}: library", rows, document, (table,) if info.materials else (), problems)
 
 
-def _inspect_model(path: Path) -> Inspection:
-    model = Manifold.load(path)
+def _inspect_model(path: Path, library: Path | None) -> Inspection:
+    model = Manifold.load(path, library)
     s = model.settings
     rows: dict[str, object] = {
         "materials": len(model.names),
@@ -147,13 +164,13 @@ def _inspect_model(path: Path) -> Inspection:
         "bands": str(model.bands),
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
-        "kernel": f"SE + delta, length scale {s.length_scale:g}, mu {s.mu:g}, condition {model.gp.condition:.3g}",
+        "kernel": f"SE + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
+        "condition of K": f"{model.gp.condition:.3g}",
         "optimizer": s.optimizer,
         "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
     table = Table(
-        "",
         ("material", *(f"x{k + 1}" for k in range(s.latent_dim))),
         tuple((name, *(f"{v:.3f}" for v in row)) for name, row in zip(model.names, model.X, strict=True)),
     )

@@ -9,6 +9,12 @@ import numpy as np
 from manifold.heldout import Result
 from manifold.report import MethodResult, Report
 
+_SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
+_SHORT_TITLES = {
+    "gp_refitted": "refitted",
+    "gp_latents_kept": "kept",
+}  # of columns; the others' keys are short
+
 
 def format_report(report: Report) -> str:
     """Summary of the methods, then the materials, then times; plain text that ends in a newline."""
@@ -21,26 +27,19 @@ def format_report(report: Report) -> str:
     s = report.settings
     lines = [
         f"{len(report.names)} materials{kind}, {report.bands}",
-        f"GPLVM: {s['latent_dim']} dimensions, mapping {s['mapping']}, SE + delta kernel, mu {s['mu']:g}, "
-        f"length scale {s['length_scale']:g}, condition {report.condition:.2e}",
+        f"GPLVM: {s['latent_dim']} dimensions, mapping {s['mapping']}",
+        f"Kernel: SE + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+        f"condition of K {report.condition:.3g}",
         f"{report.n_pairs:,} direction pairs (grid '{report.grid}')",
         "",
         *_table(
-            (
-                "method",
-                "relative error",
-                "90th pct.",
-                "RMSE eq. 22",
-                "negative",
-                "reciprocity",
-                "albedo",
-                "fit s",
-            ),
+            ("method", "error", "p90", "RMSE", "negative", "recipr.", "albedo", "fit s"),
             [_method_row(m) for m in report.methods],
         ),
         "",
-        "Relative error: median over materials, cosine-weighted. RMSE of eq. 22: median, 1/sr. Reciprocity and",
-        "albedo: worst material. Reconstruction sees the material it predicts; all other methods do not.",
+        "Reconstruction sees the material it predicts; all other methods do not.",
+        "error, p90: relative, cosine-weighted; median and 90th percentile of materials.",
+        "RMSE: eq. 22, median, 1/sr. negative: share of values. recipr., albedo: worst.",
         "",
         *_material_table(report),
         "",
@@ -84,17 +83,25 @@ def _material_table(report: Report) -> list[str]:
     """One row per material: latent, reconstruction, and held-out relative errors."""
     reconstruction = next(m for m in report.methods if not m.is_held_out)
     held_out = [m for m in report.methods if m.is_held_out]
-    head = ("material", "latent", "RMSE rec.", *(m.title for m in held_out))
+    head = ("material", "latent", "RMSE", *(_SHORT_TITLES.get(m.key, m.key) for m in held_out))
     rows = [
         (
             name,
-            ", ".join(f"{v:+.2f}" for v in report.latents[k]),
+            _latent(report.latents[k]),
             f"{reconstruction.rmse[k]:.3g}",
             *(f"{m.relative_error[k]:.3f}" for m in held_out),
         )
         for k, name in enumerate(report.names)
     ]
-    return _table(head, rows)
+    note = "RMSE: of the reconstruction. To its right: relative errors of the other methods."
+    return [*_table(head, rows), "", note]
+
+
+def _latent(x: Sequence[float]) -> str:
+    """The first coordinates; the JSON report holds them all."""
+    return ", ".join(
+        [*(f"{v:+.2f}" for v in x[:_SHOWN_COORDINATES]), *(["..."] if x[_SHOWN_COORDINATES:] else [])]
+    )
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -128,7 +128,7 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
     problems: list[str] = []
     if verify:
         problems = library.verify(on_progress)
-        rows["verified"] = "all hashes match" if not problems else f"{len(problems)} problems"
+        rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
     table = Table(
         ("material", "grid", "pipeline", "MB", "description"),
         tuple(

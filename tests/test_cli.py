@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -112,24 +113,31 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "expected", "words"),
     [
-        (["info"], "nothing there"),
-        (["embed"], "manifold import"),
-        (["predict", "--latent", "0,0"], "manifold embed"),
-        (["report"], "manifold embed"),
-        (["import", "absent"], "absent"),
-        (["import", "."], "bsdf"),
-        (["fetch", "satin_golt"], "satin_gold"),
-        (["info", "x.txt", "--verify"], "only libraries can be verified"),
-        (["info", "x.txt"], "tensor"),
+        (["info"], 2, "nothing there"),
+        (["embed"], 1, "manifold import"),
+        (["predict", "--latent", "0,0"], 1, "manifold embed"),
+        (["report"], 1, "manifold embed"),
+        (["import", "absent"], 2, "absent"),
+        (["import", "."], 2, "bsdf"),
+        (["fetch", "satin_golt"], 2, "satin_gold"),
+        (["info", "x.txt", "--verify"], 2, "only libraries can be verified"),
+        (["info", "x.txt"], 1, "tensor"),
+        (["info", "."], 1, "without zarr.json"),
+        (["embed", "-L", "x.txt"], 1, "which is a folder"),
+        (["report", "-M", "x.txt"], 1, "no HDF5 file"),
+        (["report", "-M", "."], 1, "a folder, expected a model"),
+        (["demo", "x.txt"], 1, "x.txt"),
+        (["corpus", "x.txt/sub"], 2, "cannot make this folder"),
+        (["fetch", "satin_gold", "--base-url", "ftp://x"], 2, "http"),
     ],
 )
-def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, arguments, words):
-    if "x.txt" in arguments:
+def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, arguments, expected, words):
+    if any(argument.startswith("x.txt") for argument in arguments):
         (tmp_path / "x.txt").write_text("just some text that is no tensor file\n" * 9)
     status, out, err = run(*arguments, cwd=tmp_path)
-    assert status == 1
+    assert status == expected
     assert out == ""
     assert words in one_line(err)
 
@@ -164,33 +172,146 @@ def test_the_main_job_step_by_step(run, tmp_path):
     assert "all hashes match" in run("info", "library.zarr", "--verify", cwd=tmp_path)[1]
 
 
-def test_results_as_json_on_stdout_stand_alone_at_its_end(run, folder):
-    status, out, _ = run("info", "model.h5", "--json", "-", cwd=folder)
-    assert status == 0
-    assert json.loads(out[out.index("{") :])["settings"]["latent_dim"] == 2
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "model.h5"),
+        ("info", "library.zarr"),
+        ("report",),
+        ("predict", "--latent", "0,0", "-o", "j_rgb.bsdf"),
+    ],
+)
+def test_json_on_stdout_stands_alone(run, folder, arguments):
+    status, out, err = run(*arguments, "--json", "-", cwd=folder)
+    assert (status, err) == (0, "")
+    assert isinstance(json.loads(out), dict)
 
 
 @pytest.mark.parametrize(
     ("latent", "words"),
-    [("1", "expected 2"), ("1,2,3", "expected 2"), ("nan,0", "finite"), ("a,b", "numbers"), ("", "numbers")],
-)
-def test_latents_that_are_none_are_refused(run, folder, latent, words):
-    status, _, err = run("predict", "--latent", latent, cwd=folder)
-    assert status == 1
+    [
+        ("1", "expected 2"), ("1,2,3", "expected 2"), ("nan,0", "finite"), ("-inf,0", "finite"), ("1e999,0", "finite"),
+        ("a,b", "numbers"), ("", "numbers"), ("0.1 0.2", "numbers"), ("1,2,", "numbers"), ("1e200,0", "up to 1e+09"),
+    ],
+)  # fmt: skip
+def test_latents_that_are_none_are_usage_errors(run, folder, latent, words):
+    status, out, err = run("predict", "--latent", latent, "-o", "none_rgb.bsdf", cwd=folder)
+    assert status == 2
+    assert out == ""
     assert words in one_line(err)
+    assert not (folder / "none_rgb.bsdf").exists()
 
 
-@pytest.mark.parametrize("output", ["x.png", "absent/x.bsdf"])
+@pytest.mark.parametrize("output", ["x.png", "absent/x.bsdf", "model.h5/x.bsdf", "_rgb.bsdf", "library.zarr"])
 def test_predictions_need_a_place(run, folder, output):
-    status, _, err = run("predict", "--latent", "0,0", "-o", output, cwd=folder)
-    assert status == 1
+    status, out, err = run("predict", "--latent", "0,0", "-o", output, cwd=folder)
+    assert status == 2
+    assert out == ""
     assert output in one_line(err)
 
 
-def test_a_json_file_that_cannot_be_written_is_one_error(run, folder):
-    status, _, err = run("info", "model.h5", "--json", "absent/x.json", cwd=folder)
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "model.h5", "--json", "absent/x"), ("info", "model.h5", "--json", ""),
+        ("report", "--json", "library.zarr"), ("report", "--picture", "absent/x.png"), ("report", "--picture", "x.txt"),
+        ("embed", "-M", "absent/m.h5"), ("embed", "-M", ""), ("embed", "-M", "library.zarr"),
+    ],
+)  # fmt: skip
+def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, monkeypatch, arguments):
+    def fail(*_, **__):
+        pytest.fail("the work was done first")
+
+    monkeypatch.setattr("manifold.workflows.make_report", fail)
+    monkeypatch.setattr("manifold.workflows.Manifold.fit", fail)
+    status, out, err = run(*arguments, cwd=folder)
+    assert status == 2
+    assert out == ""
+    assert "expected one of .png" in one_line(err) or "cannot write this file" in err
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("cuberoot", "cube-root"), ("Identity", "identity"), ("lgo", "log")]
+)
+def test_mistyped_mappings_are_answered_with_the_nearest(run, folder, typed, meant):
+    status, _, err = run("embed", "-M", "typo.h5", "--mapping", typed, cwd=folder)
+    assert status == 2
+    assert f"did you mean {meant}?" in one_line(err)
+
+
+@pytest.mark.parametrize("mu", ["-1", "0", "nan", "inf"])
+def test_noise_filters_that_are_none_are_usage_errors(run, folder, mu):
+    status, _, err = run("embed", "-M", "mu.h5", "--mu", mu, cwd=folder)
+    assert status == 2
+    assert "mu = " in one_line(err)
+    assert not (folder / "mu.h5").exists()
+
+
+@pytest.fixture
+def moved(folder, tmp_path):
+    """A folder where the model's library has another name."""
+    shutil.copytree(folder / "library.zarr", tmp_path / "elsewhere.zarr")
+    shutil.copy(folder / "model.h5", tmp_path / "model.h5")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "arguments", [("info", "model.h5"), ("report",), ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")]
+)
+def test_a_library_that_has_moved_can_be_named(run, moved, arguments):
+    status, _, err = run(*arguments, cwd=moved)
     assert status == 1
-    assert "absent/x.json" in one_line(err)
+    assert "--library" in one_line(err)
+    status, _, err = run(*arguments, "--library", "elsewhere.zarr", cwd=moved)
+    assert (status, err) == (0, "")
+
+
+def test_a_library_that_lost_a_material_is_one_error(run, moved):
+    shutil.rmtree(moved / "elsewhere.zarr" / "materials" / NAMES[0])
+    status, _, err = run("report", "-L", "elsewhere.zarr", cwd=moved)
+    assert status == 1
+    assert f"lacks 1 of the {len(NAMES)} materials" in one_line(err)
+
+
+def test_a_library_that_gained_a_material_is_one_warning(run, moved):
+    small_library(moved / "more", names=("syn_satin_blue",), library=moved / "elsewhere.zarr")
+    status, _, err = run("info", "model.h5", "-L", "elsewhere.zarr", cwd=moved)
+    assert status == 0
+    assert "warning: elsewhere.zarr is not what model.h5 was fitted to" in one_line(err)
+
+
+def test_a_damaged_material_is_named_with_its_remedy(run, moved):
+    (moved / "elsewhere.zarr" / "materials" / NAMES[1] / "spectra" / "c.0.0.0.0.0").unlink()
+    for arguments in (("info", "elsewhere.zarr", "--verify"), ("report", "-L", "elsewhere.zarr")):
+        status, _, err = run(*arguments, cwd=moved)
+        assert status == 1
+        assert NAMES[1] in one_line(err)
+        assert "import its file again" in err
+        assert err.count("import its file again") == 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("latent_dim", [1, 2, 3])
+def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_dim):
+    small_library(tmp_path, names=NAMES[:count])
+    status, out, err = run("embed", "-q", latent_dim, cwd=tmp_path)
+    if latent_dim >= count:
+        assert status == 2
+        assert "import more" in one_line(err)
+        return
+    assert status == 0
+    status, out, err = run("report", "--picture", "map.png", cwd=tmp_path)
+    assert (status, err) == (0, "")
+    assert f"{count} materials" in out
+    latent = ",".join(["0.1"] * latent_dim)
+    assert run("predict", "--latent", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
+
+
+@pytest.mark.parametrize("arguments", [("report",), ("predict", "--latent", "-0.3,0.2", "-o", "w_rgb.bsdf")])
+def test_results_fit_eighty_columns(run, folder, arguments):
+    status, out, _ = run(*arguments, cwd=folder)
+    assert status == 0
+    assert [line for line in out.splitlines() if len(line) > 80] == []
 
 
 def test_a_far_latent_is_called_extrapolated(run, folder):
@@ -215,7 +336,18 @@ def test_good_files_are_imported_beside_bad_ones(run, tmp_path):
     status, out, err = run("import", ".", cwd=tmp_path)
     assert status == 1
     assert "imported  1" in out
+    assert "left out  1" in out
     assert "broken_rgb.bsdf" in one_line(err)
+
+
+def test_many_bad_files_are_still_one_short_line(run, tmp_path):
+    for number in range(20):
+        (tmp_path / f"bad{number}_rgb.bsdf").write_bytes(b"nothing")
+    status, _, err = run("import", ".", "--json", "i.json", cwd=tmp_path)
+    assert status == 1
+    assert "20 left out" in one_line(err)
+    assert "and 17 more" in err
+    assert len(json.loads((tmp_path / "i.json").read_text())["failed"]) == 20
 
 
 def test_debug_shows_the_traceback_wherever_it_stands(run, tmp_path):
@@ -230,11 +362,62 @@ def test_a_pipe_gets_plain_text_and_may_close_early(folder):
     assert (status, err) == (0, "")
     assert "\x1b" not in out
     assert all(name in out for name in NAMES)
-    process = start("report", cwd=folder)
-    process.stdout.readline()
+    process = start("info", "library.zarr", cwd=folder)
     process.stdout.close()
     process.wait(timeout=120)
-    assert "Traceback" not in process.stderr.read()
+    assert process.stderr.read() == ""
+
+
+def test_a_closed_stdout_is_no_error(folder):
+    command = f'"{sys.executable}" -c "{RUN}" info model.h5 >&-'
+    done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout_is_one_error(folder):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", RUN, "info", "model.h5"]
+        done = subprocess.run(command, cwd=folder, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert "No space left" in one_line(done.stderr)
+
+
+def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("first line\nsecond line")
+
+    monkeypatch.setattr("manifold.workflows.report", fail)
+    status, _, err = run("report", cwd=folder)
+    assert status == 1
+    assert "RuntimeError: first line second line; run again with --debug" in one_line(err)
+
+
+def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
+    from manifold import corpus, workflows
+
+    class Stopped(Exception):
+        pass
+
+    def stop(library, sources, **_):
+        raise Stopped
+
+    materials = tuple(m for m in corpus.isotropic_materials() if m.name in NAMES[:3])
+    monkeypatch.setattr(corpus, "isotropic_materials", lambda: materials)
+    monkeypatch.setattr(corpus, "measure", lambda material, **_: measured(material.name))
+    monkeypatch.setattr(workflows, "import_library", stop)
+    for _ in range(2):
+        with pytest.raises(Stopped):
+            workflows.demo(tmp_path)
+        files = sorted((tmp_path / "corpus").iterdir())
+        assert len(files) == 3
+        times = [path.stat().st_mtime_ns for path in files]
+        files[0].unlink()
+    with pytest.raises(Stopped):
+        workflows.demo(tmp_path)
+    again = [path.stat().st_mtime_ns for path in files]
+    assert again[1:] == times[1:]
+    assert again[0] > times[0]
 
 
 def test_an_interruption_leaves_nothing_half_written(tmp_path):

@@ -1,0 +1,130 @@
+"""What `manifold info` finds in files, libraries and models."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_library import NAMES, measured, small_model
+
+from manifold.errors import FileFormatError, LibraryError, ManifoldError, ModelError, UsageError
+from manifold.inspection import inspect
+from manifold.model import Manifold
+from manifold.store import Library
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """`files/`, `library.zarr` and `model.h5`."""
+    path = tmp_path_factory.mktemp("inspection")
+    small_model(path)
+    return path
+
+
+@pytest.fixture
+def copy(folder, tmp_path):
+    """The same, to be damaged."""
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def test_a_file_is_described_by_what_it_holds(folder):
+    found = inspect(folder / "files" / f"{NAMES[0]}_rgb.bsdf")
+    file = measured(NAMES[0])
+    assert found.title == f"{NAMES[0]}_rgb.bsdf: RGL material"
+    assert found.rows["bands"] == "RGB"
+    assert found.rows["outgoing grid"] == "32 x 32"
+    assert found.document["shape"] == list(file.spectra.shape)
+    np.testing.assert_array_equal(found.document["theta_i_rad"], file.theta_i_rad)
+    assert found.document["zero_share"] == pytest.approx(np.mean(file.spectra == 0))
+    assert found.document["measured_share"] == pytest.approx(file.measured_mask.mean())
+
+
+def test_a_library_lists_its_materials(folder):
+    found = inspect(folder / "library.zarr")
+    (table,) = found.tables
+    assert [row[0] for row in table.rows] == sorted(NAMES)
+    assert found.rows["materials"] == f"{len(NAMES)}, {len(NAMES)} of them synthetic"
+    assert found.document["content_hash"] == Library.open(folder / "library.zarr").content_hash
+    assert found.problems == []
+
+
+def test_a_model_lists_its_latents(folder):
+    found = inspect(folder / "model.h5")
+    model = Manifold.load(folder / "model.h5")
+    (table,) = found.tables
+    assert table.columns == ("material", "x1", "x2")
+    for row, name, x in zip(table.rows, model.names, model.X, strict=True):
+        assert row == (name, *(f"{v:.3f}" for v in x))
+        assert found.document["latents"][name] == x.tolist()
+
+
+@pytest.mark.parametrize("name", [f"files/{NAMES[0]}_rgb.bsdf", "library.zarr", "model.h5"])
+def test_every_document_is_plain_json(folder, name):
+    document = inspect(folder / name).document
+    assert json.loads(json.dumps(document, allow_nan=False))["path"] == str(folder / name)
+
+
+def test_kinds_are_told_by_content_not_by_name(copy):
+    (copy / "model.h5").rename(copy / "model.bsdf")
+    (copy / "files" / f"{NAMES[0]}_rgb.bsdf").rename(copy / "material.dat")
+    (copy / "library.zarr").rename(copy / "library.h5")
+    assert "RGL material" in inspect(copy / "material.dat").title
+    assert "library" in inspect(copy / "library.h5").title
+    assert "model" in inspect(copy / "model.bsdf", library=copy / "library.h5").title
+
+
+def test_verification_names_what_is_damaged(copy):
+    path = copy / "library.zarr"
+    steps = []
+    assert inspect(path, verify=True, on_progress=lambda *step: steps.append(step)).problems == []
+    assert [step[:2] for step in steps] == [(k + 1, len(NAMES)) for k in range(len(NAMES))]
+    chunk = path / "materials" / NAMES[2] / "spectra" / "c.0.0.0.0.0"
+    content = bytearray(chunk.read_bytes())
+    content[1000] ^= 1
+    chunk.write_bytes(content)
+    found = inspect(path, verify=True)
+    (problem,) = found.problems
+    assert problem.startswith(NAMES[2])
+    assert found.document["problems"] == [problem]
+    assert found.rows["verified"] == "1 damaged"
+
+
+def test_only_libraries_can_be_verified(folder):
+    with pytest.raises(UsageError, match="only libraries"):
+        inspect(folder / "model.h5", verify=True)
+
+
+def test_nothing_at_a_path_is_a_usage_error(tmp_path):
+    with pytest.raises(UsageError, match="nothing there"):
+        inspect(tmp_path / "absent")
+
+
+def _truncated(path: Path, folder: Path) -> None:
+    path.write_bytes((folder / "model.h5").read_bytes()[:3000])
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "error"),
+    [
+        ("folder", lambda path, _: path.mkdir(), LibraryError),
+        ("text.h5", lambda path, _: path.write_text("text"), ModelError),
+        ("empty.h5", lambda path, _: path.touch(), ModelError),
+        ("cut.h5", _truncated, ModelError),
+        ("cut.bin", _truncated, ModelError),
+        ("text.bsdf", lambda path, _: path.write_text("text"), FileFormatError),
+        ("empty.bsdf", lambda path, _: path.touch(), FileFormatError),
+        ("pipe.bsdf", lambda path, _: os.mkfifo(path), ManifoldError),
+        ("pipe.h5", lambda path, _: os.mkfifo(path), ManifoldError),
+    ],
+)
+def test_foreign_and_damaged_things_are_one_line_that_names_them(folder, tmp_path, name, make, error):
+    make(tmp_path / name, folder)
+    with pytest.raises(error) as caught:
+        inspect(tmp_path / name)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)

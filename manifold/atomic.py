@@ -37,7 +37,11 @@ def require_writable(path: Path) -> None:
     Raises:
         UsageError: there is no such folder, it cannot be written, or the path is a folder itself.
     """
-    if path.is_dir():
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:  # a name that is too long, a folder that may not be searched
+        raise _cannot_write(path, os.strerror(error.errno) if error.errno else str(error)) from error
+    if is_folder:
         raise _cannot_write(path, os.strerror(errno.EISDIR))
     if not path.parent.is_dir():
         raise _cannot_write(path, os.strerror(errno.ENOTDIR if path.parent.exists() else errno.ENOENT))

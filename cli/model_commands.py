@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,11 +22,19 @@ ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", m
 DEFAULT_MODEL = Path("model.h5")
 
 
+class Kind(StrEnum):
+    """Choices of --kind."""
+
+    monochrome = "monochrome"
+    material = "material"
+
+
 class Optimizer(StrEnum):
     """Choices of --optimizer."""
 
     dls = "dls"
     lbfgs = "l-bfgs"
+    both = "both"
 
 
 class Grid(StrEnum):
@@ -49,6 +57,11 @@ def register(app: typer.Typer) -> None:
         epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
     )(predict)
     app.command(
+        "locate",
+        short_help="Find the latent of a measured file.",
+        epilog="Example: manifold locate my_paint_spec.bsdf",
+    )(locate)
+    app.command(
         "report",
         short_help="Evaluate a model.",
         epilog="Example: manifold report --json report.json --picture map.png",
@@ -61,6 +74,12 @@ def register(app: typer.Typer) -> None:
 def embed(
     library: LibraryOption = DEFAULT_LIBRARY,
     model: ModelOption = DEFAULT_MODEL,
+    kind: Annotated[
+        Kind,
+        typer.Option(
+            help="monochrome: structure on the map, colour apart. material: colour and all on the map."
+        ),
+    ] = Kind.material,
     latent_dim: Annotated[
         int, typer.Option("--latent-dim", "-q", help="Dimensions of the manifold.", metavar="Q", min=1)
     ] = 2,
@@ -71,12 +90,19 @@ def embed(
         ),
     ] = "cube-root",
     optimizer: Annotated[
-        Optimizer, typer.Option(help="Direct local search, or L-BFGS with gradients.")
-    ] = Optimizer.dls,
+        Optimizer | None,
+        typer.Option(
+            help="Direct local search, L-BFGS with gradients, or both. "
+            "[default: dls for materials; monochrome has l-bfgs only]"
+        ),
+    ] = None,
     mu: Annotated[
-        float,
-        typer.Option(help="Noise filter: height of the kernel's delta, from 1e-10.", metavar="MU"),
-    ] = 1e-4,
+        float | None,
+        typer.Option(
+            help="Noise filter: height of the kernel's delta, from 1e-10. [default: 0.001; materials 0.0001]",
+            metavar="MU",
+        ),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
@@ -84,14 +110,17 @@ def embed(
     from manifold.model import Settings
 
     results = terminal.Results(json)
-    settings = Settings(latent_dim=latent_dim, mapping=mapping, optimizer=optimizer.value, mu=mu)
+    given = {"optimizer": optimizer and optimizer.value, "mu": mu}
+    chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    settings = Settings(kind=kind.value, latent_dim=latent_dim, mapping=mapping, **chosen)
     with terminal.progress("Embedding") as step:
         fitted = workflows.embed(library, model, settings, step)
     results.rows(
         f"Model {model}",
         {
             "materials": len(fitted.names),
-            "latent dimensions": latent_dim,
+            "kind": kind.value,
+            "latent dimensions": f"{latent_dim}" + ", and a colour per band" * (kind is Kind.monochrome),
             "mapping": mapping,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
@@ -116,6 +145,22 @@ def predict(
     ],
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
+    like: Annotated[
+        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+    ] = None,
+    reflectance: Annotated[
+        Path | None,
+        typer.Option(
+            help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
+        ),
+    ] = None,
+    srgb: Annotated[
+        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+    ] = None,
+    physical: Annotated[
+        bool,
+        typer.Option("--physical", help="Make it reciprocal, with no negative values and albedo at most 1."),
+    ] = False,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")
     ] = Path("predicted.bsdf"),
@@ -130,8 +175,13 @@ def predict(
     ] = 8,
     json: JsonOption = None,
 ) -> None:
-    """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens."""
+    """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
+
+    On a monochrome manifold the latent is the structure (gloss, layers); the colour is that of the nearest
+    material unless --like, --reflectance or --srgb says otherwise.
+    """
     from manifold import workflows
+    from manifold.colour_choice import ColourChoice
 
     results = terminal.Results(json)
     coordinates = parse_latent(latent)
@@ -141,6 +191,8 @@ def predict(
             coordinates,
             output,
             library=library,
+            colour=ColourChoice(like, reflectance, srgb),
+            physical=physical,
             resolution=resolution,
             n_theta_i=n_theta_i,
             on_progress=step,
@@ -152,22 +204,45 @@ def predict(
 def show_prediction(results: terminal.Results, made: Prediction) -> None:
     """Print what is known of a prediction."""
     physical = made.plausibility
-    sure = "extrapolated, the data say little here" if made.is_extrapolation else "0 is sure, 1 knows nothing"
+    rows: dict[str, object] = {"latent": [f"{v:.4g}" for v in made.latent]}
+    if made.colour is not None:
+        rows["colour"] = made.colour
+    rows |= {
+        "uncertainty": f"{made.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
+        "nearest": [f"{name} ({distance:.2f})" for name, distance in made.nearest],
+        "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
+        "negative values": f"{physical.negative_share:.2%}" + ", zero in the file" * (made.clipped_share > 0),
+        "reciprocity error": f"{physical.reciprocity_error:.2%}",
+        "largest albedo": f"{physical.max_albedo:.3f}",
+        "time": f"{made.seconds:.2f} s after loading",
+    }
+    if made.cautions:
+        rows["caution"] = list(made.cautions)
+    results.rows(f"Predicted {made.path}", rows)
+
+
+def locate(
+    path: Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")],
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Find where a material that the manifold has not seen belongs: its latent, and its colours in the JSON."""
+    from manifold import workflows
+
+    results = terminal.Results(json)
+    with terminal.progress("Reading materials") as step:
+        found = workflows.locate(model, path, library=library, on_progress=step)
     results.rows(
-        f"Predicted {made.path}",
+        f"Located {path}",
         {
-            "latent": [f"{v:.4g}" for v in made.latent],
-            "uncertainty": f"{made.std:.3f} of the prior's ({sure})",
-            "nearest": [f"{name} ({distance:.2f})" for name, distance in made.nearest],
-            "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
-            "negative values": f"{physical.negative_share:.2%}"
-            + ", zero in the file" * (made.clipped_share > 0),
-            "reciprocity error": f"{physical.reciprocity_error:.2%}",
-            "largest albedo": f"{physical.max_albedo:.3f}"
-            + ", more than physics allows" * (physical.max_albedo > 1),
-            "time": f"{made.seconds:.2f} s after loading",
+            "latent": ",".join(f"{v:.4g}" for v in found.latent),
+            "error of what is there": f"{found.relative_error:.3f} (0 is exact, 1 is as wrong as black)",
+            "uncertainty": f"{found.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
+            "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
         },
     )
+    results.document(found.to_json())
 
 
 def parse_latent(text: str) -> list[float]:

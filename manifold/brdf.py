@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numba as nb
@@ -10,7 +12,7 @@ import numpy as np
 from manifold import warp
 from manifold.cube_root import cube_root
 from manifold.directions import require_directions
-from manifold.errors import ShapeError
+from manifold.errors import ShapeError, UsageError
 from manifold.pairs import DirectionPairs, elevation, locate, phi_to_u, signs, theta_to_u
 from manifold.records import Array, Bands, BsdfFile
 from manifold.warp import Warp
@@ -258,6 +260,23 @@ class MeasuredBRDF:
 
     def __repr__(self) -> str:
         return f"MeasuredBRDF({self.name!r}, {self._bands})"
+
+    def thinned(self, bands: Sequence[int]) -> MeasuredBRDF:
+        """The same material in a few of its bands, warps shared.
+
+        Args:
+            bands: indices, increasing. All three of an RGB material, or any of a spectral one.
+        Raises:
+            UsageError: a spectral axis cannot be made of these.
+        """
+        if list(bands) == list(range(self._bands.count)):
+            return self
+        if self._bands.wavelengths_nm is None:
+            raise UsageError(f"bands {list(bands)} of an RGB material, expected all three")
+        thin = copy.copy(self)
+        thin._bands = Bands(tuple(self._bands.wavelengths_nm[b] for b in bands))
+        thin._spectra = np.ascontiguousarray(self._spectra[..., list(bands)])
+        return thin
 
     @property
     def bands(self) -> Bands:

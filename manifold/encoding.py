@@ -17,12 +17,37 @@ from scipy.optimize import minimize
 
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.records import Array
 
+PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent
 _STARTS = 5  # nearest training materials to start from
 _MAX_ITER = 200
 _COLOUR_TABLE = 257  # values of a single colour coordinate that are decoded
 _COLOUR_MARGIN = 0.25  # of the training colours' range, on either side
+
+
+@dataclass(frozen=True, eq=False)
+class EncodingPairs:
+    """The direction pairs at which a material is compared with what latents decode.
+
+    Attributes:
+        wi, wo: unit vectors above the horizon, shape (P, 3).
+    """
+
+    wi: Array
+    wo: Array
+
+    @classmethod
+    def of_grid(cls, grid: RusinkiewiczGrid) -> EncodingPairs:
+        """Some of the pairs of a grid, evenly chosen."""
+        wi, wo, above = grid.directions()
+        return cls(wi[above][::PAIR_STRIDE], wo[above][::PAIR_STRIDE])
+
+    @property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o), shape (P,)."""
+        return cosine_weight(self.wi, self.wo)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +98,9 @@ class Decoder:
         One colour coordinate is looked up in a table of decoded values, which serves any number of bands at
         once; more of them are searched for band by band.
         """
-        colours = self.gp.X[:, self.n_structure :]
-        if colours.shape[1] > 1:
+        if self.gp.X.shape[1] - self.n_structure > 1:
             return np.concatenate([self._search_colour(structure, row[None]) for row in f])
-        low, high = float(colours.min()), float(colours.max())
-        margin = _COLOUR_MARGIN * (high - low)
-        grid = np.linspace(low - margin, high + margin, _COLOUR_TABLE)[:, None]
+        grid = self._colour_grid()[:, None]
         decoded = self.decode(np.hstack([np.tile(structure, (len(grid), 1)), grid]))  # [table, P]
         w2 = self.cosines**2
         error = (decoded**2) @ w2 - 2.0 * (f * w2) @ decoded.T  # [R, table], less what f alone contributes
@@ -87,6 +109,41 @@ class Decoder:
         curvature = left - 2.0 * middle + right
         step = np.divide(0.5 * (left - right), curvature, out=np.zeros(len(f)), where=curvature > 0)
         return grid[k] + (np.clip(step, -1.0, 1.0) * (grid[1] - grid[0]))[:, None]
+
+    def colours_of_albedo(self, structure: Array, albedo: Array, measure: Array) -> tuple[Array, Array]:
+        """Colour coordinates that give a structure (Q_s,) the albedos (R,), and the albedos they give, (R,).
+
+        Among several the one nearest to the middle of the training colours is taken; an albedo out of reach
+        is met as nearly as it can be. `measure` (P,) makes an albedo of values at the outputs.
+        """
+        grid = self._colour_grid()
+        reached = self.decode(np.column_stack([np.tile(structure, (len(grid), 1)), grid])) @ measure
+        middle = float(np.median(self.gp.X[:, -1]))
+        colours, found = np.empty(len(albedo)), np.empty(len(albedo))
+        low, high = reached[:-1], reached[1:]
+        for r, target in enumerate(albedo):
+            between = np.flatnonzero((np.minimum(low, high) <= target) & (target <= np.maximum(low, high)))
+            if len(between):
+                k = between[np.argmin(np.abs(grid[between] - middle))]
+                t = (target - low[k]) / (high[k] - low[k]) if high[k] != low[k] else 0.0
+                colours[r], found[r] = grid[k] + t * (grid[k + 1] - grid[k]), target
+            else:
+                k = int(np.argmin(np.abs(reached - target)))
+                colours[r], found[r] = grid[k], reached[k]
+        return colours, found
+
+    def relative_error(self, latents: Array, f: Array) -> float:
+        """`||w (f* - f)|| / ||w f||` of values f (R, P) and what latents (R, Q) decode to."""
+        w2 = self.cosines**2
+        wrong = np.sum(w2 * (self.decode(latents) - f) ** 2)
+        return float(np.sqrt(wrong / max(float(np.sum(w2 * f * f)), np.finfo(float).tiny)))
+
+    def _colour_grid(self) -> Array:
+        """Values of a single colour coordinate: the training colours' range and a margin."""
+        colours = self.gp.X[:, self.n_structure :]
+        low, high = float(colours.min()), float(colours.max())
+        margin = _COLOUR_MARGIN * (high - low)
+        return np.linspace(low - margin, high + margin, _COLOUR_TABLE)
 
     def _search_colour(self, structure: Array, f: Array) -> Array:
         """Colour (1, Q_c) of one band, from the colours of the nearest training samples."""

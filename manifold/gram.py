@@ -18,11 +18,12 @@ BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1
 
 @dataclass(frozen=True, eq=False)
 class Gram:
-    """Inner products of materials in a mapped domain.
+    """Inner products of samples in a mapped domain, not centred.
 
     Attributes:
-        S: sum over direction pairs and bands of weight * T(f_i) * T(f_j), shape (N, N), not centred.
-        n_outputs: D, the number of direction pairs above the horizon times bands.
+        S: sum of weight * T(f_i) * T(f_j) over what a sample holds: direction pairs and bands of a material,
+            shape (N, N); or direction pairs of a single band, shape (N B, N B), material by material.
+        n_outputs: D, how many values a sample holds above the horizon.
     """
 
     S: Array
@@ -44,18 +45,24 @@ def gram_matrix(
     mapping: Mapping,
     grid: RusinkiewiczGrid,
     on_progress: Callable[[int, int, str], None] | None = None,
+    *,
+    per_band: bool = False,
 ) -> Gram:
     """Accumulate the Gram matrix of N materials of the same bands over a grid of direction pairs.
 
-    Every pair counts by cos(theta_i) cos(theta_o), the weight it has in an image.
+    Every pair counts by cos(theta_i) cos(theta_o), the weight it has in an image. With `per_band` every band of
+    every material is a sample of its own.
     """
-    S = np.zeros((len(materials), len(materials)))
+    n_samples = len(materials) * (materials[0].bands.count if per_band else 1)
+    S = np.zeros((n_samples, n_samples))
     n_outputs = 0
     total = -(-grid.n_pairs // BLOCK_PAIRS)
     for done, (wi, wo, f) in enumerate(value_blocks(materials, grid), start=1):
         cosines = cosine_weight(wi, wo)
         mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])) * np.sqrt(cosines)[:, None]
-        flat = mapped.reshape(len(materials), -1)
+        if per_band:
+            mapped = np.moveaxis(mapped, 2, 1)
+        flat = mapped.reshape(n_samples, -1)
         S += flat @ flat.T
         n_outputs += flat.shape[1]
         if on_progress is not None:
@@ -63,7 +70,14 @@ def gram_matrix(
     return Gram(S, n_outputs)
 
 
-def cache_key(content_hash: str, mapping: Mapping, grid: RusinkiewiczGrid) -> str:
-    """Name under which a library remembers a Gram matrix: a hash of all that it depends on."""
+def cache_key(
+    content_hash: str, mapping: Mapping, grid: RusinkiewiczGrid, sample_bands: Sequence[int] | None = None
+) -> str:
+    """Name under which a library remembers a Gram matrix: a hash of all that it depends on.
+
+    `sample_bands` are the bands that are samples of their own; None where whole materials are.
+    """
     text = f"gram-1 {content_hash} {mapping!r} {grid!r}"
+    if sample_bands is not None:
+        text += f" bands {list(sample_bands)}"
     return hashlib.sha256(text.encode()).hexdigest()

@@ -1,8 +1,4 @@
-"""The fitted manifold: latents of the materials of a library, and what they predict. This module alone imports h5py.
-
-The file holds N latents, N weights' worth of a Gram matrix and a few settings. The measured data stay in the
-library, which is named by the hash of its content.
-"""
+"""The fitted manifold: latents of the materials of a library, and what they predict."""
 
 from __future__ import annotations
 
@@ -11,29 +7,34 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import h5py
 import numpy as np
 
-from manifold import atomic, gram
-from manifold.brdf import MeasuredBRDF
-from manifold.errors import LatentError, LibraryError, ManifoldError, ModelError, UsageError
-from manifold.gplvm import GPLVM
+from manifold import gram
+from manifold.brdf import BRDF, MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.encoding import Decoder, EncodingPairs
+from manifold.errors import LatentError, LibraryError, ShapeError, UsageError
+from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid
-from manifold.prediction import PredictedBRDF
+from manifold.model_file import ModelRecord, damaged, read_model, write_model
+from manifold.monochrome import MonochromeGPLVM
+from manifold.plausibility import mirrored_quadrature
+from manifold.prediction import Mixture, MonochromePrediction, PredictedBRDF
 from manifold.records import Array, Bands
+from manifold.spaces import KINDS, CurveSpace, MaterialSpace
 from manifold.store import Library
 
-FORMAT = "manifold-model"
-FORMAT_VERSION = 1
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
+REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
+_EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spaced
 
 Progress = Callable[[int, int, str], None]
 
@@ -47,20 +48,61 @@ class Settings:
     """How a manifold was fitted.
 
     Attributes:
-        latent_dim: Q.
+        kind: `monochrome`, every band a sample, or `material`, the kind of Hikichi & Iwasaki.
+        latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
         mapping: name of the mapping.
-        optimizer: `dls` or `l-bfgs`.
-        mu: noise filter of the kernel.
+        optimizer: `dls`, `l-bfgs` or `both`; None is the kind's own, and monochrome has `l-bfgs` only.
+        mu: noise filter of the kernel; None is the kind's own.
+        prior: weight of the Gaussian prior on the latents; None is the kind's own.
         length_scale: l, in units of the latents.
         grid: name of the grid of direction pairs behind the Gram matrix.
+        sample_bands: bands per material that are samples of a monochrome manifold, at most.
     """
 
+    kind: str = "material"
     latent_dim: int = 2
     mapping: str = "cube-root"
-    optimizer: str = "dls"
-    mu: float = 1e-4
+    optimizer: str = cast(str, None)
+    mu: float = cast(float, None)
+    prior: float = cast(float, None)
     length_scale: float = 1.0
     grid: str = "default"
+    sample_bands: int = 5
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UsageError(f"no kind of manifold is called '{self.kind}', expected {' or '.join(KINDS)}")
+        for name, value in _KIND_DEFAULTS[self.kind].items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        optimizers = OPTIMIZERS if self.kind == "material" else ("l-bfgs",)
+        if self.optimizer not in optimizers:
+            raise UsageError(
+                f"optimizer '{self.optimizer}' for kind {self.kind}, expected {' or '.join(optimizers)}"
+            )
+        if self.sample_bands < 2:
+            raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")
+
+
+_KIND_DEFAULTS: dict[str, dict[str, Any]] = {
+    "monochrome": {"optimizer": "l-bfgs", "mu": 1e-3, "prior": 0.1},
+    "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """Where a material that the manifold has not seen belongs.
+
+    Attributes:
+        latent: shape (Q,).
+        colours: colour coordinate of every band, shape (B,); None where whole materials are points.
+        relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
+    """
+
+    latent: Array
+    colours: Array | None
+    relative_error: float
 
 
 class Manifold:
@@ -69,31 +111,28 @@ class Manifold:
     Attributes:
         library: the measured materials.
         names: material names in the order of the latents, N of them.
-        X: latents, shape (N, Q).
-        S: Gram matrix of the mapped materials, not centred, shape (N, N).
-        n_outputs: D, the outputs behind S.
+        space: latents and the Gaussian process on them.
         settings: how it was fitted.
-        statistics: objective at start and end, evaluations.
+        statistics: objective at start and end.
     """
 
     def __init__(
         self,
         library: Library,
         names: tuple[str, ...],
-        X: Array,
-        S: Array,
-        n_outputs: int,
+        space: MaterialSpace | CurveSpace,
         settings: Settings,
         statistics: dict[str, float],
     ) -> None:
         """Use `fit` or `load`."""
         self.library = library
         self.names = names
-        self.X = X
-        self.S = S
-        self.n_outputs = n_outputs
+        self.space = space
         self.settings = settings
         self.statistics = statistics
+        self._materials: dict[str, MeasuredBRDF] = {}
+
+    # -- fitting -------------------------------------------------------------------------------------------
 
     @classmethod
     def fit(
@@ -121,33 +160,76 @@ class Manifold:
                 f"{settings.latent_dim} latent dimensions for {len(names)} materials, "
                 f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
             )
-        mapping, grid = mapping_named(settings.mapping), RusinkiewiczGrid.named(settings.grid)
-        model = cls(library, names, np.empty((len(names), 0)), np.empty((0, 0)), 0, settings, {})
-        key = gram.cache_key(library.content_hash, mapping, grid)
-        cached = library.cache_get(key)
-        if cached is None:
-            matrix = gram.gram_matrix(model.load_materials(on_progress), mapping, grid, on_progress)
-            library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
-            model.S, model.n_outputs = matrix.S, matrix.n_outputs
+        empty = MaterialSpace(np.empty((len(names), 0)), np.empty((0, 0)), 0, 1.0, 1.0)
+        model = cls(library, names, empty, settings, {})
+        if settings.kind == "material":
+            model._fit_materials(on_progress)
         else:
-            model.S, model.n_outputs = cached["S"], int(cached["n_outputs"][0])
-        latent = model._gplvm().fit_gram(model.S, model.n_outputs)
-        model.X = latent.embedding_
-        model.statistics = {
-            "objective_start": float(latent.objective_start_),
-            "objective": float(latent.objective_),
-            "n_evaluations": float(latent.n_evaluations_),
-        }
+            model._fit_curves(on_progress)
         return model
 
-    def _gplvm(self) -> GPLVM:
-        """An unfitted latent variable model with these settings."""
-        return GPLVM(
-            self.settings.latent_dim,
-            mu=self.settings.mu,
-            length_scale=self.settings.length_scale,
-            optimizer=self.settings.optimizer,
+    def _fit_materials(self, on_progress: Progress | None) -> None:
+        s = self.settings
+        matrix = self._gram(None, on_progress)
+        fitted = GPLVM(
+            s.latent_dim, mu=s.mu, length_scale=s.length_scale, optimizer=s.optimizer, prior=s.prior
+        ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
+        self.space = MaterialSpace(
+            fitted.embedding_, matrix.S, matrix.n_outputs, fitted.mu, fitted.length_scale
         )
+        self._remember(fitted)
+
+    def _fit_curves(self, on_progress: Progress | None) -> None:
+        s = self.settings
+        bands = evenly_spaced(self.bands.count, s.sample_bands)
+        matrix = self._gram(bands, on_progress)
+        fitted = MonochromeGPLVM(
+            s.latent_dim, mu=s.mu, length_scale=s.length_scale, prior=s.prior
+        ).fit_gram(matrix.S, len(self.names), matrix.n_outputs)  # fmt: skip
+        samples = fitted.colour_[:, :, 0]
+        # Colours and reflectances of all bands follow: decoding needs the samples only.
+        unknown = np.zeros((len(self.names), 0))
+        self.space = CurveSpace(
+            fitted.structure_, samples, bands, unknown, unknown, fitted.mu, fitted.length_scale
+        )
+        self._remember(fitted)
+        # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
+        pairs = self._encoding_pairs
+        decoder = self._decoder_at(pairs)
+        sphere, measure = _reflectance_pairs()
+        colours = np.empty((len(self.names), self.bands.count))
+        reflectances = np.empty_like(colours)
+        for n, material in enumerate(self.load_materials()):
+            f = material.eval(pairs.wi, pairs.wo).T
+            colours[n] = decoder.encode_colours(self.X[n], f)[:, 0]
+            reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
+            if on_progress is not None:
+                on_progress(n + 1, len(self.names), "colours")
+        self.space = replace(self.space, colours=colours, reflectances=reflectances)
+
+    def _remember(self, fitted: GPLVM | MonochromeGPLVM) -> None:
+        self.statistics = {
+            "objective_start": float(fitted.objective_start_),
+            "objective": float(fitted.objective_),
+        }
+
+    def _gram(self, bands: Array | None, on_progress: Progress | None) -> gram.Gram:
+        """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
+        grid = RusinkiewiczGrid.named(self.settings.grid)
+        chosen = None if bands is None else bands.tolist()
+        key = gram.cache_key(self.library.content_hash, self.mapping, grid, chosen)
+        cached = self.library.cache_get(key)
+        if cached is not None:
+            return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
+        materials = self.load_materials(on_progress)
+        if chosen is not None:
+            materials = self._thinned(chosen)
+        per_band = chosen is not None
+        matrix = gram.gram_matrix(materials, self.mapping, grid, on_progress, per_band=per_band)
+        self.library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
+        return matrix
+
+    # -- materials -----------------------------------------------------------------------------------------
 
     @property
     def bands(self) -> Bands:
@@ -159,14 +241,32 @@ class Manifold:
         """The mapping of BRDF values."""
         return mapping_named(self.settings.mapping)
 
-    @cached_property
-    def gp(self) -> GPWeights:
-        """The Gaussian process of the latents."""
-        return GPWeights(self.X, self.settings.mu, self.settings.length_scale)
+    @property
+    def X(self) -> Array:
+        """Latents of the materials, shape (N, Q); of a monochrome manifold their structure coordinates."""
+        return self.space.X
 
-    @cached_property
-    def _materials(self) -> dict[str, MeasuredBRDF]:
-        return {}
+    @property
+    def S(self) -> Array:
+        """Gram matrix of the mapped materials, not centred, shape (N, N); of whole materials only."""
+        return self._require_materials().S
+
+    @property
+    def n_outputs(self) -> int:
+        """D, the outputs behind S."""
+        return self._require_materials().n_outputs
+
+    def _require_materials(self) -> MaterialSpace:
+        if not isinstance(self.space, MaterialSpace):
+            raise UsageError(
+                "a monochrome manifold has no Gram matrix of whole materials; embed with --kind material"
+            )
+        return self.space
+
+    @property
+    def gp(self) -> GPWeights:
+        """The Gaussian process on the latents: of the materials, or of the monochrome samples."""
+        return self.space.gp
 
     def material(self, name: str) -> MeasuredBRDF:
         """A measured material, read from the library when first asked for.
@@ -196,17 +296,55 @@ class Manifold:
                     on_progress(done, len(self.names), material.name)
         return loaded
 
+    def _thinned(self, bands: Sequence[int]) -> list[MeasuredBRDF]:
+        """All measured materials in a few of their bands."""
+        return [material.thinned(bands) for material in self.load_materials()]
+
+    # -- latents -------------------------------------------------------------------------------------------
+
     def weights(self, x: Array) -> Array:
-        """Weights v of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,)."""
-        return self._at(x, self.gp.weights)
+        """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
 
-    def std(self, x: Array) -> Array:
-        """Posterior standard deviation at latents x (M, Q) or (Q,), as a fraction of the prior's, in [0, 1]."""
-        return self._at(x, lambda X: np.sqrt(self.gp.variance_fraction(X)))
+        Of a monochrome manifold: summed over the samples of a material, averaged over bands, in the colours of
+        the nearest material.
+        """
+        return self._at(x, self._weights)
 
-    def is_extrapolation(self, x: Array) -> Array:
+    def _weights(self, X: Array) -> Array:
+        if isinstance(self.space, MaterialSpace):
+            return self.gp.weights(X)
+        V = self.gp.weights(self._sample_latents(X))
+        V = V.reshape(len(X), -1, len(self.names), len(self.space.sample_bands)).sum(axis=3).mean(axis=1)
+        return V
+
+    def std(self, x: Array, colours: Array | None = None) -> Array:
+        """Posterior standard deviation at latents x (M, Q) or (Q,), as a fraction of the prior's, in [0, 1].
+
+        Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
+        over the sample bands in the colours of the nearest material.
+        """
+        return self._at(x, lambda X: np.sqrt(self._variance_fraction(X, colours)))
+
+    def is_extrapolation(self, x: Array, colours: Array | None = None) -> Array:
         """Whether the posterior variance at x is over half of the prior's: the data say little there."""
-        return self._at(x, lambda X: self.gp.variance_fraction(X) > EXTRAPOLATION)
+        return self._at(x, lambda X: self._variance_fraction(X, colours) > EXTRAPOLATION)
+
+    def _variance_fraction(self, X: Array, colours: Array | None) -> Array:
+        if isinstance(self.space, MaterialSpace):
+            return self.gp.variance_fraction(X)
+        if colours is None:
+            latents = self._sample_latents(X)
+        else:
+            latents = self.space.join(
+                X, np.broadcast_to(self._require_colours(colours), (len(X), self.bands.count))
+            )
+        return self.gp.variance_fraction(latents).reshape(len(X), -1).mean(axis=1)
+
+    def _sample_latents(self, X: Array) -> Array:
+        """Latents of the sample bands at structures X (M, Q), in the colours of the nearest materials."""
+        assert isinstance(self.space, CurveSpace)
+        nearest = np.argmin(np.linalg.norm(X[:, None] - self.X[None], axis=2), axis=1)
+        return self.space.join(X, self.space.sample_colours[nearest])
 
     def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""
@@ -231,18 +369,6 @@ class Manifold:
         """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         return (1.0 - t) * self.latent(a) + t * self.latent(b)
 
-    def predict(self, x: Array) -> PredictedBRDF:
-        """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
-
-        Raises:
-            LatentError: x is not (Q,) or not finite.
-        """
-        weights = self.weights(self.require_latent(x))
-        if np.count_nonzero(weights) > 1:
-            self.load_materials()
-        names = [name for name, weight in zip(self.names, weights, strict=True) if weight]
-        return PredictedBRDF([self.material(name) for name in names], weights[weights != 0], self.mapping)
-
     def require_latent(self, x: Array | Sequence[float]) -> Array:
         """A latent as float64 (Q,), or a LatentError that says how many coordinates were expected."""
         x = np.asarray(x, dtype=np.float64)
@@ -262,30 +388,191 @@ class Manifold:
         x = np.asarray(x, dtype=np.float64)
         return function(np.atleast_2d(x))[0] if x.ndim == 1 else function(x)
 
+    # -- colours of a monochrome manifold ------------------------------------------------------------------
+
+    def reflectance(self, name: str) -> Array:
+        """Reflectance of a material at 8 degrees, specular included, shape (B,).
+
+        Raises:
+            UsageError: the model has no such material, or its materials are points and carry their colours.
+        """
+        return self._require_curves().reflectances[self._index(name)].copy()
+
+    def reflectance_of_colours(self, x: Array, colours: Array) -> Array:
+        """Reflectance of a structure x (Q,) in colours (B,), at 8 degrees, specular included, shape (B,)."""
+        curves = self._require_curves()
+        x, colours = self.require_latent(x), self._require_colours(colours)
+        pairs, measure = _reflectance_pairs()
+        return self._decoder_at(pairs).decode(curves.join(x[None], colours[None])) @ measure
+
+    def colours_like(self, x: Array, name: str) -> Array:
+        """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
+
+        At the material's own latent, its own colours: there the prediction is the measured file.
+        """
+        curves, x, k = self._require_curves(), self.require_latent(x), self._index(name)
+        if np.array_equal(x, self.X[k]):
+            return curves.colours[k].copy()
+        return self.colours_of_reflectance(x, curves.reflectances[k])[0]
+
+    def colours_of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
+        """Colour coordinates that give a structure x (Q,) a reflectance spectrum.
+
+        Reflectance is the directional-hemispherical one at 8 degrees, specular included, as integrating
+        spheres measure it; of an RGB library, the linear sRGB colour. What the structure cannot reach, as a
+        metal cannot be black, is met as nearly as it can be.
+
+        Args:
+            x: structure.
+            reflectance: shape (B,).
+        Returns:
+            colours (B,), and the reflectance that they give, (B,).
+        Raises:
+            UsageError: materials are points here.
+            ShapeError: there is not one finite value per band.
+        """
+        self._require_curves()
+        x = self.require_latent(x)
+        reflectance = np.asarray(reflectance, dtype=np.float64)
+        if reflectance.shape != (self.bands.count,) or not np.all(np.isfinite(reflectance)):
+            raise ShapeError(
+                f"reflectance has shape {reflectance.shape}, expected ({self.bands.count},), finite"
+            )
+        pairs, measure = _reflectance_pairs()
+        return self._decoder_at(pairs).colours_of_albedo(x, reflectance, measure)
+
+    def _require_curves(self) -> CurveSpace:
+        if not isinstance(self.space, CurveSpace):
+            raise UsageError(
+                "the materials of this manifold carry their colours with them; embed with --kind monochrome "
+                "to choose colours"
+            )
+        return self.space
+
+    def _require_colours(self, colours: Array) -> Array:
+        self._require_curves()
+        colours = np.asarray(colours, dtype=np.float64)
+        if colours.shape != (self.bands.count,) or not np.all(np.isfinite(colours)):
+            raise ShapeError(f"colours have shape {colours.shape}, expected ({self.bands.count},), finite")
+        return colours
+
+    # -- predicting ----------------------------------------------------------------------------------------
+
+    def predict(self, x: Array, colours: Array | None = None) -> Mixture:
+        """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
+
+        Args:
+            x: latent; of a monochrome manifold, the structure.
+            colours: colour coordinate of every band, shape (B,), of a monochrome manifold; None gives x the
+                reflectance of the nearest material.
+        Raises:
+            LatentError: x is not (Q,) or not finite.
+            UsageError: colours for a manifold whose materials carry them.
+            ShapeError: colours are not (B,) or not finite.
+        """
+        x = self.require_latent(x)
+        if isinstance(self.space, MaterialSpace):
+            if colours is not None:
+                self._require_curves()
+            return self._predict_from_materials(self.gp.weights(x[None])[0])
+        if colours is None:
+            colours = self.colours_like(x, self.nearest(x)[0][0])
+        colours = self._require_colours(colours)
+        own = np.all(x == self.X, axis=1) & np.all(self.space.colours == colours, axis=1)
+        if np.any(own):
+            return self._predict_from_materials(np.eye(len(own))[np.argmax(own)])
+        weights = self.gp.weights(self.space.join(x[None], colours[None]))
+        samples = self._thinned(self.space.sample_bands.tolist())
+        return MonochromePrediction(samples, weights, self.mapping, self.bands)
+
+    def _predict_from_materials(self, weights: Array) -> PredictedBRDF:
+        if np.count_nonzero(weights) > 1:
+            self.load_materials()
+        names = [name for name, weight in zip(self.names, weights, strict=True) if weight]
+        return PredictedBRDF([self.material(name) for name in names], weights[weights != 0], self.mapping)
+
+    def interpolate(self, a: str, b: str, t: float) -> Mixture:
+        """The prediction on the straight line from material a (t = 0) to b (t = 1), reflectances too."""
+        x = self.between(a, b, t)
+        if isinstance(self.space, MaterialSpace):
+            return self.predict(x)
+        if t in (0.0, 1.0):
+            return self.predict(x, self.colours_like(x, b if t else a))
+        reflectance = (1.0 - t) * self.reflectance(a) + t * self.reflectance(b)
+        return self.predict(x, self.colours_of_reflectance(x, reflectance)[0])
+
+    def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
+        """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23."""
+        return PredictedBRDF(
+            [self.material(a), self.material(b)], np.array([1.0 - t, t]), mapping_named("identity")
+        )
+
+    # -- new materials -------------------------------------------------------------------------------------
+
+    def embed(self, brdf: BRDF) -> Embedded:
+        """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
+
+        Args:
+            brdf: a material in the bands of the library.
+        Raises:
+            BandMismatchError: it has other bands.
+        """
+        self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
+        pairs = self._encoding_pairs
+        decoder = self._decoder_at(pairs)
+        f = brdf.eval(pairs.wi, pairs.wo).T  # [B, P]
+        if isinstance(self.space, MaterialSpace):
+            values = f[self._embedding_bands].reshape(1, -1)
+            latent = decoder.encode(values)
+            return Embedded(latent[0], None, decoder.relative_error(latent, values))
+        structure = decoder.encode(f[self.space.sample_bands])[0, : self.settings.latent_dim]
+        colours = decoder.encode_colours(structure, f)
+        latents = self.space.join(structure[None], colours.T)
+        return Embedded(structure, colours[:, 0], decoder.relative_error(latents, f))
+
+    @cached_property
+    def _encoding_pairs(self) -> EncodingPairs:
+        return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
+
+    @property
+    def _embedding_bands(self) -> Array:
+        """Bands whose values find a latent."""
+        if isinstance(self.space, CurveSpace):
+            return self.space.sample_bands
+        return evenly_spaced(self.bands.count, _EMBEDDING_BANDS)
+
+    def _decoder_at(self, pairs: EncodingPairs) -> Decoder:
+        """What turns latents into values at direction pairs: of all embedding bands, or of one band."""
+        is_curves = isinstance(self.space, CurveSpace)
+        cosines = pairs.cosines
+        samples = self._thinned(self._embedding_bands.tolist())
+        rows = [self.mapping.forward(m.eval(pairs.wi, pairs.wo), cosines).T for m in samples]  # [B_s, P] each
+        mapped = np.concatenate(rows) if is_curves else np.stack([row.reshape(-1) for row in rows])
+        weight = cosines if is_curves else np.tile(cosines, len(rows[0]))
+        return Decoder(
+            gp=self.gp,
+            n_structure=self.settings.latent_dim,
+            group=len(rows[0]) if is_curves else 1,
+            mapped=mapped,
+            mapping=self.mapping,
+            cosines=weight,
+            gram_weight=weight,
+            prior=self.settings.prior,
+        )
+
+    # -- files ---------------------------------------------------------------------------------------------
+
     def save(self, path: Path | str) -> None:
         """Write the model as HDF5, atomically.
 
         Raises:
             UsageError: the file cannot be written.
         """
-        path = Path(path)
-        with atomic.replacing(path) as partial, h5py.File(partial, "w") as file:
-            self._write(file, path)
-
-    def _write(self, file: h5py.File, path: Path) -> None:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = FORMAT_VERSION
-        # Relative to the model, so that a folder with both can be moved.
-        file.attrs["library"] = os.path.relpath(self.library.path.resolve(), path.resolve().parent)
-        file.attrs["library_hash"] = self.library.content_hash
-        for name, value in vars(self.settings).items():
-            file.attrs[f"settings.{name}"] = value
-        for name, value in self.statistics.items():
-            file.attrs[f"statistics.{name}"] = value
-        file.attrs["n_outputs"] = self.n_outputs
-        file.create_dataset("names", data=np.array(self.names, dtype=h5py.string_dtype()))
-        file.create_dataset("X", data=self.X)
-        file.create_dataset("S", data=self.S)
+        record = ModelRecord(
+            self.library.path, self.library.content_hash, self.names, dict(vars(self.settings)), self.statistics,
+            self.space.arrays,
+        )  # fmt: skip
+        write_model(Path(path), record)
 
     @classmethod
     def load(cls, path: Path | str, library: Library | Path | str | None = None) -> Manifold:
@@ -301,85 +588,61 @@ class Manifold:
             LibraryChangedWarning: the library's content is not what the model was fitted to.
         """
         path = Path(path)
-        stored = _read_model(path)
+        stored = read_model(path)
+        settings, space = _restored(path, stored)
         if library is None:
-            library = Path(os.path.normpath(path.resolve().parent / stored["library"]))
+            library = stored.library
             if not library.exists():
                 raise LibraryError(f"{path}: its library is not at {library}; say where with --library")
         if not isinstance(library, Library):
             library = Library.open(library)
-        missing = sorted(set(stored["names"]) - set(library.names))
+        missing = sorted(set(stored.names) - set(library.names))
         if missing:
             shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
             raise LibraryError(
-                f"{library.path.name} lacks {len(missing)} of the {len(stored['names'])} materials of {path.name} "
+                f"{library.path.name} lacks {len(missing)} of the {len(stored.names)} materials of {path.name} "
                 f"({shown}); import them again, name the right library with --library, or embed again"
             )
-        if library.content_hash != stored["library_hash"]:
+        if isinstance(space, CurveSpace) and space.colours.shape[1] != library.bands.count:
+            raise LibraryError(
+                f"{library.path.name} has {library.bands}, {path.name} was fitted to {space.colours.shape[1]} bands; "
+                "name the right library with --library, or embed again"
+            )
+        if library.content_hash != stored.library_hash:
             warnings.warn(
                 f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
-                f"expected {stored['library_hash'][:12]}); predictions use the present files: embed again",
+                f"expected {stored.library_hash[:12]}); predictions use the present files: embed again",
                 LibraryChangedWarning,
                 stacklevel=2,
             )
-        return cls(
-            library, stored["names"], stored["X"], stored["S"], stored["n_outputs"], stored["settings"],
-            stored["statistics"],
-        )  # fmt: skip
+        return cls(library, stored.names, space, settings, stored.statistics)
 
 
-def _read_model(path: Path) -> dict[str, Any]:
-    """The content of a model file, checked."""
-    if not path.exists():
-        raise ModelError(f"{path}: no such model; `manifold embed --model {path}` makes one")
-    if not path.is_file() or not h5py.is_hdf5(path):
-        what = "a folder" if path.is_dir() else "no HDF5 file, or cut off at its beginning"
-        raise ModelError(f"{path}: {what}, expected a model; `manifold embed` makes one")
+def evenly_spaced(n_bands: int, count: int) -> Array:
+    """Indices of at most `count` of the bands, both ends among them."""
+    return np.unique(np.linspace(0, n_bands - 1, min(n_bands, count)).round().astype(int))
+
+
+def _reflectance_pairs() -> tuple[EncodingPairs, Array]:
+    """Direction pairs (P, 3) of an integrating sphere, and what makes a reflectance of values f there, (P,)."""
+    wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
+    wo, measure = mirrored_quadrature(wi)
+    return EncodingPairs(np.broadcast_to(wi, wo.shape), wo), measure * wo[:, 2]
+
+
+def _restored(path: Path, stored: ModelRecord) -> tuple[Settings, MaterialSpace | CurveSpace]:
+    """Settings and latent space of a model file, checked.
+
+    Raises:
+        ModelError: they do not fit each other.
+    """
     try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format") != FORMAT:
-                raise ModelError(f"{path}: an HDF5 file, but no manifold model; `manifold embed` makes one")
-            version = int(file.attrs["format_version"])
-            if version != FORMAT_VERSION:
-                raise ModelError(
-                    f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
-                )
-            attributes = dict(file.attrs)
-            content = {
-                "library": str(attributes["library"]),
-                "library_hash": str(attributes["library_hash"]),
-                "names": tuple(file["names"].asstr()[...].tolist()),
-                "X": file["X"][...].astype(np.float64),
-                "S": file["S"][...].astype(np.float64),
-                "n_outputs": int(attributes["n_outputs"]),
-                "settings": Settings(
-                    **{name: _plain(attributes[f"settings.{name}"]) for name in Settings.__dataclass_fields__}
-                ),
-                "statistics": {
-                    name.removeprefix("statistics."): float(value)
-                    for name, value in attributes.items()
-                    if name.startswith("statistics.")
-                },
-            }
-    except ManifoldError:
-        raise
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        reason = str(error).partition("\n")[0]
-        raise ModelError(f"{path}: not a readable model ({reason}); embed again") from error
-    _require_consistent(path, content)
-    return content
-
-
-def _plain(value: Any) -> Any:
-    """A NumPy scalar or HDF5 string as a Python value."""
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _require_consistent(path: Path, content: dict[str, Any]) -> None:
-    n, q = len(content["names"]), content["settings"].latent_dim
-    for name, shape in (("X", (n, q)), ("S", (n, n))):
-        found = content[name]
-        if found.shape != shape or not np.all(np.isfinite(found)):
-            raise ModelError(
-                f"{path}: dataset '{name}' has shape {found.shape}, expected {shape} and finite; embed again"
-            )
+        settings = Settings(**{field.name: stored.settings[field.name] for field in fields(Settings)})
+        kind = CurveSpace if settings.kind == "monochrome" else MaterialSpace
+        space = kind.from_arrays(stored.arrays, settings.mu, settings.length_scale)
+        expected = (len(stored.names), settings.latent_dim)
+        if space.X.shape != expected:
+            raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
+    except (KeyError, TypeError, ValueError, IndexError, UsageError) as error:
+        raise damaged(path, error) from error
+    return settings, space

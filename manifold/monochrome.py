@@ -25,7 +25,7 @@ class MonochromeGPLVM:
     """Gaussian-process latent variable model of monochrome samples with shared structure coordinates.
 
     Minimises the objective of `GPLVM` over structure (N, Q_s) and colour (N, B, Q_c) by L-BFGS from two starts,
-    and keeps the better end.
+    and keeps the better end. Larger colour coordinates are brighter.
 
     Args:
         n_structure: Q_s, coordinates that the bands of a material share; 0 is allowed.
@@ -89,7 +89,8 @@ class MonochromeGPLVM:
                     best = (start, end, structure, colour)
         assert best is not None
         self.objective_start_, self.objective_, structure, colour = best
-        return self.adopt(fix_gauge(structure), fix_gauge(colour).reshape(n_materials, n_bands, -1))
+        colour = _towards_brighter(colour - colour.mean(axis=0), np.diag(S))
+        return self.adopt(fix_gauge(structure), colour.reshape(n_materials, n_bands, -1))
 
     def adopt(self, structure: Array, colour: Array) -> MonochromeGPLVM:
         """Take latents (N, Q_s) and (N, B, Q_c) as they are: a model that was fitted before and stored."""
@@ -146,6 +147,12 @@ def join_latents(structure: Array, colour: Array) -> Array:
     """Latents of samples (N, B, Q_s + Q_c) from structure (N, Q_s) and colour (N, B, Q_c)."""
     shared = np.broadcast_to(structure[:, None, :], (*colour.shape[:2], structure.shape[1]))
     return np.concatenate([shared, colour], axis=2)
+
+
+def _towards_brighter(colour: Array, brightness: Array) -> Array:
+    """Colours (N B, Q_c) with every axis turned so that samples of larger norm have larger coordinates."""
+    slope = (brightness - brightness.mean()) @ colour
+    return colour * np.where(slope < 0, -1.0, 1.0)
 
 
 def _unit_components(A: Array, count: int) -> Array:

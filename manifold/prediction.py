@@ -25,41 +25,25 @@ def _block_size(n_pairs: int) -> int:
     return int(np.clip(-(-n_pairs // (2 * nb.get_num_threads())), 64, BLOCK_PAIRS))
 
 
-class PredictedBRDF:
-    """T^-1(sum_i v_i T(f_i)): a BRDF between measured materials.
+class Mixture:
+    """What predictions share: the materials they are made of, whose densities `sample` mixes.
 
-    With a unit vector as weights it *is* the measured material, bit for bit, whatever the mapping.
-
-    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials.
+    A subclass evaluates blocks of direction pairs in `_combine`.
     """
 
-    def __init__(self, materials: Sequence[BRDF], weights: Array, mapping: Mapping):
-        """Combine N materials of the same bands with weights v (N,) under a mapping T.
-
-        Raises:
-            ShapeError: there is not one finite weight per material.
-            BandMismatchError: the materials have different bands.
-        """
-        weights = np.asarray(weights, dtype=np.float64)
-        if weights.shape != (len(materials),) or not np.all(np.isfinite(weights)) or not np.any(weights):
-            raise ShapeError(
-                f"weights have shape {weights.shape}, expected ({len(materials)},), finite and not all zero"
-            )
-        used = np.flatnonzero(weights)
-        self._materials = [materials[int(k)] for k in used]
-        self._weights = weights[used]
-        self._mapping = mapping
-        for material in self._materials[1:]:
-            self._materials[0].bands.require_same(
-                material.bands, "materials of a prediction", "use one library"
-            )
+    def __init__(self, materials: Sequence[BRDF], say: Array, bands: Bands) -> None:
+        """Take N materials with non-negative shares `say` (N,) in the density, and the bands to predict."""
+        for material in materials[1:]:
+            materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
+        self._materials = list(materials)
         # Sampling needs a density that covers every material with a say, not the exact shape of the sum.
-        self._lobes = np.abs(self._weights) / np.abs(self._weights).sum()
+        self._lobes = say / say.sum()
+        self._bands = bands
 
     @property
     def bands(self) -> Bands:
-        """The spectral axis of the materials."""
-        return self._materials[0].bands
+        """The spectral axis."""
+        return self._bands
 
     @property
     def is_isotropic(self) -> bool:
@@ -74,8 +58,6 @@ class PredictedBRDF:
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length.
         """
-        if len(self._materials) == 1 and self._weights[0] == 1.0:
-            return self._materials[0].eval(wi, wo)
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
         blocks = [(block, out[rows]) for rows, block in pairs.blocks(_block_size(len(pairs)))]
@@ -89,21 +71,7 @@ class PredictedBRDF:
 
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
-        cosines = cosine_weight(pairs.wi, pairs.wo)
-        fused = isinstance(self._mapping, CubeRoot | Identity)
-        out[...] = 0.0
-        for weight, material in zip(self._weights, self._materials, strict=True):
-            if not isinstance(material, MeasuredBRDF):
-                out += weight * self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
-            elif fused:
-                is_root = isinstance(self._mapping, CubeRoot)
-                material.add_weighted(pairs, float(weight), out, cube_root=is_root)
-            else:
-                f = np.empty_like(out)
-                material.eval_into(pairs, f)
-                out += weight * self._mapping.forward(f, cosines)
-        out[...] = self._mapping.inverse(out, cosines)
-        out[cosines <= 0] = 0.0
+        raise NotImplementedError
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
@@ -155,6 +123,101 @@ class PredictedBRDF:
             wo, measure = mirrored_quadrature(w, resolution, resolution)
             out[k] = measure @ self.eval_cos(w, wo)
         return out.reshape(*wi.shape[:-1], -1)
+
+
+class PredictedBRDF(Mixture):
+    """T^-1(sum_i v_i T(f_i)): a BRDF between measured materials.
+
+    With a unit vector as weights it *is* the measured material, bit for bit, whatever the mapping.
+
+    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials.
+    """
+
+    def __init__(self, materials: Sequence[BRDF], weights: Array, mapping: Mapping):
+        """Combine N materials of the same bands with weights v (N,) under a mapping T.
+
+        Raises:
+            ShapeError: there is not one finite weight per material.
+            BandMismatchError: the materials have different bands.
+        """
+        weights = np.asarray(weights, dtype=np.float64)
+        if weights.shape != (len(materials),) or not np.all(np.isfinite(weights)) or not np.any(weights):
+            raise ShapeError(
+                f"weights have shape {weights.shape}, expected ({len(materials)},), finite and not all zero"
+            )
+        used = np.flatnonzero(weights)
+        self._weights = weights[used]
+        self._mapping = mapping
+        super().__init__([materials[int(k)] for k in used], np.abs(self._weights), materials[0].bands)
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B); arguments and errors as in `Mixture.eval`."""
+        if len(self._materials) == 1 and self._weights[0] == 1.0:
+            return self._materials[0].eval(wi, wo)
+        return super().eval(wi, wo)
+
+    def _combine(self, pairs: DirectionPairs, out: Array) -> None:
+        """Values of K direction pairs into out (K, B)."""
+        cosines = cosine_weight(pairs.wi, pairs.wo)
+        fused = isinstance(self._mapping, CubeRoot | Identity)
+        out[...] = 0.0
+        for weight, material in zip(self._weights, self._materials, strict=True):
+            if not isinstance(material, MeasuredBRDF):
+                out += weight * self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
+            elif fused:
+                is_root = isinstance(self._mapping, CubeRoot)
+                material.add_weighted(pairs, float(weight), out, cube_root=is_root)
+            else:
+                f = np.empty_like(out)
+                material.eval_into(pairs, f)
+                out += weight * self._mapping.forward(f, cosines)
+        out[...] = self._mapping.inverse(out, cosines)
+        out[cosines <= 0] = 0.0
+
+
+class MonochromePrediction(Mixture):
+    """T^-1(sum_s V_bs T(f_s)): every band b a sum over monochrome samples, a few bands of each material.
+
+    Source: docs/design/held-out.md.
+    """
+
+    def __init__(self, samples: Sequence[BRDF], weights: Array, mapping: Mapping, bands: Bands):
+        """Combine N materials, thinned to the sample bands, with weights V (B, N B_s) under a mapping T.
+
+        Args:
+            samples: the thinned materials; sample n B_s + s is band s of material n.
+            weights: shape (B, N B_s).
+            mapping: T.
+            bands: the B bands to predict.
+        Raises:
+            ShapeError: the weights do not fit, or are not finite.
+            BandMismatchError: the materials have different bands.
+        """
+        weights = np.asarray(weights, dtype=np.float64)
+        n_bands = samples[0].bands.count
+        expected = (bands.count, len(samples) * n_bands)
+        if weights.shape != expected or not np.all(np.isfinite(weights)):
+            raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, finite")
+        self._mapping = mapping
+        self._weights_T = np.ascontiguousarray(weights.T)
+        say = np.abs(weights).reshape(bands.count, len(samples), n_bands).sum(axis=(0, 2))
+        super().__init__(samples, say, bands)
+
+    def _combine(self, pairs: DirectionPairs, out: Array) -> None:
+        """Values of K direction pairs into out (K, B)."""
+        cosines = cosine_weight(pairs.wi, pairs.wo)
+        n_bands = self._materials[0].bands.count
+        mapped = np.empty((len(pairs), len(self._materials) * n_bands))
+        f = np.empty((len(pairs), n_bands))
+        for n, material in enumerate(self._materials):
+            if isinstance(material, MeasuredBRDF):
+                material.eval_into(pairs, f)
+            else:
+                f[...] = material.eval(pairs.wi, pairs.wo)
+            mapped[:, n * n_bands : (n + 1) * n_bands] = self._mapping.forward(f, cosines)
+        np.matmul(mapped, self._weights_T, out=out)
+        out[...] = self._mapping.inverse(out, cosines)
+        out[cosines <= 0] = 0.0
 
 
 class ClippedBRDF:

@@ -147,6 +147,74 @@ def encode_srgb(linear: Array) -> Array:
     return np.asarray(_colour().models.eotf_inverse_sRGB(np.clip(linear, 0.0, 1.0)))
 
 
+def srgb_reflectance(display: Array, bands: Bands) -> Array:
+    """A smooth reflectance that looks like an sRGB colour under D65, in [0, 1], shape (B,).
+
+    Of RGB bands, the linear colour itself.
+
+    Args:
+        display: encoded sRGB values in [0, 1], shape (3,).
+        bands: the spectral axis.
+    Raises:
+        ShapeError: the colour is not three values in [0, 1].
+    Source: Mallett & Yuksel 2019, whose three basis spectra sum to 1; held constant outside 380 to 780 nm.
+    """
+    display = np.asarray(display, dtype=np.float64)
+    if display.shape != (3,) or not np.all((display >= 0) & (display <= 1)):
+        raise ShapeError(f"an sRGB colour is {display.tolist()}, expected three values from 0 to 1")
+    linear = np.asarray(_colour().models.eotf_sRGB(display), float)
+    if bands.is_rgb:
+        return linear
+    nodes, values = _spectral_distribution(_colour().recovery.RGB_to_sd_Mallett2019(linear))
+    return np.clip(np.interp(np.asarray(bands.wavelengths_nm), nodes, values), 0.0, 1.0)
+
+
+def read_reflectance(path: Path, bands: Bands) -> Array:
+    """A reflectance spectrum from a text file, interpolated to the bands, shape (B,).
+
+    The file has two columns, wavelength in nm and reflectance from 0 to 1, separated by commas or blanks; lines
+    that do not begin with a number are skipped. Outside the file's range the ends are held. Of RGB bands: its
+    linear sRGB colour under D65.
+
+    Raises:
+        FileFormatError: there are not two rows of two such numbers, or wavelengths repeat.
+        UsageError: the file cannot be read.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise UsageError(
+            f"{path}: {error.strerror}; expected a text file of wavelengths and reflectances"
+        ) from error
+    rows = [cells for line in lines if (cells := _numbers(line)) is not None]
+    if len(rows) < 2:
+        raise FileFormatError(
+            f"{path}: found {len(rows)} rows of wavelength and reflectance, expected at least 2"
+        )
+    nm, values = np.array(sorted(rows)).T
+    if np.any(np.diff(nm) <= 0) or not 100.0 <= nm[0] <= nm[-1] <= 10000.0:
+        raise FileFormatError(
+            f"{path}: wavelengths from {nm[0]:g} to {nm[-1]:g}, expected different ones in nm"
+        )
+    if values.min() < 0 or values.max() > 1:
+        raise FileFormatError(
+            f"{path}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; divide percent by 100"
+        )
+    if bands.is_rgb:
+        return np.clip(to_srgb(values, Bands(tuple(nm.tolist()))), 0.0, 1.0)
+    return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+
+
+def _numbers(line: str) -> tuple[float, float] | None:
+    """The first two numbers of a line, or None where it does not begin with a number."""
+    cells = line.replace(",", " ").replace(";", " ").split()
+    try:
+        first, second = float(cells[0]), float(cells[1])
+    except (ValueError, IndexError):
+        return None
+    return (first, second) if np.isfinite(first) and np.isfinite(second) else None
+
+
 def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
     """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
 

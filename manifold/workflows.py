@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from manifold import __version__, atomic, corpus, gonio, heldout, plot
+from manifold.brdf import MeasuredBRDF
+from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.errors import LibraryError, UsageError
 from manifold.importing import ImportResult, import_files
-from manifold.io_rgl import write_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model import Manifold, Settings
+from manifold.physical import PhysicalBRDF
 from manifold.plausibility import Plausibility, plausibility
 from manifold.prediction import ClippedBRDF
 from manifold.records import Array
@@ -27,6 +30,10 @@ Progress = Callable[[int, int, str], None]
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""
+
+MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
+MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
+MOST_MISSED = 0.02  # of a reflectance
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -44,22 +51,30 @@ class Prediction:
     Attributes:
         latent: where it lies, shape (Q,).
         path: the written file.
+        colour: where the colour comes from, in words; None where the latent carries it.
+        reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
+        is_physical: whether it was projected to be reciprocal and to return no more light than it gets.
         std: posterior standard deviation as a fraction of the prior's, 0 to 1.
         is_extrapolation: whether the data say little at this latent.
         nearest: the three nearest materials with their distances.
         weights: the materials with the largest weights, by magnitude.
         plausibility: of the prediction, before negative values are clipped for the file.
+        cautions: what a user should know before trusting it, in sentences.
         clipped_share: share of the file's values that were negative and became zero.
         seconds: evaluating and writing, without loading the library.
     """
 
     latent: tuple[float, ...]
     path: Path
+    colour: str | None
+    reflectance_missed: float
+    is_physical: bool
     std: float
     is_extrapolation: bool
     nearest: tuple[tuple[str, float], ...]
     weights: tuple[tuple[str, float], ...]
     plausibility: Plausibility
+    cautions: tuple[str, ...]
     clipped_share: float
     seconds: float
 
@@ -99,6 +114,8 @@ def predict(
     output: Path,
     *,
     library: Path | None = None,
+    colour: ColourChoice = NEAREST,
+    physical: bool = False,
     resolution: int = 32,
     n_theta_i: int = 8,
     on_progress: Progress | None = None,
@@ -110,6 +127,8 @@ def predict(
         latent: Q coordinates.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
+        colour: of a monochrome manifold, whose latent is the structure alone.
+        physical: project to non-negative, reciprocal, and albedo at most 1.
         resolution: nodes per axis of the outgoing grid.
         n_theta_i: incident elevations.
         on_progress: called while measured materials are read.
@@ -126,37 +145,112 @@ def predict(
     x = model.require_latent(latent)
     model.load_materials(on_progress)
     start = time.perf_counter()
-    brdf = model.predict(x)
-    clipped = ClippedBRDF(brdf)
+    chosen = choose_colour(model, x, colour)
+    brdf = model.predict(x, chosen.colours)
+    clipped = ClippedBRDF(PhysicalBRDF(brdf) if physical else brdf)
     file = gonio.measure(
         clipped,
         name,
-        description=_describe(model, x),
+        description=_describe(model, x, chosen.words, physical),
         resolution=resolution,
         n_theta_i=n_theta_i,
         version=(1, 0) if model.bands.is_rgb else (3, 1),
     )
     write_bsdf(output, file)
     seconds = time.perf_counter() - start
+    found = plausibility(clipped if physical else brdf)
+    is_extrapolation = bool(model.is_extrapolation(x, chosen.colours))
     return Prediction(
         latent=tuple(float(v) for v in x),
         path=output,
-        std=float(model.std(x)),
-        is_extrapolation=bool(model.is_extrapolation(x)),
+        colour=chosen.words,
+        reflectance_missed=chosen.missed,
+        is_physical=physical,
+        std=float(model.std(x, chosen.colours)),
+        is_extrapolation=is_extrapolation,
         nearest=tuple(model.nearest(x, 3)),
         weights=tuple(model.largest_weights(x, 5)),
-        plausibility=plausibility(brdf),
+        plausibility=found,
+        cautions=_cautions(is_extrapolation, found, chosen),
         clipped_share=clipped.clipped_share,
         seconds=seconds,
     )
 
 
-def _describe(model: Manifold, x: Array) -> str:
+def _cautions(is_extrapolation: bool, found: Plausibility, chosen: ChosenColour) -> tuple[str, ...]:
+    """What speaks against a prediction."""
+    cautions = []
+    if is_extrapolation:
+        cautions.append("extrapolated: the data say little here; stay nearer to the materials")
+    if found.negative_share > MOST_NEGATIVE:
+        cautions.append(
+            f"{found.negative_share:.0%} of the values were negative: the data do not support this point"
+        )
+    if found.max_albedo > MOST_ALBEDO:
+        cautions.append(
+            f"returns up to {found.max_albedo:.2f} times the light it gets; --physical scales it down"
+        )
+    if chosen.missed > MOST_MISSED:
+        cautions.append(f"this structure misses the reflectance asked for by up to {chosen.missed:.2f}")
+    return tuple(cautions)
+
+
+def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
     """What a predicted file says about itself."""
     synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
     at = ", ".join(f"{v:.4g}" for v in x)
-    return f"Predicted at latent ({at}) from {origin} by manifold {__version__}"
+    how = (f", coloured {colour}" if colour else "") + ", projected to be physical" * physical
+    return f"Predicted at latent ({at}){how} from {origin} by manifold {__version__}"
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a file belongs on a manifold.
+
+    Attributes:
+        path: the file.
+        latent: shape (Q,).
+        colours: colour coordinate of every band, of a monochrome manifold.
+        relative_error: of the material that the manifold gives back there.
+        std: posterior standard deviation there, as a fraction of the prior's.
+        nearest: the three nearest materials with their distances.
+    """
+
+    path: Path
+    latent: tuple[float, ...]
+    colours: tuple[float, ...] | None
+    relative_error: float
+    std: float
+    nearest: tuple[tuple[str, float], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        return {"program": f"manifold {__version__}", **vars(self), "path": str(self.path)}
+
+
+def locate(
+    model: Path, path: Path, *, library: Path | None = None, on_progress: Progress | None = None
+) -> Located:
+    """Embed a measured file in a manifold that has not seen it.
+
+    Raises:
+        FileFormatError: it is no RGL file.
+        BandMismatchError: its bands are not the library's.
+    """
+    brdf = MeasuredBRDF(read_bsdf(path))
+    loaded = Manifold.load(model, library)
+    loaded.load_materials(on_progress)
+    found = loaded.embed(brdf)
+    colours = None if found.colours is None else tuple(float(c) for c in found.colours)
+    return Located(
+        path=path,
+        latent=tuple(float(v) for v in found.latent),
+        colours=colours,
+        relative_error=found.relative_error,
+        std=float(loaded.std(found.latent, found.colours)),
+        nearest=tuple(loaded.nearest(found.latent, 3)),
+    )
 
 
 def report(

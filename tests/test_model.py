@@ -11,12 +11,15 @@ import pytest
 from small_library import NAMES, small_library
 
 from manifold import gram
+from manifold.analytic import Lambert
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import LibraryError, ModelError, ShapeError, UsageError
+from manifold.errors import BandMismatchError, LibraryError, ModelError, ShapeError, UsageError
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
 from manifold.model import LibraryChangedWarning, Manifold, Settings
+from manifold.records import Bands
+from manifold.spaces import KINDS
 from manifold.store import Library
 
 
@@ -25,14 +28,15 @@ def library(tmp_path_factory):
     return Library.open(small_library(tmp_path_factory.mktemp("model")))
 
 
-@pytest.fixture(scope="module")
-def model(library):
-    return Manifold.fit(library)
+@pytest.fixture(scope="module", params=KINDS)
+def model(request, library):
+    return Manifold.fit(library, Settings(kind=request.param))
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mapping", ["identity", "cube-root", "log", "log-relative"])
-def test_prediction_at_a_training_latent_is_the_measured_file(library, mapping):
-    model = Manifold.fit(library, Settings(mapping=mapping))
+def test_prediction_at_a_training_latent_is_the_measured_file(library, mapping, kind):
+    model = Manifold.fit(library, Settings(kind=kind, mapping=mapping))
     wi, wo, above = rusinkiewicz_grid()
     wi, wo = wi[above][::7], wo[above][::7]
     for name in model.names:
@@ -88,10 +92,11 @@ def test_gram_matrix_agrees_with_a_loop(library, model):
     assert found.n_outputs == above.sum() * 3
 
 
-def test_the_gram_matrix_is_remembered_by_the_library(library, monkeypatch):
-    first = Manifold.fit(library)
-    monkeypatch.setattr(gram, "gram_matrix", lambda *_: pytest.fail("computed again"))
-    np.testing.assert_array_equal(Manifold.fit(library).S, first.S)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gram_matrix_is_remembered_by_the_library(library, monkeypatch, kind):
+    first = Manifold.fit(library, Settings(kind=kind))
+    monkeypatch.setattr(gram, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
+    np.testing.assert_array_equal(Manifold.fit(library, Settings(kind=kind)).X, first.X)
 
 
 def test_a_saved_model_is_the_same_model(model, tmp_path):
@@ -101,8 +106,11 @@ def test_a_saved_model_is_the_same_model(model, tmp_path):
     assert loaded.names == model.names
     assert loaded.settings == model.settings
     assert loaded.statistics == model.statistics
-    np.testing.assert_array_equal(loaded.X, model.X)
-    np.testing.assert_array_equal(loaded.S, model.S)
+    for name, array in model.space.arrays.items():
+        np.testing.assert_array_equal(loaded.space.arrays[name], array)
+    x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    np.testing.assert_array_equal(loaded.predict(x).eval(wi, wo), model.predict(x).eval(wi, wo))
 
 
 def test_model_and_library_can_be_moved_together(library, model, tmp_path):
@@ -146,14 +154,34 @@ def test_what_is_no_model_is_refused(tmp_path):
         Manifold.load(tmp_path / "foreign.h5")
 
 
-@pytest.mark.parametrize("field", ["X", "S", "names"])
-def test_a_damaged_model_is_refused(model, tmp_path, field):
+def test_a_model_that_lacks_any_part_is_refused(model, tmp_path):
+    whole = tmp_path / "whole.h5"
+    model.save(whole)
+    parts = ["names", "settings", "statistics", *(f"space/{name}" for name in model.space.arrays)]
+    for part in parts:
+        path = tmp_path / "damaged.h5"
+        shutil.copy(whole, path)
+        with h5py.File(path, "a") as file:
+            del file[part]
+        with pytest.raises(ModelError, match="embed again"):
+            Manifold.load(path)
+
+
+def test_a_model_whose_parts_do_not_fit_is_refused(model, tmp_path):
     path = tmp_path / "damaged.h5"
-    model.save(path)
-    with h5py.File(path, "a") as file:
-        del file[field]
-    with pytest.raises(ModelError, match="embed again"):
-        Manifold.load(path)
+    for name, array in model.space.arrays.items():
+        if array.ndim == 2:
+            model.save(path)
+            with h5py.File(path, "a") as file:
+                del file[f"space/{name}"]
+                file[f"space/{name}"] = array[:-1]
+            with pytest.raises(ModelError, match="embed again"):
+                Manifold.load(path)
+        model.save(path)
+        with h5py.File(path, "a") as file:
+            file[f"space/{name}"][...] = np.nan if array.dtype.kind == "f" else -7
+        with pytest.raises(ModelError, match="embed again"):
+            Manifold.load(path)
 
 
 def test_a_model_of_another_version_is_refused(model, tmp_path):
@@ -176,8 +204,78 @@ def test_impossible_settings_are_refused(library):
         Manifold.fit(library, Settings(latent_dim=len(NAMES)))
     with pytest.raises(UsageError, match="cube-root"):
         Manifold.fit(library, Settings(mapping="cuberoot"))
+    with pytest.raises(UsageError, match="monochrome or material"):
+        Settings(kind="metal")
+    with pytest.raises(UsageError, match="expected l-bfgs"):
+        Settings(kind="monochrome", optimizer="dls")
 
 
 def test_unknown_materials_are_refused_with_near_names(model):
     with pytest.raises(UsageError, match="syn_satin_gold"):
         model.latent("syn_satin_goldd")
+
+
+def test_a_material_of_the_library_is_embedded_where_it_lies(model):
+    for name in ("syn_felt_green", "syn_satin_gold"):
+        found = model.embed(model.material(name))
+        assert model.nearest(found.latent)[0][0] == name
+        assert found.relative_error < 0.2
+        again = model.predict(found.latent, found.colours)
+        wi, wo = from_spherical(0.5, 0.0), from_spherical(0.3, 1.0)
+        np.testing.assert_allclose(again.eval(wi, wo), model.material(name).eval(wi, wo), rtol=0.3)
+
+
+def test_a_material_with_other_bands_is_not_embedded(model):
+    lambert = Lambert(np.array([0.2, 0.3]), Bands((500.0, 600.0)))
+    with pytest.raises(BandMismatchError, match="500"):
+        model.embed(lambert)
+
+
+def test_interpolation_begins_and_ends_at_the_materials(model):
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    a, b = "syn_felt_green", "syn_satin_gold"
+    for t, name in ((0.0, a), (1.0, b)):
+        expected = model.material(name).eval(wi, wo)
+        np.testing.assert_array_equal(model.interpolate(a, b, t).eval(wi, wo), expected)
+        np.testing.assert_array_equal(model.blend(a, b, t).eval(wi, wo), expected)
+    half = 0.5 * (model.material(a).eval(wi, wo) + model.material(b).eval(wi, wo))
+    np.testing.assert_allclose(model.blend(a, b, 0.5).eval(wi, wo), half, rtol=1e-12)
+
+
+def test_monochrome_predictions_agree_with_the_sum_written_out(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"))
+    x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
+    colours = model.colours_like(x, "syn_gloss_red")
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
+    T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.load_materials()])
+    np.testing.assert_allclose(model.predict(x, colours).eval(wi, wo), (V @ T) ** 3, rtol=1e-9)
+
+
+def test_a_structure_takes_the_reflectance_it_is_given(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"))
+    x = model.between("syn_felt_green", "syn_paper_white", 0.5)
+    wi = from_spherical(np.deg2rad(8.0), 0.0)
+    asked = np.array([0.5, 0.3, 0.2])
+    colours, reached = model.colours_of_reflectance(x, asked)
+    np.testing.assert_allclose(reached, asked, atol=1e-12)
+    np.testing.assert_allclose(model.predict(x, colours).albedo(wi), asked, atol=0.01)
+    assert np.all(np.diff(colours) < 0)  # larger colour coordinates are brighter
+
+
+def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"))
+    colours, reached = model.colours_of_reflectance(model.latent("syn_metal_copper"), np.full(3, 5.0))
+    assert np.all(np.isfinite(colours))
+    assert np.all(reached < 5.0)
+
+
+def test_colours_are_refused_where_materials_carry_them(library):
+    model = Manifold.fit(library, Settings(kind="material"))
+    for ask in (
+        lambda: model.colours_like(model.X[0], model.names[0]),
+        lambda: model.colours_of_reflectance(model.X[0], np.full(3, 0.5)),
+        lambda: model.predict(model.X[0], np.zeros(3)),
+    ):
+        with pytest.raises(UsageError, match="--kind monochrome"):
+            ask()

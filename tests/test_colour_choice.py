@@ -1,0 +1,112 @@
+"""The colour of a predicted structure: like a material, as a spectrum, as sRGB; and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_library import small_library
+
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour, parse_srgb
+from manifold.errors import FileFormatError, UsageError
+from manifold.model import Manifold, Settings
+from manifold.records import Bands
+from manifold.spectra import encode_srgb, read_reflectance, rgl_wavelengths_nm, srgb_reflectance, to_srgb
+from manifold.store import Library
+
+BANDS = Bands.from_array(rgl_wavelengths_nm())
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return Manifold.fit(
+        Library.open(small_library(tmp_path_factory.mktemp("colour"))), Settings(kind="monochrome")
+    )
+
+
+def test_without_a_choice_the_nearest_material_gives_its_own_colours(model):
+    chosen = choose_colour(model, model.latent("syn_felt_green"), NEAREST)
+    np.testing.assert_array_equal(chosen.colours, model.space.colours[model.names.index("syn_felt_green")])
+    assert chosen.words == "like syn_felt_green, the nearest"
+
+
+@pytest.mark.parametrize("t", [0.2, 0.5])
+def test_like_gives_the_reflectance_of_that_material(model, t):
+    x = model.between("syn_felt_green", "syn_paper_white", t)
+    chosen = choose_colour(model, x, ColourChoice(like="syn_felt_orange"))
+    reached = model.reflectance_of_colours(x, chosen.colours)
+    assert np.abs(reached - model.reflectance("syn_felt_orange")).max() == pytest.approx(chosen.missed)
+    assert chosen.missed < 0.02
+
+
+def test_srgb_and_the_same_reflectance_give_the_same_colours(model, tmp_path):
+    x = model.between("syn_felt_green", "syn_paper_white", 0.5)
+    (tmp_path / "grey.csv").write_text("nm,R\n400,0.214041\n700,0.214041\n")
+    by_srgb = choose_colour(model, x, ColourChoice(srgb="0.5,0.5,0.5"))
+    by_file = choose_colour(model, x, ColourChoice(reflectance=tmp_path / "grey.csv"))
+    np.testing.assert_allclose(by_srgb.colours, by_file.colours, atol=1e-3)
+
+
+def test_two_colours_are_refused():
+    with pytest.raises(UsageError, match="one of them"):
+        ColourChoice(like="a", srgb="#ffffff")
+
+
+def test_whole_materials_carry_their_colours(model):
+    whole = Manifold.fit(model.library, Settings(kind="material"))
+    assert choose_colour(whole, whole.X[0], NEAREST).colours is None
+    with pytest.raises(UsageError, match="--kind monochrome"):
+        choose_colour(whole, whole.X[0], ColourChoice(like="syn_felt_green"))
+
+
+def test_an_unknown_material_is_refused_with_near_names(model):
+    with pytest.raises(UsageError, match="syn_felt_green"):
+        choose_colour(model, model.X[0], ColourChoice(like="syn_felt_gren"))
+
+
+@pytest.mark.parametrize(("text", "values"), [("#ff8000", [1, 128 / 255, 0]), ("1, 0.5,0", [1, 0.5, 0])])
+def test_srgb_colours_are_read_both_ways(text, values):
+    np.testing.assert_allclose(parse_srgb(text), values)
+
+
+@pytest.mark.parametrize("text", ["red", "#ff80", "1,2,3", "0.1,0.2", "nan,0,0", "", "#gg0000"])
+def test_what_is_no_srgb_colour_is_refused(text):
+    with pytest.raises(UsageError, match="expected #rrggbb"):
+        parse_srgb(text)
+
+
+@pytest.mark.parametrize("display", [[0.7, 0.5, 0.2], [1, 1, 1], [0, 0, 0], [0.1, 0.2, 0.9]])
+def test_the_reflectance_of_an_srgb_colour_looks_like_it(display):
+    reflectance = srgb_reflectance(np.array(display, float), BANDS)
+    assert reflectance.min() >= 0
+    assert reflectance.max() <= 1
+    np.testing.assert_allclose(encode_srgb(to_srgb(reflectance, BANDS)), display, atol=0.005)
+
+
+def test_reflectance_files_are_interpolated_and_held_at_their_ends(tmp_path):
+    path = tmp_path / "r.txt"
+    path.write_text("# nm reflectance\n500 0.2\n600\t0.4\n400, 0.1\n")
+    values = read_reflectance(path, BANDS)
+    np.testing.assert_allclose(values, np.interp(BANDS.wavelengths_nm, [400, 500, 600], [0.1, 0.2, 0.4]))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "at least 2"),
+        ("500 0.2\n", "at least 2"),
+        ("500 20\n600 30\n", "divide percent"),
+        ("500 0.2\n500 0.3\n", "different ones"),
+        ("0.5 0.2\n0.6 0.3\n", "in nm"),
+        ("500 -0.2\n600 0.3\n", "expected 0 to 1"),
+    ],
+)
+def test_bad_reflectance_files_are_refused(tmp_path, content, message):
+    path = tmp_path / "r.txt"
+    path.write_text(content)
+    with pytest.raises(FileFormatError, match=message):
+        read_reflectance(path, BANDS)
+
+
+def test_a_missing_reflectance_file_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="No such file"):
+        read_reflectance(tmp_path / "absent.txt", BANDS)

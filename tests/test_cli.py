@@ -19,7 +19,7 @@ from small_library import NAMES, measured, small_library
 from manifold.io_rgl import read_bsdf, write_bsdf
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
-COMMANDS = ("demo", "corpus", "fetch", "import", "info", "embed", "predict", "report")
+COMMANDS = ("demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report")
 
 
 def start(*arguments, cwd, **options):
@@ -318,6 +318,83 @@ def test_a_far_latent_is_called_extrapolated(run, folder):
     status, out, _ = run("predict", "--latent", "40,-40", "-o", "far_rgb.bsdf", cwd=folder)
     assert status == 0
     assert "extrapolated" in out
+
+
+@pytest.fixture(scope="module")
+def structures(tmp_path_factory):
+    """A folder with `library.zarr` and a monochrome `model.h5` made by the command line."""
+    path = tmp_path_factory.mktemp("structures")
+    small_library(path)
+    assert manifold("embed", "--kind", "monochrome", cwd=path)[0] == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "the nearest"),
+        (["--like", "syn_felt_orange"], "like syn_felt_orange"),
+        (["--srgb", "#80a0c0"], "sRGB #80a0c0"),
+        (["--srgb", "0.5,0.6,0.7", "--physical"], "sRGB 0.5,0.6,0.7"),
+    ],
+)
+def test_a_structure_is_predicted_in_the_colour_asked_for(run, structures, arguments, words):
+    code, out, _ = run("predict", "--latent", "0.1,0.1", "-o", "p.bsdf", *arguments, cwd=structures)
+    assert code == 0
+    assert words in out
+    assert words in read_bsdf(structures / "p.bsdf").description
+
+
+def test_a_physical_prediction_is_physical(run, structures):
+    arguments = (
+        "predict",
+        "--latent",
+        "0.3,-0.4",
+        "--srgb",
+        "#ffffff",
+        "-o",
+        "p.bsdf",
+        "--physical",
+        "--json",
+        "-",
+    )
+    _, out, _ = run(*arguments, cwd=structures)
+    found = json.loads(out)["plausibility"]
+    assert found["negative_share"] == 0
+    assert found["reciprocity_error"] < 1e-12
+    assert found["max_albedo"] < 1.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--like", "syn_felt_gren"], "syn_felt_green"),
+        (["--srgb", "blue"], "#rrggbb"),
+        (["--like", "syn_felt_green", "--srgb", "#ffffff"], "one of them"),
+        (["--reflectance", "absent.txt"], "absent.txt"),
+    ],
+)
+def test_colours_that_are_none_are_usage_errors(run, structures, arguments, words):
+    code, out, err = run("predict", "--latent", "0,0", *arguments, cwd=structures)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
+
+
+def test_colours_of_whole_materials_are_usage_errors(run, folder):
+    code, _, err = run("predict", "--latent", "0,0", "--srgb", "#ffffff", cwd=folder)
+    assert code == 2
+    assert "--kind monochrome" in err
+
+
+def test_a_file_of_the_library_is_located_at_its_material(run, structures):
+    file = structures / "files" / "syn_satin_gold_rgb.bsdf"
+    code, out, _ = run("locate", file, "--json", "-", cwd=structures)
+    found = json.loads(out)
+    assert code == 0
+    assert found["nearest"][0][0] == "syn_satin_gold"
+    assert found["relative_error"] < 0.2
+    assert len(found["colours"]) == 3
 
 
 def test_mixing_bands_is_refused(run, folder, tmp_path):

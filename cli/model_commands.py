@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
 DEFAULT_MODEL = Path("model.h5")
+AUTO = "auto"
 
 
 class Kind(StrEnum):
@@ -81,12 +82,18 @@ def embed(
         ),
     ] = Kind.material,
     latent_dim: Annotated[
-        int, typer.Option("--latent-dim", "-q", help="Dimensions of the manifold.", metavar="Q", min=1)
-    ] = 2,
+        str,
+        typer.Option(
+            "--latent-dim",
+            "-q",
+            help="Dimensions of the manifold; auto takes as many as pay.",
+            metavar="Q|auto",
+        ),
+    ] = "2",
     mapping: Annotated[
         str,
         typer.Option(
-            help="How values are compressed: identity, cube-root, log or log-relative.", metavar="NAME"
+            help="How values are compressed: identity, cube-root, log, log-relative, or auto.", metavar="NAME"
         ),
     ] = "cube-root",
     optimizer: Annotated[
@@ -112,16 +119,36 @@ def embed(
     results = terminal.Results(json)
     given = {"optimizer": optimizer and optimizer.value, "mu": mu}
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    settings = Settings(kind=kind.value, latent_dim=latent_dim, mapping=mapping, **chosen)
-    with terminal.progress("Embedding") as step:
-        fitted = workflows.embed(library, model, settings, step)
+    auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
+    if not auto_mapping:
+        chosen["mapping"] = mapping
+    if not auto_dim:
+        chosen["latent_dim"] = parse_latent_dim(latent_dim)
+    made = workflows.embed(
+        library, model, Settings(kind=kind.value, **chosen),
+        auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
+    )  # fmt: skip
+    fitted, settings = made.model, made.model.settings
+    if made.candidates:
+        results.text("Held-out errors that the settings were chosen by:\n")
+        results.table(
+            ("mapping", "dimensions", "error", "median", "90th pct.", "seconds", "chosen"),
+            [
+                (
+                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{c.median:.3f}", f"{c.p90:.3f}", f"{c.seconds:.1f}",
+                    "*" * c.is_chosen,
+                )
+                for c in made.candidates
+            ],
+        )  # fmt: skip
     results.rows(
         f"Model {model}",
         {
             "materials": len(fitted.names),
             "kind": kind.value,
-            "latent dimensions": f"{latent_dim}" + ", and a colour per band" * (kind is Kind.monochrome),
-            "mapping": mapping,
+            "latent dimensions": f"{settings.latent_dim}"
+            + ", and a colour per band" * (kind is Kind.monochrome),
+            "mapping": settings.mapping,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
             "condition of K": f"{fitted.gp.condition:.3g}",
@@ -133,9 +160,21 @@ def embed(
             "library": str(library),
             "settings": dict(vars(settings)),
             "statistics": fitted.statistics,
+            "candidates": [vars(c) for c in made.candidates],
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )
+
+
+def parse_latent_dim(text: str) -> int:
+    """A number of dimensions.
+
+    Raises:
+        UsageError: it is no whole number from 1.
+    """
+    if not (text.isascii() and text.isdigit() and int(text) >= 1):
+        raise UsageError(f"--latent-dim '{text}': expected a whole number from 1, or auto")
+    return int(text)
 
 
 def predict(

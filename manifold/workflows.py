@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, corpus, gonio, heldout, plot
+from manifold import __version__, atomic, corpus, gonio, heldout, plot, selection
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.errors import LibraryError, UsageError
@@ -23,6 +23,7 @@ from manifold.prediction import ClippedBRDF
 from manifold.records import Array
 from manifold.report import Report, make_report
 from manifold.report_text import format_report
+from manifold.selection import Candidate
 from manifold.store import Library
 
 Progress = Callable[[int, int, str], None]
@@ -100,12 +101,47 @@ def import_library(
     return import_files(library, sources, replace=replace, on_progress=on_progress)
 
 
-def embed(library: Path, model: Path, settings: Settings, on_progress: Progress | None = None) -> Manifold:
-    """Fit a manifold to a library and save it."""
+@dataclass(frozen=True)
+class Embedding:
+    """A fitted manifold, and what its settings were chosen from.
+
+    Attributes:
+        model: saved already.
+        candidates: settings that were tried, where any was to be chosen.
+    """
+
+    model: Manifold
+    candidates: tuple[Candidate, ...]
+
+
+def embed(
+    library: Path,
+    model: Path,
+    settings: Settings,
+    *,
+    auto_mapping: bool = False,
+    auto_latent_dim: bool = False,
+    stage: Stage = no_stage,
+) -> Embedding:
+    """Fit a manifold to a library and save it; see `selection.choose` for what `auto` means."""
     atomic.require_writable(model)
-    fitted = Manifold.fit(Library.open(library), settings, on_progress)
+    opened = Library.open(library)
+    candidates: list[Candidate] = []
+    if auto_mapping or auto_latent_dim:
+        with stage("Reading materials") as step:
+            materials = []
+            for name in opened.names:
+                materials.append(MeasuredBRDF(opened.read(name)))
+                if step is not None:
+                    step(len(materials), len(opened.names), name)
+        with stage("Leaving materials out") as step:
+            settings, candidates = selection.choose(
+                materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim, on_progress=step
+            )
+    with stage("Embedding") as step:
+        fitted = Manifold.fit(opened, settings, step)
     fitted.save(model)
-    return fitted
+    return Embedding(fitted, tuple(candidates))
 
 
 def predict(
@@ -311,8 +347,7 @@ def demo(folder: Path, stage: Stage = no_stage) -> DemoResult:
         imported = import_library(library, [files], on_progress=step)
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    with stage("Embedding the materials") as step:
-        fitted = embed(library, model, Settings(), step)
+    fitted = embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
         between = fitted.between("syn_satin_gold", "syn_metallic_gold", 0.5)
         predicted = predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)

@@ -98,7 +98,7 @@ def test_the_main_job_runs_on_real_files(tmp_path, rng):
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
     result = workflows.import_library(library, [folder])
     assert not result.failed
-    fitted = workflows.embed(library, model, Settings())
+    fitted = workflows.embed(library, model, Settings()).model
     assert len(fitted.names) == len(result.imported)
     suffix = "rgb" if fitted.bands.is_rgb else "spec"
     made = workflows.predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")

@@ -1,0 +1,56 @@
+"""Settings chosen by held-out error."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from small_library import measured
+
+from manifold import corpus
+from manifold.brdf import MeasuredBRDF
+from manifold.errors import UsageError
+from manifold.mapping import MAPPINGS
+from manifold.model import Settings
+from manifold.selection import PAYS, choose
+from manifold.spaces import KINDS
+
+NAMES = [m.name for m in corpus.isotropic_materials()][::6]
+
+
+@pytest.fixture(scope="module")
+def materials():
+    return [MeasuredBRDF(measured(name)) for name in NAMES]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_mapping_with_the_least_held_out_error_is_chosen(materials, kind):
+    settings, tried = choose(materials, Settings(kind=kind), mapping=True, latent_dim=False)
+    assert {c.mapping for c in tried} == set(MAPPINGS)
+    best = min(tried, key=lambda c: c.error)
+    assert settings.mapping == best.mapping
+    assert [c.is_chosen for c in tried] == [c.mapping == best.mapping for c in tried]
+    assert settings.latent_dim == 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_dimensions_are_added_while_they_pay(materials, kind):
+    settings, tried = choose(materials, Settings(kind=kind), mapping=False, latent_dim=True)
+    by_count = {c.latent_dim: c.error for c in tried}
+    chosen = settings.latent_dim
+    assert by_count[chosen] == min(error for count, error in by_count.items() if count <= chosen)
+    for few, more in pairwise(range(chosen, max(by_count) + 1)):
+        assert by_count[more] >= (1 - PAYS) * by_count[chosen], f"{more} pays more than {few}"
+
+
+def test_a_copy_in_the_library_makes_a_left_out_material_easy(materials):
+    error = [
+        choose(known, Settings(), mapping=False, latent_dim=False)[1][0].error
+        for known in (materials, [*materials, *materials])
+    ]
+    assert error[1] < 0.5 * error[0]
+
+
+def test_three_materials_are_too_few(materials):
+    with pytest.raises(UsageError, match="at least 4"):
+        choose(materials[:3], Settings(), mapping=True, latent_dim=True)

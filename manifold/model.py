@@ -25,6 +25,7 @@ from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model_file import ModelRecord, damaged, read_model, write_model
 from manifold.monochrome import MonochromeGPLVM
+from manifold.pairs import DirectionPairs
 from manifold.plausibility import mirrored_quadrature
 from manifold.prediction import Mixture, MonochromePrediction, PredictedBRDF
 from manifold.records import Array, Bands
@@ -222,9 +223,9 @@ class Manifold:
         if cached is not None:
             return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
         materials = self.load_materials(on_progress)
-        if chosen is not None:
-            materials = self._thinned(chosen)
         per_band = chosen is not None
+        if chosen is not None:
+            materials = [material.thinned(chosen) for material in materials]
         matrix = gram.gram_matrix(materials, self.mapping, grid, on_progress, per_band=per_band)
         self.library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
         return matrix
@@ -296,9 +297,10 @@ class Manifold:
                     on_progress(done, len(self.names), material.name)
         return loaded
 
-    def _thinned(self, bands: Sequence[int]) -> list[MeasuredBRDF]:
-        """All measured materials in a few of their bands."""
-        return [material.thinned(bands) for material in self.load_materials()]
+    @cached_property
+    def _thinned(self) -> list[MeasuredBRDF]:
+        """All measured materials in the bands that find latents, of a monochrome manifold its samples."""
+        return [material.thinned(self._embedding_bands.tolist()) for material in self.load_materials()]
 
     # -- latents -------------------------------------------------------------------------------------------
 
@@ -402,8 +404,8 @@ class Manifold:
         """Reflectance of a structure x (Q,) in colours (B,), at 8 degrees, specular included, shape (B,)."""
         curves = self._require_curves()
         x, colours = self.require_latent(x), self._require_colours(colours)
-        pairs, measure = _reflectance_pairs()
-        return self._decoder_at(pairs).decode(curves.join(x[None], colours[None])) @ measure
+        decoder, measure = self._sphere
+        return decoder.decode(curves.join(x[None], colours[None])) @ measure
 
     def colours_like(self, x: Array, name: str) -> Array:
         """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
@@ -438,8 +440,14 @@ class Manifold:
             raise ShapeError(
                 f"reflectance has shape {reflectance.shape}, expected ({self.bands.count},), finite"
             )
+        decoder, measure = self._sphere
+        return decoder.colours_of_albedo(x, reflectance, measure)
+
+    @cached_property
+    def _sphere(self) -> tuple[Decoder, Array]:
+        """What decodes latents inside an integrating sphere, and what makes a reflectance of it, (P,)."""
         pairs, measure = _reflectance_pairs()
-        return self._decoder_at(pairs).colours_of_albedo(x, reflectance, measure)
+        return self._decoder_at(pairs), measure
 
     def _require_curves(self) -> CurveSpace:
         if not isinstance(self.space, CurveSpace):
@@ -482,8 +490,7 @@ class Manifold:
         if np.any(own):
             return self._predict_from_materials(np.eye(len(own))[np.argmax(own)])
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
-        samples = self._thinned(self.space.sample_bands.tolist())
-        return MonochromePrediction(samples, weights, self.mapping, self.bands)
+        return MonochromePrediction(self._thinned, weights, self.mapping, self.bands)
 
     def _predict_from_materials(self, weights: Array) -> PredictedBRDF:
         if np.count_nonzero(weights) > 1:
@@ -545,8 +552,12 @@ class Manifold:
         """What turns latents into values at direction pairs: of all embedding bands, or of one band."""
         is_curves = isinstance(self.space, CurveSpace)
         cosines = pairs.cosines
-        samples = self._thinned(self._embedding_bands.tolist())
-        rows = [self.mapping.forward(m.eval(pairs.wi, pairs.wo), cosines).T for m in samples]  # [B_s, P] each
+        rows = []
+        located = DirectionPairs(pairs.wi, pairs.wo)
+        for material in self._thinned:
+            f = np.empty((len(located), material.bands.count))
+            material.eval_into(located, f)
+            rows.append(self.mapping.forward(f, cosines).T)  # [B_s, P]
         mapped = np.concatenate(rows) if is_curves else np.stack([row.reshape(-1) for row in rows])
         weight = cosines if is_curves else np.tile(cosines, len(rows[0]))
         return Decoder(

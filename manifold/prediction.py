@@ -206,16 +206,18 @@ class MonochromePrediction(Mixture):
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
         cosines = cosine_weight(pairs.wi, pairs.wo)
-        n_bands = self._materials[0].bands.count
-        mapped = np.empty((len(pairs), len(self._materials) * n_bands))
-        f = np.empty((len(pairs), n_bands))
-        for n, material in enumerate(self._materials):
-            if isinstance(material, MeasuredBRDF):
-                material.eval_into(pairs, f)
+        mapped = np.empty((len(self._materials), len(pairs), self._materials[0].bands.count))
+        for material, values in zip(self._materials, mapped, strict=True):
+            if not isinstance(material, MeasuredBRDF):
+                values[...] = self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
+            elif isinstance(self._mapping, CubeRoot):
+                values[...] = 0.0
+                material.add_weighted(pairs, 1.0, values, cube_root=True)
             else:
-                f[...] = material.eval(pairs.wi, pairs.wo)
-            mapped[:, n * n_bands : (n + 1) * n_bands] = self._mapping.forward(f, cosines)
-        np.matmul(mapped, self._weights_T, out=out)
+                material.eval_into(pairs, values)
+                values[...] = self._mapping.forward(values, cosines)
+        samples = np.moveaxis(mapped, 0, 1).reshape(len(pairs), -1)  # [K, N B_s]
+        np.matmul(samples, self._weights_T, out=out)
         out[...] = self._mapping.inverse(out, cosines)
         out[cosines <= 0] = 0.0
 

@@ -77,7 +77,7 @@ def cache_key(
 
     `sample_bands` are the bands that are samples of their own; None where whole materials are.
     """
-    text = f"gram-1 {content_hash} {mapping!r} {grid!r}"
+    text = f"gram-2 {content_hash} {mapping!r} {grid!r}"
     if sample_bands is not None:
         text += f" bands {list(sample_bands)}"
     return hashlib.sha256(text.encode()).hexdigest()

@@ -21,6 +21,7 @@ from manifold.encoding import Decoder, EncodingPairs
 from manifold.errors import LatentError, LibraryError, ShapeError, UsageError
 from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import GPWeights
+from manifold.holes import close_holes
 from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model_file import ModelRecord, damaged, read_model, write_model
@@ -132,6 +133,7 @@ class Manifold:
         self.settings = settings
         self.statistics = statistics
         self._materials: dict[str, MeasuredBRDF] = {}
+        self._closed: dict[str, MeasuredBRDF] = {}
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -270,7 +272,7 @@ class Manifold:
         return self.space.gp
 
     def material(self, name: str) -> MeasuredBRDF:
-        """A measured material, read from the library when first asked for.
+        """A measured material as its file has it, read from the library when first asked for.
 
         Raises:
             UsageError: the model has no such material.
@@ -281,6 +283,16 @@ class Manifold:
             self._materials[name] = MeasuredBRDF(self.library.read(name))
         return self._materials[name]
 
+    def _closed_material(self, name: str) -> MeasuredBRDF:
+        """A measured material with its holes closed, as predictions combine it."""
+        if name not in self._closed:
+            file = self.library.read(name)
+            closed = close_holes(file)
+            self._closed[name] = MeasuredBRDF(closed)
+            if closed is file:
+                self._materials[name] = self._closed[name]
+        return self._closed[name]
+
     def _index(self, name: str) -> int:
         if name not in self.names:
             near = difflib.get_close_matches(name, self.names, 3) or self.names
@@ -288,10 +300,10 @@ class Manifold:
         return self.names.index(name)
 
     def load_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All measured materials in the order of the latents."""
+        """All measured materials in the order of the latents, holes closed; see `holes`."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             loaded = []
-            for done, material in enumerate(pool.map(self.material, self.names), start=1):
+            for done, material in enumerate(pool.map(self._closed_material, self.names), start=1):
                 loaded.append(material)
                 if on_progress is not None:
                     on_progress(done, len(self.names), material.name)
@@ -492,11 +504,15 @@ class Manifold:
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
         return MonochromePrediction(self._thinned, weights, self.mapping, self.bands)
 
-    def _predict_from_materials(self, weights: Array) -> PredictedBRDF:
-        if np.count_nonzero(weights) > 1:
+    def _predict_from_materials(self, weights: Array, mapping: Mapping | None = None) -> PredictedBRDF:
+        if np.count_nonzero(weights) > 2:
             self.load_materials()
-        names = [name for name, weight in zip(self.names, weights, strict=True) if weight]
-        return PredictedBRDF([self.material(name) for name in names], weights[weights != 0], self.mapping)
+        used = np.flatnonzero(weights)
+        if len(used) == 1 and weights[used[0]] == 1.0:
+            materials = [self.material(self.names[used[0]])]
+        else:
+            materials = [self._closed_material(self.names[k]) for k in used]
+        return PredictedBRDF(materials, weights[used], self.mapping if mapping is None else mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> Mixture:
         """The prediction on the straight line from material a (t = 0) to b (t = 1), reflectances too."""
@@ -510,9 +526,9 @@ class Manifold:
 
     def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
         """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23."""
-        return PredictedBRDF(
-            [self.material(a), self.material(b)], np.array([1.0 - t, t]), mapping_named("identity")
-        )
+        unit = np.eye(len(self.names))
+        weights = (1.0 - t) * unit[self._index(a)] + t * unit[self._index(b)]
+        return self._predict_from_materials(weights, mapping_named("identity"))
 
     # -- new materials -------------------------------------------------------------------------------------
 

@@ -1,0 +1,81 @@
+"""Holes of measured files: cells above the horizon that hold nothing, closed before materials are combined.
+
+A file marks what it could not measure by zeros in all bands. Below the horizon that is right; above it, a prediction
+would show the holes of all its materials as dark spots, magnified where weights are large. What a file *is* stays as it
+is: a prediction at a training latent is the file, holes included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import convolve
+
+from manifold.directions import from_spherical
+from manifold.gonio import u_to_phi, u_to_theta
+from manifold.records import Array, BsdfFile
+from manifold.warp import Warp
+
+_LEAST_COSINE = np.sin(
+    np.deg2rad(2.0)
+)  # of outgoing directions: cells nearer to the horizon may well be dark
+_STEEPEST = np.deg2rad(85.0)  # incident elevations beyond it are extrapolated, not measured
+_NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
+
+
+def find_holes(file: BsdfFile) -> Array:
+    """Cells that are zero in all bands though their direction is above the horizon, bool, shape (P, T, H, W)."""
+    zero = np.all(file.spectra == 0, axis=2)
+    suspects = np.any(zero, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
+    if not np.any(suspects):
+        return np.zeros_like(zero)
+    rows, columns = (np.linspace(0.0, 1.0, n) for n in zero.shape[2:])
+    variates = np.stack(np.meshgrid(columns, rows), axis=-1)
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    for p, t in np.argwhere(suspects):
+        phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
+        points, _ = warp.sample(variates, phi_i, theta_i)
+        turn = phi_i if file.is_isotropic else 0.0
+        m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
+        wi = from_spherical(theta_i, phi_i)
+        cos_im = m @ wi
+        zero[p, t] &= (cos_im > 0) & (2.0 * cos_im * m[..., 2] - wi[2] > _LEAST_COSINE)
+    zero[~suspects] = False
+    return zero
+
+
+def close_holes(file: BsdfFile) -> BsdfFile:
+    """The same file with its holes filled from their rims inwards; the file itself where it has none.
+
+    Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
+    without any known cell stays as it is.
+    """
+    holes = find_holes(file)
+    if not np.any(holes):
+        return file
+    spectra = file.spectra.copy()
+    for p, t in np.argwhere(np.any(holes, axis=(2, 3))):
+        _fill(spectra[p, t], holes[p, t], np.any(spectra[p, t] != 0, axis=0))
+    return replace(file, spectra=spectra)
+
+
+def _fill(values: Array, holes: Array, known: Array) -> None:
+    """Fill the holes (H, W) of values (B, H, W) in place, from the cells that are known (H, W)."""
+    holes = holes.copy()
+    while np.any(holes):
+        weight = convolve(known.astype(float), _NEIGHBOURS, mode="constant")
+        rim = holes & (weight > 0)
+        if not np.any(rim):
+            return
+        for row, column in np.argwhere(rim):
+            i, j = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2)
+            near = _NEIGHBOURS[_cut(row, values.shape[1]), _cut(column, values.shape[2])] * known[i, j]
+            values[:, row, column] = np.tensordot(values[:, i, j], near, axes=2) / near.sum()
+        known = known | rim
+        holes &= ~rim
+
+
+def _cut(index: int, size: int) -> slice:
+    """The part of a 3-cell neighbourhood that lies on an axis of that size."""
+    return slice(1 if index == 0 else 0, 2 if index == size - 1 else 3)

@@ -1,76 +1,97 @@
-"""How good a fitted manifold is: reconstruction, leave-one-out against simple baselines, plausibility, times."""
+"""How good a fitted manifold is beside other methods: errors, colour, plausibility, calibration, times, bytes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from manifold import __version__, gram
 from manifold.brdf import MeasuredBRDF
-from manifold.gplvm import GPLVM
-from manifold.mapping import Mapping, mapping_named
-from manifold.metrics import RunningErrors, RusinkiewiczGrid, cosine_weight
-from manifold.model import Manifold
-from manifold.plausibility import plausibilities
+from manifold.colour_difference import colour_differences, illuminants_for, multi_angle_pairs
+from manifold.combination import Values, evaluate
+from manifold.heldout import Encoded, encode_all
+from manifold.methods import SAMPLE_BANDS, Method, standard_methods
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.model import Manifold, evenly_spaced
+from manifold.model_methods import model_methods, replaced_keys
+from manifold.plausibility import Plausibility, plausibilities
 from manifold.records import Array
+from manifold.spaces import CurveSpace
+from manifold.tabulated import MAX_BANDS, Data
 
 Progress = Callable[[int, int, str], None]
 
-SEED_MAPPING = "identity"
-_REFIT_TOLERANCE = 1e-4  # of the N refits of leave-one-out: finer ones move no error by more than it varies
+LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
+_BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together
+_BYTES_PER_NUMBER = 8
 
 
 @dataclass(frozen=True)
-class Method:
-    """A way to predict every material.
+class ColourResult:
+    """Colour errors of one method under one illuminant, means over six multi-angle geometries.
 
     Attributes:
-        key: name in the JSON report.
-        title: name in the text report.
-        weights: of the materials for each prediction, shape (N, N).
-        mapping: under which they are combined.
-        seconds: what finding the weights took.
-        is_held_out: whether the diagonal of the weights is zero.
+        illuminant: its CIE name.
+        delta_e: CIEDE2000 per material.
+        median_delta_e: of them.
+        spectral_angle_deg: per material.
+        median_spectral_angle_deg: of them.
     """
 
-    key: str
-    title: str
-    weights: Array
-    mapping: Mapping
-    seconds: float
-    is_held_out: bool = True
+    illuminant: str
+    delta_e: tuple[float, ...]
+    median_delta_e: float
+    spectral_angle_deg: tuple[float, ...]
+    median_spectral_angle_deg: float
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Errors of one method.
+    """What one method makes of all materials.
 
     Attributes:
-        key, title, seconds, is_held_out: as in `Method`.
-        rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr.
+        key, title, is_held_out: as in `Method`.
+        numbers: that describe one material.
+        bytes: of all measured values that predictions need, and of the numbers of all materials.
+        fit_seconds: wall-clock time of one fit.
+        encode_seconds: wall-clock time of encoding one material.
+        predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
+        rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
         relative_error: cosine-weighted, per material.
         median_relative_error, p90_relative_error: over materials.
         negative_share: share of predicted values below zero.
-        reciprocity_error: worst over materials; see `plausibility`.
-        max_albedo: worst over materials.
+        clipped_share: share of values that were below zero before the method cut them to 0.
+        reciprocity_error: worst over materials, in the tabulated bands; see `plausibility`.
+        max_albedo: worst over materials, in the tabulated bands.
+        colour: per illuminant; see `colour_difference`.
+        standardised_error: z per material, None where the method gives no variance; see
+            `heldout.standardised_error`.
+        rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
     """
 
     key: str
     title: str
-    seconds: float
     is_held_out: bool
+    numbers: int
+    bytes: int
+    fit_seconds: float
+    encode_seconds: float
+    predict_seconds: float
     rmse: tuple[float, ...]
     relative_error: tuple[float, ...]
     median_relative_error: float
     p90_relative_error: float
     negative_share: float
+    clipped_share: float
     reciprocity_error: float
     max_albedo: float
+    colour: tuple[ColourResult, ...]
+    standardised_error: tuple[float, ...] | None
+    rms_standardised_error: float | None
 
 
 @dataclass(frozen=True)
@@ -82,23 +103,27 @@ class Report:
         latents: shape (N, Q) as nested tuples.
         is_synthetic: per material, whether its file says so.
         bands: the spectral axis in words.
+        n_error_bands: in how many bands errors were measured; colours always use all.
         grid: name of the grid of direction pairs.
         n_pairs: its size, pairs below the horizon included.
         settings: of the model.
         condition: kappa(K).
         methods: reconstruction first, then what was held out.
-        seconds: of the stages of the report.
+        left_out: titles of the methods that would have taken long.
+        seconds: of the stages of the report, wall-clock.
     """
 
     names: tuple[str, ...]
     latents: tuple[tuple[float, ...], ...]
     is_synthetic: tuple[bool, ...]
     bands: str
+    n_error_bands: int
     grid: str
     n_pairs: int
     settings: dict[str, Any]
     condition: float
     methods: tuple[MethodResult, ...]
+    left_out: tuple[str, ...]
     seconds: dict[str, float]
 
     def to_json(self) -> dict[str, Any]:
@@ -106,33 +131,63 @@ class Report:
         return {"program": f"manifold {__version__}", **asdict(self)}
 
 
-def make_report(model: Manifold, grid_name: str = "default", on_progress: Progress | None = None) -> Report:
-    """Evaluate a model on a grid of direction pairs.
+def make_report(
+    model: Manifold,
+    grid_name: str = "default",
+    on_progress: Progress | None = None,
+    *,
+    compare: bool = False,
+    all_bands: bool = False,
+) -> Report:
+    """Evaluate a model and other methods on a grid of direction pairs.
+
+    Weights are found on the default grid, whichever the errors are measured on.
 
     Args:
         model: a fitted manifold.
         grid_name: `default`, or `seed` for the 1,458,000 pairs of Hikichi & Iwasaki.
         on_progress: called with (done, total, what).
+        compare: also run the methods that take long: those that fit a large model once per material.
+        all_bands: measure errors in all bands, not in about 20 of them.
     Raises:
         UsageError: the grid is unknown.
         LibraryError: a material cannot be read.
     """
     grid = RusinkiewiczGrid.named(grid_name)
-    materials, load_seconds = _timed(lambda: model.load_materials(on_progress))
-    methods = _methods(model)
-    results, evaluate_seconds = _timed(lambda: _evaluate(model, materials, methods, grid, on_progress))
+    replaced = replaced_keys(model)
+    methods = [*model_methods(model), *(m for m in standard_methods() if m.key not in replaced)]
+    chosen = [m for m in methods if compare or not is_long(m, len(model.names), model.bands.count)]
+    materials, load = _timed(lambda: model.load_materials(on_progress))
+    data, tabulate = _timed(lambda: _tabulate(model, materials, on_progress))
+    encoded, encode = _timed(lambda: _encode(data, chosen, on_progress))
+    bands = np.arange(model.bands.count) if all_bands else data.bands
+    reuse = grid_name == "default" and not all_bands
+    blocks = _tabulated_blocks(data) if reuse else _blocks(materials, bands, grid, on_progress)
+    results, evaluate_seconds = _timed(
+        lambda: _evaluate(model, materials, data, encoded, blocks, bands, grid.n_pairs)
+    )
     return Report(
         names=model.names,
         latents=tuple(tuple(float(v) for v in row) for row in model.X),
         is_synthetic=tuple(model.library.attributes(name).is_synthetic for name in model.names),
         bands=str(model.bands),
+        n_error_bands=len(bands),
         grid=grid_name,
         n_pairs=grid.n_pairs,
         settings=dict(vars(model.settings)),
         condition=model.gp.condition,
         methods=results,
-        seconds={"load": load_seconds, "evaluate": evaluate_seconds},
+        left_out=tuple(m.title for m in methods if m not in chosen),
+        seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate_seconds},
     )
+
+
+def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
+    """Whether a method takes too long on so many materials of so many bands to run unasked."""
+    if not method.fits_model:
+        return False
+    samples = n_materials * min(method.sample_bands or 1, n_bands)
+    return n_materials * samples**2 > LONGEST_REFITS
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -141,142 +196,199 @@ def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, time.perf_counter() - start
 
 
-def _methods(model: Manifold) -> list[Method]:
-    """Every method with the weights it predicts each material by."""
-    mapping, identity = model.mapping, mapping_named(SEED_MAPPING)
-    methods = []
+def _tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: Progress | None) -> Data:
+    """What methods learn from: about 20 bands, those among them that are samples of monochrome models."""
+    count = model.bands.count
+    bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
+    if isinstance(model.space, CurveSpace):
+        bands = np.union1d(bands, model.space.sample_bands)
 
-    def add(
-        key: str, title: str, weights: Callable[[], Array], mapping: Mapping, held_out: bool = True
-    ) -> None:
-        found, seconds = _timed(weights)
-        methods.append(Method(key, title, found, mapping, seconds, held_out))
+    def step(done: int, total: int) -> None:
+        if on_progress is not None:
+            on_progress(done, total, "direction pairs")
 
-    add("reconstruction", "reconstruction", lambda: model.weights(model.X), mapping, False)
-    add("gp_refitted", "GP, refitted without it", lambda: _refitted_weights(model), mapping)
-    add("gp_latents_kept", "GP, latents kept", model.gp.leave_one_out_weights, mapping)
-    add("linear", "linear, two nearest", lambda: _linear_weights(model.S), identity)
-    add("nearest", "nearest material", lambda: _nearest_weights(model.S), identity)
-    return methods
+    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands, step)
 
 
-def _squared_distances(S: Array) -> Array:
-    """Squared distances between mapped materials (N, N), infinite on the diagonal."""
-    norm = np.diag(S)
-    distance = norm[:, None] + norm[None, :] - 2.0 * S
-    np.fill_diagonal(distance, np.inf)
-    return distance
+def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None) -> list[Encoded]:
+    """Predictions of every material by every method, as weights."""
+    encoded = []
+    for m, method in enumerate(methods):
+
+        def step(done: int, before: int = m * data.n_materials, title: str = method.title) -> None:
+            if on_progress is not None:
+                on_progress(before + done, len(methods) * data.n_materials, title)
+
+        encoded.append(encode_all(data, method, step))
+    return encoded
 
 
-def _nearest_weights(S: Array) -> Array:
-    """The nearest other material, in the mapped domain."""
-    weights = np.zeros_like(S)
-    weights[np.arange(len(S)), np.argmin(_squared_distances(S), axis=1)] = 1.0
-    return weights
+class _Errors:
+    """Sums over direction pairs of one method's errors, material by material."""
+
+    def __init__(self, encoded: Encoded, bands: Array) -> None:
+        self.encoded = encoded
+        self.combinations = [c.in_bands(bands) for c in encoded.combinations]
+        self.squared = np.zeros(len(self.combinations))
+        self.weighted = np.zeros(len(self.combinations))
+        self.negative = 0
+        self.seconds = 0.0
+
+    @property
+    def is_clipped(self) -> bool:
+        """Whether the method cuts negative values to 0."""
+        return self.combinations[0].is_clipped
+
+    def add(self, values: Values) -> None:
+        """Count a block of measured values."""
+        start = time.perf_counter()
+        predicted = evaluate(self.combinations, values, clip=False)
+        self.seconds += time.perf_counter() - start
+        self.negative += int(np.count_nonzero(predicted < 0))
+        if self.is_clipped:
+            np.maximum(predicted, 0.0, out=predicted)
+        predicted -= values.f
+        per_pair = np.einsum("npb,npb->np", predicted, predicted)
+        self.squared += per_pair.sum(axis=1)
+        self.weighted += per_pair @ values.cosines**2
 
 
-def _linear_weights(S: Array) -> Array:
-    """The best point between the two nearest other materials (Hikichi & Iwasaki, eq. 23)."""
-    weights = np.zeros_like(S)
-    if len(S) < 3:
-        return _nearest_weights(S)
-    for i, (a, b) in enumerate(np.argsort(_squared_distances(S), axis=1)[:, :2]):
-        span = S[a, a] + S[b, b] - 2.0 * S[a, b]
-        along = (S[i, a] - S[i, b] - S[a, b] + S[b, b]) / span if span > 0 else 0.5
-        alpha = min(max(along, 0.0), 1.0)
-        weights[i, a], weights[i, b] = alpha, 1.0 - alpha
-    return weights
+def _tabulated_blocks(data: Data) -> Iterator[Values]:
+    """What methods have learned from, block by block."""
+    size = _block_pairs(data.n_materials, len(data.bands))
+    for start in range(0, data.f.shape[1], size):
+        yield Values(data.f[:, start : start + size], data.cosines[start : start + size])
 
 
-def _refitted_weights(model: Manifold) -> Array:
-    """Encode-decode leave-one-out: fit on the others, find the left-out material's latent from its data."""
-    N, settings = len(model.names), model.settings
-    weights = np.zeros((N, N))
-    for i in range(N):
-        others = np.delete(np.arange(N), i)
-        S = model.S[np.ix_(others, others)]
-        latent_dim = min(settings.latent_dim, N - 2)
-        if latent_dim < 1:
-            weights[i, others] = 1.0 / len(others)
-            continue
-        # The fit starts from principal components of the others: it must not have seen the left-out one.
-        fitted = GPLVM(
-            latent_dim,
-            mu=settings.mu,
-            length_scale=settings.length_scale,
-            optimizer=settings.optimizer,
-            tol=_REFIT_TOLERANCE,
-        ).fit_gram(S, model.n_outputs)
-        x = fitted.transform_gram(
-            model.S[i, others][None, :], np.array([model.S[i, i]]), criterion="residual"
-        )
-        weights[i, others] = fitted.weights(x)[0]
-    return weights
+def _blocks(
+    materials: Sequence[MeasuredBRDF], bands: Array, grid: RusinkiewiczGrid, on_progress: Progress | None
+) -> Iterator[Values]:
+    """Measured values on a grid in some bands, block by block."""
+    thin = [material.thinned(bands.tolist()) for material in materials]
+    size = _block_pairs(len(materials), len(bands))
+    total = -(-grid.n_pairs // size)
+    for done, (wi, wo, f) in enumerate(gram.value_blocks(thin, grid, size), start=1):
+        yield Values(f, cosine_weight(wi, wo))
+        if on_progress is not None:
+            on_progress(done, total, "direction pairs")
+
+
+def _block_pairs(n_materials: int, n_bands: int) -> int:
+    return int(np.clip(_BLOCK_VALUES // (n_materials * n_bands), 64, 16384))
 
 
 def _evaluate(
     model: Manifold,
     materials: Sequence[MeasuredBRDF],
-    methods: Sequence[Method],
-    grid: RusinkiewiczGrid,
-    on_progress: Progress | None,
+    data: Data,
+    encoded: Sequence[Encoded],
+    blocks: Iterable[Values],
+    bands: Array,
+    n_pairs: int,
 ) -> tuple[MethodResult, ...]:
-    """Errors of all methods in one walk over the grid, so that every material is evaluated once per pair."""
-    N = len(materials)
-    errors = [[RunningErrors() for _ in range(N)] for _ in methods]
-    negative = np.zeros(len(methods))
-    values = 0
-    total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
-    for done, (wi, wo, f) in enumerate(gram.value_blocks(materials, grid), start=1):
-        weight = cosine_weight(wi, wo)
-        values += f.size
-        for m, method in enumerate(methods):
-            predicted = combine(method.weights, f, method.mapping, weight)
-            negative[m] += np.count_nonzero(predicted < 0)
-            for i in range(N):
-                errors[m][i].add(f[i], predicted[i], weight)
-        if on_progress is not None:
-            on_progress(done, total, "direction pairs")
+    """Errors of all methods in one walk over blocks, so that every material is evaluated once per pair."""
+    errors = [_Errors(each, bands) for each in encoded]
+    norm, n_values = np.zeros(len(materials)), 0
+    for values in blocks:
+        norm += np.einsum("npb,npb->np", values.f, values.f) @ values.cosines**2
+        n_values += values.f.size
+        for sums in errors:
+            sums.add(values)
+    physical = _plausibilities(materials, data.bands, encoded)
+    colours = _colours(model, materials, encoded)
+    # Eq. 22 sums over bands: those measured stand for all.
+    n_counted = n_pairs * len(bands) / model.bands.count
+    return tuple(
+        _result(model, sums, norm, n_values, n_counted, plausible, colour)
+        for sums, plausible, colour in zip(errors, physical, colours, strict=True)
+    )
+
+
+def _result(
+    model: Manifold,
+    sums: _Errors,
+    norm: Array,
+    n_values: int,
+    n_counted: float,
+    physical: Sequence[Plausibility],
+    colour: tuple[ColourResult, ...],
+) -> MethodResult:
+    encoded = sums.encoded
+    method, z = encoded.method, encoded.standardised_errors
+    relative = np.sqrt(sums.weighted / np.maximum(norm, np.finfo(float).tiny))
+    negative = sums.negative / n_values
+    return MethodResult(
+        key=method.key,
+        title=method.title,
+        is_held_out=method.is_held_out,
+        numbers=method.numbers(model.bands.count),
+        bytes=_bytes(model, method),
+        fit_seconds=encoded.fit_seconds,
+        encode_seconds=encoded.encode_seconds,
+        predict_seconds=sums.seconds / len(model.names),
+        rmse=_floats(np.sqrt(sums.squared / n_counted)),
+        relative_error=_floats(relative),
+        median_relative_error=float(np.median(relative)),
+        p90_relative_error=float(np.percentile(relative, 90)),
+        negative_share=0.0 if sums.is_clipped else negative,
+        clipped_share=negative if sums.is_clipped else 0.0,
+        reciprocity_error=max(p.reciprocity_error for p in physical),
+        max_albedo=max(p.max_albedo for p in physical),
+        colour=colour,
+        standardised_error=None if z is None else _floats(z),
+        rms_standardised_error=None if z is None else float(np.sqrt(np.mean(z**2))),
+    )
+
+
+def _floats(values: Array) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
+
+
+def _bytes(model: Manifold, method: Method) -> int:
+    """What predictions of a library need: its files, or their warps and sample bands; and numbers per material."""
+    n_bands = model.bands.count
+    unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
+    total = _BYTES_PER_NUMBER * method.numbers(n_bands) * len(model.names)
+    for name in model.names:
+        info = model.library.attributes(name)
+        total += info.bytes - round(unused * 4 * int(np.prod(info.shape)))
+    return total
+
+
+def _plausibilities(
+    materials: Sequence[MeasuredBRDF], bands: Array, encoded: Sequence[Encoded]
+) -> list[list[Plausibility]]:
+    """Of all predictions, method by method, in some bands."""
+    thin = [material.thinned(bands.tolist()) for material in materials]
+    combinations = [[c.in_bands(bands) for c in each.combinations] for each in encoded]
+
+    def predict(wi: Array, wo: Array) -> Array:
+        values = Values(np.stack([m.eval(wi, wo) for m in thin]), cosine_weight(wi, wo))
+        return np.concatenate([evaluate(each, values) for each in combinations])
+
+    found = plausibilities(predict)
+    return [found[k : k + len(materials)] for k in range(0, len(found), len(materials))]
+
+
+def _colours(
+    model: Manifold, materials: Sequence[MeasuredBRDF], encoded: Sequence[Encoded]
+) -> list[tuple[ColourResult, ...]]:
+    """Colour errors of all predictions, method by method."""
+    wi, wo = multi_angle_pairs()
+    values = Values(np.stack([m.eval(wi, wo) for m in materials]), cosine_weight(wi, wo))
     results = []
-    for m, method in enumerate(methods):
-        relative = np.array([e.relative_error for e in errors[m]])
-        physical = plausibilities(partial(_predict_pairs, materials, method))
-        results.append(
-            MethodResult(
-                key=method.key,
-                title=method.title,
-                seconds=method.seconds,
-                is_held_out=method.is_held_out,
-                rmse=tuple(e.rmse_over(grid.n_pairs) for e in errors[m]),
-                relative_error=tuple(float(e) for e in relative),
-                median_relative_error=float(np.median(relative)),
-                p90_relative_error=float(np.percentile(relative, 90)),
-                negative_share=float(negative[m] / values),
-                reciprocity_error=max(p.reciprocity_error for p in physical),
-                max_albedo=max(p.max_albedo for p in physical),
+    for each in encoded:
+        predicted = evaluate(each.combinations, values)
+        rows = []
+        for illuminant in illuminants_for(model.bands):
+            delta_e, angle = (
+                e.mean(axis=1) for e in colour_differences(values.f, predicted, model.bands, illuminant)
             )
-        )
-    return tuple(results)
-
-
-def _predict_pairs(materials: Sequence[MeasuredBRDF], method: Method, wi: Array, wo: Array) -> Array:
-    """Predictions of one method for all materials at direction pairs (P, 3), shape (N, P, B)."""
-    f = np.stack([m.eval(wi, wo) for m in materials])
-    return combine(method.weights, f, method.mapping, cosine_weight(wi, wo))
-
-
-def combine(weights: Array, f: Array, mapping: Mapping, cosines: Array) -> Array:
-    """Predictions T^-1(V T(f)) from values f (N, P, B) by weights V (M, N), shape (M, P, B).
-
-    `cosines` is cos(theta_i) cos(theta_o) per direction pair, shape (P,).
-
-    A row that is a unit vector returns that material's values bit for bit.
-    """
-    mapped = mapping.forward(f, np.broadcast_to(cosines, f.shape[:2])).reshape(len(f), -1)
-    combined = (weights @ mapped).reshape(len(weights), *f.shape[1:])
-    predicted = mapping.inverse(combined, np.broadcast_to(cosines, combined.shape[:2]))
-    for row, single in enumerate(np.count_nonzero(weights, axis=1) == 1):
-        source = int(np.argmax(weights[row]))
-        if single and weights[row, source] == 1.0:
-            predicted[row] = f[source]
-    return predicted
+            rows.append(
+                ColourResult(
+                    illuminant, _floats(delta_e), float(np.median(delta_e)), _floats(angle),
+                    float(np.median(angle)),
+                )
+            )  # fmt: skip
+        results.append(tuple(rows))
+    return results

@@ -215,6 +215,34 @@ def _numbers(line: str) -> tuple[float, float] | None:
     return (first, second) if np.isfinite(first) and np.isfinite(second) else None
 
 
+def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
+    """CIEDE2000 between colours seen under one white, shape (...).
+
+    Args:
+        xyz, xyz_star: CIE XYZ, shape (..., 3), in the units of the white.
+        white: XYZ of the perfect diffuser, shape (3,), with Y = 1.
+    Source: CIE 142-2001; Sharma, Wu & Dalal 2005.
+    """
+    xy = np.asarray(white[:2]) / np.sum(white)
+    lab, lab_star = (np.asarray(_colour().XYZ_to_Lab(np.asarray(c), xy)) for c in (xyz, xyz_star))
+    return np.asarray(_colour().delta_E(lab, lab_star, method="CIE 2000"))
+
+
+def illuminant_power(bands: Bands, illuminant: str) -> Array:
+    """Relative spectral power of an illuminant at the bands, shape (B,); 1 for RGB bands.
+
+    0 where its table does not reach.
+
+    Raises:
+        UsageError: there is no such illuminant.
+    """
+    key = _illuminant_key(illuminant)
+    if bands.is_rgb:
+        return np.ones(bands.count)
+    lamp_nm, lamp = _spectral_distribution(_colour().SDS_ILLUMINANTS[key])
+    return np.interp(np.asarray(bands.wavelengths_nm), lamp_nm, lamp, left=0.0, right=0.0)
+
+
 def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
     """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
 

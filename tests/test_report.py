@@ -3,88 +3,245 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve
 from small_library import small_library
 
-from manifold import plot, report
-from manifold.mapping import mapping_named
-from manifold.metrics import cosine_weight, relative_error, rusinkiewicz_grid
-from manifold.model import Manifold
-from manifold.report_text import format_report
+from manifold import heldout, plot, report
+from manifold.colour_difference import colour_differences, multi_angle_pairs
+from manifold.heldout import Data
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error, rmse, rusinkiewicz_grid
+from manifold.model import Manifold, Settings
+from manifold.model_methods import model_methods, replaced_keys
+from manifold.plausibility import plausibility
+from manifold.report_text import format_comparison, format_report
 from manifold.store import Library
 
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return Manifold.fit(Library.open(small_library(tmp_path_factory.mktemp("report"))))
+KINDS = ("monochrome", "material")
 
 
 @pytest.fixture(scope="module")
-def made(model):
-    return report.make_report(model)
+def models(tmp_path_factory):
+    library = Library.open(small_library(tmp_path_factory.mktemp("report")))
+    return {kind: Manifold.fit(library, Settings(kind=kind)) for kind in KINDS}
+
+
+@pytest.fixture(scope="module")
+def reports(models):
+    return {kind: report.make_report(model, compare=True) for kind, model in models.items()}
+
+
+@pytest.fixture(scope="module")
+def model(models):
+    return models["monochrome"]
+
+
+@pytest.fixture(scope="module")
+def made(reports):
+    return reports["monochrome"]
+
+
+@pytest.fixture(scope="module")
+def data(model):
+    return Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
 
 
 def method(made, key):
     return next(m for m in made.methods if m.key == key)
 
 
-def test_reconstruction_is_exactly_zero(made):
-    reconstruction = method(made, "reconstruction")
-    assert reconstruction.rmse == (0.0,) * len(made.names)
+def method_of(model, key):
+    return next(m for m in model_methods(model) if m.key == key)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reconstruction_is_exactly_zero(reports, kind):
+    reconstruction = method(reports[kind], "reconstruction")
+    zeros = (0.0,) * len(reports[kind].names)
+    assert reconstruction.rmse == zeros
+    assert all(colour.delta_e == zeros for colour in reconstruction.colour)
     assert not reconstruction.is_held_out
 
 
-def test_held_out_methods_never_use_the_material_itself(model):
-    for m in report._methods(model):
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_smooth_reconstruction_is_off_by_little(reports, kind):
+    """What the delta adds at a latent is small: mu of the variance."""
+    smooth, kept = (method(reports[kind], key).median_relative_error for key in ("smooth", "gp_latents_kept"))
+    assert 0.0 < smooth < 0.5 * kept
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_held_out_methods_never_use_the_material_itself(models, data, kind):
+    for m in model_methods(models[kind]):
         if m.is_held_out:
-            np.testing.assert_array_equal(np.diag(m.weights), 0.0)
-        np.testing.assert_allclose(m.weights.sum(axis=1), 1.0, atol=1e-9)
+            for i, combination in enumerate(heldout.encode_all(data, m).combinations):
+                weights = combination.weights.reshape(*combination.weights.shape[:-1], data.n_materials, -1)
+                assert np.all(weights[..., i, :] == 0.0)
+                np.testing.assert_allclose(combination.weights.sum(axis=-1), 1.0, atol=1e-9)
 
 
-def test_a_refitted_prediction_is_closer_than_the_mean_of_the_others(model):
-    weights = report._refitted_weights(model)
-    others = np.delete(np.arange(len(model.names)), 0)
-    S = model.S[np.ix_(others, others)]
-    assert weights[0, 0] == 0.0
-    # Distance of the prediction from the left-out material in the mapped domain: no worse than the mean's.
-    v = weights[0, others]
-    c = model.S[0, others]
-    mean = np.full(len(others), 1.0 / len(others))
-
-    def squared(w):
-        return model.S[0, 0] - 2.0 * w @ c + w @ S @ w
-
-    assert squared(v) < squared(mean)
+def test_latents_kept_are_the_closed_form_of_leave_one_out(models, data):
+    """Rasmussen & Williams 2006, eq. 5.12, for weights and variances."""
+    model = models["material"]
+    combinations = heldout.encode_all(data, method_of(model, "gp_latents_kept")).combinations
+    found = np.array([c.weights for c in combinations])
+    np.testing.assert_allclose(found, model.gp.leave_one_out_weights(), atol=1e-8)
+    ratio = np.array([c.variance for c in combinations]) / model.gp.leave_one_out_variance()
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
 
 
-def test_nearest_material_has_the_smallest_distance(model):
-    weights = report._nearest_weights(model.S)
-    distance = np.diag(model.S)[:, None] + np.diag(model.S)[None, :] - 2.0 * model.S
-    for i, row in enumerate(weights):
-        others = np.delete(np.arange(len(row)), i)
-        assert row.argmax() == others[distance[i, others].argmin()]
+def test_latents_kept_of_curves_are_the_closed_form_for_blocks(model, data):
+    """Leaving the B_s samples of a material out together: T* = T - [K^-1]_ii^-1 [K^-1 T]_i, on centred data."""
+    kept = method_of(model, "gp_latents_kept")
+    i, bands = 1, model.space.sample_bands
+    rows = i * len(bands) + np.arange(len(bands))
+    T = data.samples(model.mapping, bands)
+    others = np.delete(np.arange(len(T)), rows)
+    centred = T - T[others].mean(axis=0)
+    P = np.linalg.inv(model.gp.K)
+    expected = centred[rows] - solve(P[np.ix_(rows, rows)], P[rows] @ centred) + T[others].mean(axis=0)
+    latents = model.gp.X[rows]
+    moved = replace(model.space, colours=latents[None, :, -1].repeat(data.n_materials, axis=0))
+    at_samples = Manifold(model.library, model.names, moved, model.settings, {})
+    found = method_of(at_samples, "gp_latents_kept").leave_out(data, i).mapped(data).T
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    assert kept.leave_out(data, i).variance.shape == (len(bands),)
 
 
-def test_errors_agree_with_a_direct_computation(model, made):
+@pytest.mark.parametrize("kind", KINDS)
+def test_knowing_more_helps(reports, kind):
+    errors = {m.key: np.array(m.relative_error) for m in reports[kind].methods}
+    assert np.all(errors["oracle"] <= errors["linear"] + 1e-9)
+    assert np.all(errors["linear"] <= errors["nearest"] + 1e-9)
+    assert np.median(errors["gp_refitted"]) < np.median(errors["nearest"])
+
+
+@pytest.mark.parametrize("key", ["gp_latents_kept", "oracle", "pca_6_cube_root"])
+def test_errors_agree_with_a_direct_computation(model, data, made, key):
+    """Slow and obvious: all values of all materials, all pairs at once."""
     wi, wo, above = rusinkiewicz_grid()
-    wi, wo = wi[above], wo[above]
+    n_pairs, wi, wo = len(wi), wi[above], wo[above]
+    w = cosine_weight(wi, wo)
     f = np.stack([m.eval(wi, wo) for m in model.load_materials()])
-    weights = model.gp.leave_one_out_weights()
-    T = mapping_named("cube-root")
-    predicted = T.inverse(np.tensordot(weights, T.forward(f), axes=1))
-    for i, found in enumerate(method(made, "gp_latents_kept").relative_error):
-        assert found == pytest.approx(relative_error(f[i], predicted[i], cosine_weight(wi, wo)), rel=1e-9)
+    methods = [*model_methods(model), *heldout.standard_methods()]
+    chosen = next(m for m in methods if m.key == key)
+    result = method(made, key)
+    negative = 0
+    for i in range(len(f)):
+        c = chosen.leave_out(data, i)
+        T = c.mapping.forward(f, np.broadcast_to(w, f.shape[:2]))
+        if c.sample_bands is None:
+            mapped = np.tensordot(c.weights, T, axes=1)
+        else:
+            mapped = np.einsum("bns,nps->pb", c.weights.reshape(3, len(f), 3), T)
+        predicted = c.mapping.inverse(mapped, w)
+        negative += np.count_nonzero(predicted < 0)
+        if c.is_clipped:
+            predicted = np.maximum(predicted, 0.0)
+        assert result.relative_error[i] == pytest.approx(relative_error(f[i], predicted, w), rel=1e-7)
+        assert result.rmse[i] == pytest.approx(rmse(f[i], predicted, n_pairs=n_pairs), rel=1e-7)
+    share = negative / f.size
+    assert (result.negative_share, result.clipped_share) == ((0.0, share) if c.is_clipped else (share, 0.0))
 
 
-def test_the_report_names_synthetic_materials_and_every_method(made):
+def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
+    """The reconstruction of the nearest material is a measured BRDF: it can be asked directly."""
+    model, result = models["material"], method(reports["material"], "nearest")
+    materials = model.load_materials()
+    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
+    nearest = [c.source for c in heldout.encode_all(data, heldout.standard_methods()[0]).combinations]
+    wi, wo = multi_angle_pairs()
+    physical = [plausibility(materials[n]) for n in nearest]
+    assert result.max_albedo == pytest.approx(max(p.max_albedo for p in physical), rel=1e-9)
+    assert result.reciprocity_error == pytest.approx(max(p.reciprocity_error for p in physical), rel=1e-9)
+    for i, n in enumerate(nearest):
+        delta_e, angle = colour_differences(
+            materials[i].eval(wi, wo), materials[n].eval(wi, wo), model.bands, "D65"
+        )
+        assert result.colour[0].delta_e[i] == pytest.approx(delta_e.mean(), rel=1e-9)
+        assert result.colour[0].spectral_angle_deg[i] == pytest.approx(angle.mean(), rel=1e-9)
+
+
+def test_other_grids_are_walked_in_blocks(model, monkeypatch):
+    """The seed's grid, thinned for the test: the same weights, other pairs, errors as if evaluated at once."""
+    from manifold import metrics
+
+    grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
+    monkeypatch.setitem(metrics.NAMED_GRIDS, "seed", grid)
+    monkeypatch.setattr(report, "_BLOCK_VALUES", 2000)
+    made = report.make_report(model, "seed")
+    wi, wo, above = grid.directions()
+    f = np.stack([m.eval(wi[above], wo[above]) for m in model.load_materials()])
+    data = Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
+    linear = next(m for m in heldout.standard_methods() if m.key == "linear")
+    for i in range(len(f)):
+        predicted = np.tensordot(linear.leave_out(data, i).weights, f, axes=1)
+        expected = rmse(f[i], predicted, n_pairs=grid.n_pairs)
+        assert method(made, "linear").rmse[i] == pytest.approx(expected, rel=1e-9)
+
+
+def test_standardised_errors_are_given_where_a_method_has_a_variance(made):
+    for m in made.methods:
+        has_variance = m.is_held_out and (m.key.startswith(("gp", "mono", "seed")))
+        assert (m.rms_standardised_error is not None) == has_variance
+        if m.standardised_error is not None:
+            rms = np.sqrt(np.mean(np.square(m.standardised_error)))
+            assert m.rms_standardised_error == pytest.approx(rms)
+
+
+def test_bytes_count_files_and_numbers(model, made):
+    files = sum(model.library.attributes(name).bytes for name in model.names)
+    assert method(made, "nearest").bytes == files + 8 * len(model.names)
+    assert method(made, "pca_6_identity").bytes == files + 6 * 8 * len(model.names)
+
+
+def test_long_methods_are_left_out_unless_asked_for(models):
+    long = {m.key for m in heldout.standard_methods() if report.is_long(m, 51, 195)}
+    assert long == {"seed", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2"}
+    assert not any(report.is_long(m, 20, 3) for m in heldout.standard_methods())
+    assert report.is_long(method_of(models["monochrome"], "gp_refitted"), 51, 195)
+
+
+def test_no_method_is_listed_twice(models, reports):
+    assert replaced_keys(models["monochrome"]) == {"monochrome_2_1", "pca_3_log_relative"}
+    assert "gplvm_2" in replaced_keys(models["material"])
+    for made in reports.values():
+        keys = [m.key for m in made.methods]
+        assert len(set(keys)) == len(keys)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_report_names_synthetic_materials_and_every_method(reports, kind):
+    made = reports[kind]
     text = format_report(made)
     assert "synthetic" in text.splitlines()[0]
+    assert max(len(line) for line in text.splitlines()) <= 80
     for m in made.methods:
         assert m.title in text
     for name in made.names:
         assert name in text
+
+
+def test_reports_of_many_bands_fit_80_columns_too(made):
+    """Three illuminants, long names, large numbers."""
+    colour = made.methods[0].colour[0]
+    wide = [
+        replace(
+            m, rmse=tuple(1.234e5 for _ in m.rmse), bytes=10**12, encode_seconds=99.0, predict_seconds=99.0,
+            fit_seconds=999.0, max_albedo=99.0, numbers=1000,
+            colour=tuple(
+                replace(colour, illuminant=name, median_delta_e=99.99, median_spectral_angle_deg=99.99)
+                for name in ("D65", "A", "F11")
+            ),
+        )
+        for m in made.methods
+    ]  # fmt: skip
+    text = format_report(replace(made, methods=tuple(wide), bands="195 bands, 358.6 to 1001.9 nm"))
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert "in 3 bands" in text
 
 
 def test_the_report_is_plain_json(made):
@@ -92,6 +249,12 @@ def test_the_report_is_plain_json(made):
     assert document["names"] == list(made.names)
     assert document["program"].startswith("manifold ")
     assert {m["key"] for m in document["methods"]} >= {"reconstruction", "gp_refitted", "linear", "nearest"}
+
+
+def test_a_comparison_is_a_table(model):
+    results = heldout.compare(model.load_materials(), heldout.standard_methods()[:3])
+    lines = format_comparison(results).splitlines()
+    assert all(any(line.startswith(r.title) and f"{r.median:.3f}" in line for line in lines) for r in results)
 
 
 def test_the_map_shows_every_material_where_it_lies(model, tmp_path):

@@ -1,0 +1,143 @@
+"""Predictions as weighted sums: `T^-1(sum of weights * T(samples))`, on whatever direction pairs are at hand.
+
+Every method of this package, baselines included, predicts so. It finds its weights once; here they meet
+measured values, block by block, on grids of any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from manifold.errors import ShapeError
+from manifold.mapping import Mapping
+from manifold.records import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Measured values of N materials at P direction pairs in B bands.
+
+    Attributes:
+        f: in 1/sr, shape (N, P, B).
+        cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
+    """
+
+    f: Array
+    cosines: Array
+    _mapped: dict[str, Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _samples: dict[tuple[str, tuple[int, ...]], Array] = field(default_factory=dict, repr=False, kw_only=True)
+
+    def mapped(self, mapping: Mapping) -> Array:
+        """T(f) of all materials, shape (N, P, B); remembered."""
+        key = repr(mapping)
+        if key not in self._mapped:
+            cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
+            self._mapped[key] = mapping.forward(self.f, cosines)
+        return self._mapped[key]
+
+    def mapped_samples(self, mapping: Mapping, bands: Array) -> Array:
+        """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); remembered."""
+        key = (repr(mapping), tuple(int(b) for b in bands))
+        if key not in self._samples:
+            f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
+            flat = f.reshape(-1, f.shape[2], 1)
+            cosines = np.broadcast_to(self.cosines, flat.shape[:2])
+            self._samples[key] = mapping.forward(flat, cosines)[..., 0]
+        return self._samples[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """One prediction in B bands, made of N measured materials.
+
+    Attributes:
+        mapping: T.
+        weights: of the materials, alike in all bands, shape (N,); or of monochrome samples, band by band, shape
+            (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material n.
+        sample_bands: which bands are samples, shape (B_s,); None where whole materials are.
+        is_clipped: whether negative values are cut to 0.
+        variance: of the mapped values, as the method itself believes it: a number, or one per band (B,); None
+            where the method has no such belief.
+    """
+
+    mapping: Mapping
+    weights: Array
+    sample_bands: Array | None = None
+    is_clipped: bool = True
+    variance: float | Array | None = None
+
+    @property
+    def source(self) -> int | None:
+        """The material that the prediction is, bit for bit, where the weights are a unit vector."""
+        if self.sample_bands is None and np.count_nonzero(self.weights) == 1:
+            material = int(np.argmax(self.weights))
+            return material if self.weights[material] == 1.0 else None
+        return None
+
+    def in_bands(self, bands: Array) -> Combination:
+        """The same prediction in some bands (B',), to meet values that are measured in these alone.
+
+        Raises:
+            ShapeError: a sample band is not among them.
+        """
+        if self.sample_bands is None:
+            return self
+        missing = np.setdiff1d(self.sample_bands, bands)
+        if missing.size:
+            raise ShapeError(
+                f"bands {missing.tolist()} are samples of the prediction, expected them among the values"
+            )
+        variance = self.variance[bands] if isinstance(self.variance, np.ndarray) else self.variance
+        position = np.searchsorted(bands, self.sample_bands)
+        return Combination(self.mapping, self.weights[bands], position, self.is_clipped, variance)
+
+    def mapped(self, values: Values) -> Array:
+        """T of the prediction, shape (P, B)."""
+        if self.sample_bands is None:
+            return np.tensordot(self.weights, values.mapped(self.mapping), axes=1)
+        return (self.weights @ values.mapped_samples(self.mapping, self.sample_bands)).T
+
+    def evaluate(self, values: Values) -> Array:
+        """The prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""
+        return evaluate([self], values)[0]
+
+
+def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool = True) -> Array:
+    """Predictions f in 1/sr at the direction pairs of measured values, shape (M, P, B).
+
+    Args:
+        combinations: M of them.
+        values: of the N materials.
+        clip: False leaves negative values where they are, whatever a combination says.
+    """
+    predicted = np.empty((len(combinations), *values.f.shape[1:]))
+    for group in _alike(combinations):
+        first = combinations[group[0]]
+        if first.sample_bands is None:
+            mapped = values.mapped(first.mapping)
+            weights = np.stack([combinations[m].weights for m in group])
+            combined = (weights @ mapped.reshape(len(mapped), -1)).reshape(len(group), *mapped.shape[1:])
+            cosines = np.broadcast_to(values.cosines, combined.shape[:2])
+            predicted[group] = first.mapping.inverse(combined, cosines)
+        else:
+            for m in group:
+                predicted[m] = first.mapping.inverse(combinations[m].mapped(values), values.cosines)
+    for m, combination in enumerate(combinations):
+        if combination.source is not None:
+            predicted[m] = values.f[combination.source]
+        elif clip and combination.is_clipped:
+            np.maximum(predicted[m], 0.0, out=predicted[m])
+    return predicted
+
+
+def _alike(combinations: Sequence[Combination]) -> list[list[int]]:
+    """Indices of those that one product serves, group by group; measured materials are in none."""
+    groups: dict[tuple[str, bool], list[int]] = {}
+    for m, combination in enumerate(combinations):
+        if combination.source is None:
+            key = (repr(combination.mapping), combination.sample_bands is None)
+            groups.setdefault(key, []).append(m)
+    return list(groups.values())

@@ -89,7 +89,8 @@ def test_what_an_illuminant_does_not_light_makes_no_difference():
     f = np.linspace(0.1, 0.3, 195)
     for illuminant in ILLUMINANTS:
         dark = illuminant_power(SPECTRAL, illuminant) == 0.0
-        dark[1:] &= dark[:-1].copy()  # between a dark band and a lit one, interpolation still gives light
+        lit_near = np.convolve(~dark, [1, 1, 1], mode="same") > 0  # interpolation reaches one band further
+        dark &= ~lit_near
         assert np.any(dark & (nm > 800))
         g = np.where(dark, 5.0, f)
         delta_e, angle = colour_differences(f, g, SPECTRAL, illuminant)

@@ -1,4 +1,4 @@
-"""Pictures of models. This module alone imports matplotlib; nothing here opens a window."""
+"""Pictures of models. Modules named `plot*` alone import matplotlib; none opens a window."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
         model: a fitted manifold; one dimension is drawn along a line.
         marked: a latent (Q,) to mark as predicted.
     """
-    figure = Figure(figsize=(10, 7.2), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
     X = _two_dimensions(model.X)
     if model.settings.latent_dim == 2:
@@ -55,6 +54,13 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     axes.set_xlabel("latent $x_1$ (length scales)")
     axes.set_ylabel("latent $x_2$ (length scales)" if model.settings.latent_dim > 1 else "")
     _label(figure, axes, X, names)
+    return figure
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of that many inches, drawn without a window."""
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
     return figure
 
 

@@ -19,7 +19,7 @@ from small_library import NAMES, measured, small_library
 from manifold.io_rgl import read_bsdf, write_bsdf
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
-COMMANDS = ("demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report")
+COMMANDS = ("demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "slices", "report")
 
 
 def start(*arguments, cwd, **options):

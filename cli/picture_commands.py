@@ -1,0 +1,79 @@
+"""Commands that draw: slices."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+from . import terminal
+from .library_commands import MovedLibraryOption
+from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+
+
+class SliceKind(StrEnum):
+    """Choices of --kind."""
+
+    angles = "angles"
+    image = "image"
+    spectra = "spectra"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        "slices",
+        short_help="Draw BRDF values over angles or wavelengths.",
+        epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
+    )(slices)
+
+
+def slices(
+    names: Annotated[
+        list[str] | None, typer.Argument(help=".bsdf files, or materials of the model.", metavar="[NAME ...]")
+    ] = None,
+    latent: Annotated[
+        list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y")
+    ] = None,
+    kind: Annotated[
+        SliceKind,
+        typer.Option(help="Plane of incidence; Rusinkiewicz theta_h and theta_d; or spectra."),
+    ] = SliceKind.angles,
+    bands: Annotated[
+        str | None, typer.Option(help="Wavelengths in nm in place of R, G, B: 450,550,650.", metavar="NM,NM")
+    ] = None,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
+    ] = Path("slices.png"),
+) -> None:
+    """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
+    from manifold import picture_workflows, plot
+
+    results = terminal.Results()
+    plot.require_writable(output)
+    wavelengths = parse_wavelengths(bands) if bands is not None else []
+    latents = [parse_latent(text) for text in latent or []]
+    drawn = picture_workflows.sources(names or [], latents, model, library)
+    picture_workflows.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
+    results.rows(f"Drawn {output}", {"materials": [source.label for source in drawn]})
+
+
+def parse_wavelengths(text: str) -> list[float]:
+    """One to four numbers separated by commas.
+
+    Raises:
+        UsageError: they are something else.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not 1 <= len(values) <= 4 or not all(0 < value < 1e5 for value in values):
+        raise UsageError(f"--bands '{text}': expected one to four wavelengths in nm, like 450,550,650")
+    return values

@@ -1,0 +1,115 @@
+"""Pictures of BRDF values show what a person would look for: highlights where they belong, and none on felt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_library import measured, small_model
+
+from manifold.analytic import Lambert
+from manifold.brdf import MeasuredBRDF
+from manifold.errors import BandMismatchError, UsageError
+from manifold.picture_workflows import slices, sources
+from manifold.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
+from manifold.records import Bands
+
+BANDS = Bands((450.0, 550.0, 650.0))
+
+
+@pytest.fixture(scope="module")
+def gloss():
+    return Source("gloss", MeasuredBRDF(measured("syn_gloss_red")))
+
+
+@pytest.fixture(scope="module")
+def felt():
+    return Source("felt", MeasuredBRDF(measured("syn_felt_green")))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return small_model(tmp_path_factory.mktemp("slices")).parent
+
+
+def pixels(figure):
+    """The drawn picture, shape (rows, columns, 3), from 0 to 1."""
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3] / 255.0
+
+
+def test_the_highlight_stands_in_the_mirror_direction(gloss):
+    grid = np.array(angle_slices([gloss]).axes).reshape(3, 3)
+    for column, incidence in enumerate(INCIDENCES_DEG[:2]):  # at 60 degrees grazing values are higher
+        x, y = grid[0, column].lines[0].get_data()
+        shown = np.abs(x) < 75
+        assert x[shown][np.argmax(y[shown])] == pytest.approx(-incidence, abs=6.0)
+
+
+def test_felt_shows_no_highlight(felt, gloss):
+    def contrast(source):
+        x, y = angle_slices([source]).axes[0].lines[0].get_data()
+        shown = np.abs(x) < 75
+        return y[shown].max() / np.median(y[shown])
+
+    assert contrast(felt) < 2.0 < 10.0 < contrast(gloss)
+
+
+def test_the_image_is_bright_where_gloss_mirrors_and_dark_for_felt(felt, gloss):
+    figure = rusinkiewicz_images([gloss, felt])
+    left, right = (axes.images[0].get_array() for axes in figure.axes)
+    near, away = (slice(30, 90), slice(0, 10)), (slice(30, 90), slice(100, 140))
+    assert left[near].mean() > 3 * left[away].mean()
+    assert right[near].mean() < 2 * right[away].mean() + 0.05
+
+
+def test_every_material_has_its_line_its_style_and_its_name(felt, gloss):
+    figure = angle_slices([felt, gloss])
+    lines = figure.axes[0].lines[:2]
+    assert lines[0].get_color() != lines[1].get_color()
+    assert lines[0].get_linestyle() != lines[1].get_linestyle()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["felt", "gloss"]
+    assert pixels(figure).std() > 0.02  # something is drawn
+
+
+def test_bands_take_the_place_of_colours():
+    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    figure = angle_slices([grey], [450.0, 650.0])
+    assert len(figure.axes) == 2 * len(INCIDENCES_DEG)
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 0.1 / np.pi)
+    np.testing.assert_allclose(figure.axes[-1].lines[0].get_ydata(), 0.4 / np.pi)
+
+
+def test_spectra_are_those_of_the_material():
+    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    for axes in spectra_at([grey]).axes:
+        np.testing.assert_allclose(axes.lines[0].get_xdata(), BANDS.wavelengths_nm)
+        np.testing.assert_allclose(axes.lines[0].get_ydata(), np.array([0.1, 0.2, 0.4]) / np.pi)
+
+
+def test_what_cannot_be_drawn_is_refused(gloss):
+    grey = Source("grey", Lambert(np.array([0.1, 0.2, 0.4]), BANDS))
+    with pytest.raises(UsageError, match="1 to 6"):
+        angle_slices([gloss] * 7)
+    with pytest.raises(UsageError, match="RGB"):
+        angle_slices([gloss], [500.0])
+    with pytest.raises(UsageError, match="expected 450"):
+        angle_slices([grey], [900.0])
+    with pytest.raises(BandMismatchError, match="one library"):
+        spectra_at([grey, gloss])
+
+
+@pytest.mark.parametrize("kind", ["angles", "image", "spectra"])
+def test_files_materials_and_predictions_are_drawn_together(folder, tmp_path, kind):
+    drawn = sources(
+        [str(folder / "files" / "syn_gloss_red_rgb.bsdf"), "syn_felt_green"],
+        [[0.1, 0.2]],
+        folder / "model.h5",
+    )
+    assert [s.label for s in drawn] == ["syn_gloss_red", "syn_felt_green", "predicted at 0.1, 0.2"]
+    slices(drawn, tmp_path / "picture.png", kind=kind)
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+def test_nothing_to_draw_is_refused(folder):
+    with pytest.raises(UsageError, match="nothing to draw"):
+        sources([], [], folder / "model.h5")

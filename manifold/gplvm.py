@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
-from itertools import count
 from typing import Any
 
 import numba as nb
@@ -22,6 +21,7 @@ from scipy.linalg import cho_solve, eigh
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
@@ -36,6 +36,12 @@ CRITERIA = ("likelihood", "residual")
 _SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
+_SEARCH_ROUNDS = 10  # of every direct local search: later rounds gain slowly, and the polish has a gradient
+_WIDE_MU = 0.1  # of the second search, which first follows a smoother objective
+_RELOCATIONS, _RELOCATED, _RELOCATION_SPREAD = 20, 0.125, 0.3  # tries, share of latents, in length scales
+_RELOCATION_ITERATIONS = 60  # of L-BFGS after each: enough to tell a better basin from a worse one
+_RELOCATION_TOLERANCE = 1e-5
+_PERTURBATION = 0.3  # of random starts, in standard deviations of the start
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
 FitCallback = Callable[[int, float], Any]
@@ -51,13 +57,18 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         n_components: Q, the number of latent dimensions.
         mu: noise filter of the kernel, at least 1e-10.
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
-        optimizer: `dls`, direct local search; `l-bfgs`, by the analytic gradient; or `both`, a direct local
-            search with long steps from where L-BFGS ended, hence never worse than `l-bfgs`.
+        optimizer: `dls`, direct local search: two searches from the start, one of which first sees a wider
+            noise filter, each ended by a short polish along the gradient; then random groups of latents are
+            moved next to others, polished, and kept where that pays. `l-bfgs`: the gradient alone. `both`:
+            a direct local search with long steps from where L-BFGS ended, hence never worse than `l-bfgs`.
         prior: weight of the Gaussian prior on the latents *per output*; 0 is none, 1 / D is eq. 19 of
             Hikichi & Iwasaki as they state it.
         start_scale: standard deviation of the start along every axis.
         max_iter: limit on rounds of the search; ten times as many iterations of L-BFGS; 0 keeps the start.
         tol: ends when a round gains less than this times |F|, or the search's steps fall below it.
+        n_starts: how many starts are refined, the best end is kept: the principal components, the same at half
+            the scale, then random perturbations of them.
+        random_state: of the perturbations and relocations, as scikit-learn takes it; 0 makes fits repeatable.
 
     Attributes:
         embedding_: latents X, shape (N, Q).
@@ -83,6 +94,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         start_scale: float = 1.0,
         max_iter: int = 300,
         tol: float = 1e-6,
+        n_starts: int = 1,
+        random_state: Any = 0,
     ) -> None:
         self.n_components = n_components
         self.mu = mu
@@ -92,6 +105,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.start_scale = start_scale
         self.max_iter = max_iter
         self.tol = tol
+        self.n_starts = n_starts
+        self.random_state = random_state
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -177,14 +192,16 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     def _refine(
         self, objective: LatentObjective, start: Array, callback: FitCallback | None
     ) -> tuple[Array, int, int]:
-        """Latents (N, Q), rounds and evaluations of one optimizer, or of both in turn."""
-        X, n_iter, n_evaluations = start, 0, 0
-        for refine in _STAGES[self.optimizer]:
-            X, more, evaluations, stopped = refine(objective, X, self.max_iter, self.tol, n_iter, callback)
-            n_iter, n_evaluations = n_iter + more, n_evaluations + evaluations
-            if stopped:
-                break
-        return X, n_iter, n_evaluations
+        """Latents (N, Q), rounds and evaluations, by the stages of the optimizer from every start."""
+        random = check_random_state(self.random_state)
+        run = _Run(objective, start, self.max_iter, self.tol, random, callback)
+        try:
+            for X in _starts(start, self.n_starts, random):
+                for refine in _STAGES[self.optimizer]:
+                    X = refine(run, X)
+        except StopIteration:
+            pass
+        return run.best_X, run.n_iter, run.n_evaluations
 
     def _set_fitted(self, X: Array, S: Array, n_outputs: int) -> None:
         self.gp_ = GPWeights(X, self.mu, self.length_scale)
@@ -205,6 +222,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             raise UsageError(f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K must stay definite")
         if not self.prior >= 0:
             raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
+        if not self.n_starts >= 1:
+            raise UsageError(f"n_starts = {self.n_starts}, expected at least 1")
 
     @property
     def _n_features_out(self) -> int:
@@ -343,6 +362,10 @@ class LatentObjective:
         self.n_outputs = n_outputs
         self.kernel = SquaredExponentialDelta(mu, length_scale)
         self.prior = prior
+
+    def with_mu(self, mu: float) -> LatentObjective:
+        """The same objective under another noise filter."""
+        return LatentObjective(self.S, self.n_outputs, mu, self.kernel.length_scale, self.prior)
 
     def __call__(self, X: Array) -> tuple[float, Array]:
         """F at X (N, Q) and its gradient (N, Q).
@@ -545,65 +568,128 @@ def _commit(K, P, work, i, t, a, b, c, other):
     return drift
 
 
-def _refine_dls(
-    objective: LatentObjective,
-    start: Array,
-    max_iter: int,
-    tol: float,
-    done: int,
-    callback: FitCallback | None,
+class _Run:
+    """One fit: its limits, the best latents so far, and the counts over all stages.
+
+    The callback gets the best value so far after every round; its StopIteration ends the whole fit.
+    """
+
+    def __init__(
+        self,
+        objective: LatentObjective,
+        start: Array,
+        max_iter: int,
+        tol: float,
+        random: np.random.RandomState,
+        callback: FitCallback | None,
+    ) -> None:
+        self.objective, self.max_iter, self.tol = objective, max_iter, tol
+        self.random, self.callback = random, callback
+        self.n_iter, self.n_evaluations = 0, 1
+        self.best_X, self.best = start, objective(start)[0]
+
+    def report(self, X: Array, value: float) -> None:
+        """Count a round that stands at X (N, Q)."""
+        self.n_iter += 1
+        if value < self.best:
+            self.best_X, self.best = X.reshape(self.best_X.shape).copy(), value
+        if self.callback is not None:
+            self.callback(self.n_iter, self.best)
+
+
+def _starts(start: Array, count: int, random: np.random.RandomState) -> list[Array]:
+    """`count` starts (N, Q): the given one, it at half the scale, then random perturbations of it."""
+    scale = _PERTURBATION * start.std(axis=0)
+    noisy = [start + scale * random.normal(size=start.shape) for _ in range(count - 2)]
+    return [start, 0.5 * start, *noisy][:count]
+
+
+def _search(
+    run: _Run,
+    X: Array,
     *,
+    rounds: int | None = None,
+    mu: float | None = None,
     first_step: float = _FIRST_STEP,
-) -> tuple[Array, int, int, bool]:
-    """Latents by direct local search: X (N, Q), rounds, evaluations, whether the callback stopped it."""
-    rounds = count(done + 1)
+) -> Array:
+    """Direct local search from X (N, Q); under another mu nothing is reported: its values are others."""
+    objective = run.objective if mu is None else run.objective.with_mu(mu)
     l = objective.kernel.length_scale
     result = direct_local_search(
-        IncrementalObjective(objective, start),
+        IncrementalObjective(objective, X),
         initial_step=first_step * l,
         largest_step=_LARGEST_STEP * l,
-        tolerance=10.0 * tol * l,
-        f_tolerance=tol,
+        tolerance=10.0 * run.tol * l,
+        f_tolerance=run.tol,
         individual_steps=True,
         maxfev=np.iinfo(np.int64).max,
-        max_sweeps=max_iter,
-        callback=None if callback is None else lambda x, value: callback(next(rounds), value),
+        max_sweeps=run.max_iter if rounds is None else min(rounds, run.max_iter),
+        callback=run.report if mu is None else None,
     )
-    return result.x.reshape(start.shape), result.nit, result.nfev, result.status == STOPPED
+    run.n_evaluations += result.nfev
+    if result.status == STOPPED:
+        raise StopIteration
+    return result.x.reshape(X.shape)
 
 
-def _refine_lbfgs(
-    objective: LatentObjective,
-    start: Array,
-    max_iter: int,
-    tol: float,
-    done: int,
-    callback: FitCallback | None,
-) -> tuple[Array, int, int, bool]:
-    """Latents by L-BFGS: X (N, Q), iterations, evaluations, whether the callback stopped it."""
+def _descend(
+    run: _Run, X: Array, *, limit: int | None = None, tol: float | None = None
+) -> tuple[Array, float]:
+    """L-BFGS from X (N, Q): latents and their value."""
+    objective = run.objective
 
     def flat(x: Array) -> tuple[float, Array]:
-        value, gradient = objective(x.reshape(start.shape))
+        value, gradient = objective(x.reshape(X.shape))
         return value, gradient.reshape(-1)
 
-    rounds = count(done + 1)
-
     def report(intermediate_result: Any) -> None:
-        if callback is not None:
-            callback(next(rounds), float(intermediate_result.fun))
+        run.report(intermediate_result.x, float(intermediate_result.fun))
 
     # One of its iterations costs a hundredth of a round of the search and gains less: a tighter tolerance.
-    limit = 10 * max_iter
+    limit = 10 * run.max_iter if limit is None else min(limit, 10 * run.max_iter)
+    tol = run.tol if tol is None else max(tol, run.tol)
     options = {"maxiter": limit, "maxfun": 10 * limit, "ftol": 1e-2 * tol, "gtol": tol, "maxcor": 20}
-    result = minimize(flat, start.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
-    return result.x.reshape(start.shape), int(result.nit), int(result.nfev), result.status == STOPPED
+    result = minimize(flat, X.reshape(-1), jac=True, method="L-BFGS-B", callback=report, options=options)
+    run.n_evaluations += int(result.nfev)
+    if result.status == STOPPED:
+        raise StopIteration
+    return result.x.reshape(X.shape), float(result.fun)
+
+
+def _refine_dls(run: _Run, start: Array) -> Array:
+    """Two direct local searches from the start, polished, the better one improved by relocations."""
+    ends = [_descend(run, _search(run, start, rounds=_SEARCH_ROUNDS))]
+    if run.objective.kernel.mu < _WIDE_MU:
+        smoothed = _search(run, start, rounds=_SEARCH_ROUNDS, mu=_WIDE_MU)
+        ends.append(_descend(run, _search(run, smoothed, rounds=_SEARCH_ROUNDS)))
+    X, value = min(ends, key=lambda end: end[1])
+    for _ in range(min(_RELOCATIONS, run.max_iter)):
+        moved = _relocate(X, run.objective.kernel.length_scale, run.random)
+        end, end_value = _descend(run, moved, limit=_RELOCATION_ITERATIONS, tol=_RELOCATION_TOLERANCE)
+        if end_value < value:
+            X, value = end, end_value
+    return _descend(run, X)[0]
+
+
+def _relocate(X: Array, length_scale: float, random: np.random.RandomState) -> Array:
+    """Latents (N, Q) with a random eighth of them, at least two, moved next to random others."""
+    N, Q = X.shape
+    moved = random.choice(N, max(2, int(_RELOCATED * N)), replace=False)
+    beside = X[random.choice(N, len(moved))]
+    out = X.copy()
+    out[moved] = beside + _RELOCATION_SPREAD * length_scale * random.normal(size=(len(moved), Q))
+    return out
+
+
+def _refine_lbfgs(run: _Run, start: Array) -> Array:
+    return _descend(run, start)[0]
 
 
 # From the start, small steps keep the order of the latents; at an optimum, only long ones can leave it.
-_STAGES: dict[str, list[Callable[..., tuple[Array, int, int, bool]]]] = {
+_STAGES: dict[str, list[Callable[[_Run, Array], Array]]] = {
     "dls": [_refine_dls],
     "l-bfgs": [_refine_lbfgs],
-    "both": [_refine_lbfgs, partial(_refine_dls, first_step=_LARGEST_STEP)],
+    "both": [_refine_lbfgs, partial(_search, first_step=_LARGEST_STEP)],
 }
 
 

@@ -110,16 +110,35 @@ def test_refined_likelihood_is_never_worse_than_the_start(rng, optimizer, prior)
         assert again.objective_ <= model.objective_ + 1e-9  # rounding of one factorisation
 
 
-def test_search_gains_as_much_as_the_gradient_within_one_percent_on_the_median(rng):
+def test_search_gains_as_much_as_the_gradient_within_one_percent(rng):
     """Both are local and either may end in the better optimum, so the claim is one about several data sets."""
     ratios = []
-    for _ in range(7):
-        Y = curved(rng, 15)
-        fits = [GPLVM(optimizer=name, prior=1.0).fit(Y) for name in ("dls", "l-bfgs")]
-        search, gradient = (model.objective_start_ - model.objective_ for model in fits)
-        ratios.append(search / gradient)
-    assert np.median(ratios) >= 0.99
-    assert min(ratios) > 0.8
+    for prior in (0.0, 1.0):
+        for _ in range(5):
+            Y = curved(rng, 15)
+            fits = [GPLVM(optimizer=name, prior=prior).fit(Y) for name in ("dls", "l-bfgs")]
+            search, gradient = (model.objective_start_ - model.objective_ for model in fits)
+            ratios.append(search / gradient)
+    assert np.mean(np.array(ratios) >= 0.99) >= 0.8
+    assert min(ratios) > 0.9
+
+
+def test_more_starts_are_never_worse_than_the_first(rng):
+    Y = curved(rng, 20, q=3)
+    one = GPLVM(optimizer="l-bfgs", max_iter=30).fit(Y)
+    several = GPLVM(optimizer="l-bfgs", max_iter=30, n_starts=4).fit(Y)
+    assert several.objective_ <= one.objective_ + 1e-9  # rounding of one factorisation
+    assert several.objective_start_ == one.objective_start_
+    assert several.n_evaluations_ > 2 * one.n_evaluations_
+
+
+def test_fits_repeat_bit_for_bit_with_the_same_random_state(rng):
+    Y = curved(rng, 15)
+    for optimizer in ("dls", "l-bfgs"):
+        a, b = (GPLVM(optimizer=optimizer, n_starts=3, max_iter=20).fit(Y).embedding_ for _ in range(2))
+        assert np.array_equal(a, b)
+    other = GPLVM(n_starts=3, max_iter=20, random_state=1).fit(Y)
+    assert np.all(np.isfinite(other.embedding_))
 
 
 def test_both_optimizers_in_turn_are_never_worse_than_the_gradient_alone(rng):
@@ -227,7 +246,12 @@ def test_duplicated_samples_are_embedded(rng):
 
 @pytest.mark.parametrize(
     ("parameters", "message"),
-    [({"optimizer": "adam"}, "dls, l-bfgs, both"), ({"mu": 0.0}, "mu = 0.0"), ({"prior": -1.0}, "prior")],
+    [
+        ({"optimizer": "adam"}, "dls, l-bfgs, both"),
+        ({"mu": 0.0}, "mu = 0.0"),
+        ({"prior": -1.0}, "prior"),
+        ({"n_starts": 0}, "n_starts = 0"),
+    ],
 )
 def test_impossible_parameters_are_refused(rng, parameters, message):
     with pytest.raises(UsageError, match=message):

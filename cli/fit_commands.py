@@ -1,0 +1,152 @@
+"""The command that fits BSDFs: fit."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from manifold.errors import FileFormatError, UsageError
+
+from . import terminal
+from .library_commands import JsonOption, MovedLibraryOption
+from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+
+if TYPE_CHECKING:
+    from manifold.fit_workflows import FitOutcome
+
+
+class Method(StrEnum):
+    """Choices of --method."""
+
+    gauss_newton = "gauss-newton"
+    adam = "adam"
+    swarm = "swarm"
+
+
+class Metric(StrEnum):
+    """Choices of --metric."""
+
+    cube_root = "cube-root"
+    linear = "linear"
+    log = "log"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        "fit",
+        short_help="Fit the parameters of a BSDF, by default principled.",
+        epilog="Example: manifold fit satin_gold_spec.bsdf -o satin_gold.fit.json",
+    )(fit)
+
+
+def fit(
+    sources: Annotated[
+        list[Path] | None, typer.Argument(help=".bsdf files, or folders of them.", metavar="FILE")
+    ] = None,
+    latent: Annotated[
+        str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y")
+    ] = None,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="The JSON file to write; for several materials, the folder.", metavar="FILE"
+        ),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="Gauss-Newton from many starts, or an older way to compare with.")
+    ] = Method.gauss_newton,
+    metric: Annotated[Metric, typer.Option(help="What residuals are measured in.")] = Metric.cube_root,
+    free: Annotated[
+        str | None,
+        typer.Option(help="Parameters of principled to fit, commas between; others stay fixed.", metavar="NAMES"),
+    ] = None,
+    bsdf: Annotated[
+        Path | None,
+        typer.Option(help="Another BSDF: JSON of type, parameters (name, minimum, maximum, default) and fixed.",
+                     metavar="FILE"),
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(help="Relative noise of the samples, at least.", metavar="SHARE")
+    ] = 0.01,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", help="Processes; one per core if not given.", metavar="N", min=1)
+    ] = None,
+    json: JsonOption = None,
+) -> None:  # fmt: skip
+    """Fit measured files, or a predicted material, by a BSDF that Mitsuba renders.
+
+    Writes one JSON per material: parameters, residuals, all minima found, and what the samples say of each
+    parameter. Fits that are there already are kept.
+    """
+    from manifold import fit_workflows
+
+    if bool(sources) == (latent is not None):
+        raise UsageError("expected either files or --latent X,Y; name what to fit")
+    results = terminal.Results(json)
+    settings = fit_workflows.FitSettings(
+        family=fit_workflows.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
+    )
+    if latent is not None:
+        coordinates = parse_latent(latent)
+        with terminal.progress("Reading materials") as step:
+            outcomes = [
+                fit_workflows.fit_prediction(
+                    model, coordinates, output, settings, library=library, on_progress=step
+                )
+            ]
+    else:
+        with terminal.progress("Fitting") as step:
+            outcomes = fit_workflows.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
+    _show(results, outcomes)
+    failures = [outcome.failure for outcome in outcomes if outcome.failure is not None]
+    results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failures})
+    if failures:
+        more = f"; and {len(failures) - 3} more (--json lists them)" if failures[3:] else ""
+        raise FileFormatError("; ".join(failures[:3]) + more)
+
+
+def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
+    """All of a single fit; one line each of several."""
+    fitted = [(outcome, outcome.content) for outcome in outcomes if outcome.content is not None]
+    if len(fitted) == 1:
+        outcome, content = fitted[0]
+        results.rows(f"Fitted {outcome.path}" + " (it was there)" * outcome.was_there, _rows(content))
+    elif fitted:
+        rows = [
+            [
+                outcome.name,
+                f"{content['residuals'][content['metric']]:.3f}",
+                f"{content['diffuse_residual']:.3f}",
+                len(content["minima"]),
+                "kept" if outcome.was_there else f"{content['seconds']:.1f} s",
+            ]
+            for outcome, content in fitted
+        ]
+        results.table(["material", "residual", "diffuse", "minima", "time"], rows)
+
+
+def _rows(content: dict[str, Any]) -> dict[str, object]:
+    rows: dict[str, object] = {}
+    for statement in content["statements"]:
+        about = f"{statement['value']:.3f} +- {statement['standard_error']:.3f}, {statement['state']}"
+        if statement["entangled_with"] is not None:
+            about += f" (entangled with {statement['entangled_with']})"
+        rows[statement["name"]] = about + ", at the end of its range" * statement["at_bound"]
+    rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
+    rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
+    if content["spectral_residual"] is not None:
+        rows["all bands"] = f"{content['metric']} {content['spectral_residual']:.3f}"
+    others = [
+        f"{minimum['residual']:.3f}" + " (as good)" * minimum["as_good"] for minimum in content["minima"][1:]
+    ]
+    rows["other minima"] = others or "none found"
+    for k, note in enumerate(content["notes"]):
+        rows["note" if k == 0 else f"note {k + 1}"] = note
+    rows["time"] = f"{content['seconds']:.2f} s, {content['n_pairs']} direction pairs"
+    return rows

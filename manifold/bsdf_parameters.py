@@ -1,0 +1,278 @@
+"""What a fit may change in a BSDF: its free parameters and their ranges, as data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.records import Array
+
+TRANSFORMS = ("identity", "log", "square")
+"""How the optimiser sees a parameter p: as p, log p, or the square root of its distance from the minimum."""
+
+_LOG_FLOOR = 1e-6  # what log takes a minimum of 0 for
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One parameter of a Mitsuba BSDF that a fit may change.
+
+    Attributes:
+        name: as in Mitsuba's dictionaries.
+        minimum, maximum: the range, ends included.
+        default: where the search starts and what an unused parameter keeps.
+        transform: one of `TRANSFORMS`.
+        per_band: one value per band, such as a colour, instead of one for all.
+        affine: the BSDF is an affine function of it, band by band; the global search then solves it exactly.
+        tolerance: the standard error, doubled, up to which the parameter counts as determined.
+    """
+
+    name: str
+    minimum: float
+    maximum: float
+    default: float
+    transform: str = "identity"
+    per_band: bool = False
+    affine: bool = False
+    tolerance: float = 0.02
+
+    def __post_init__(self) -> None:
+        numbers = (self.minimum, self.maximum, self.default, self.tolerance)
+        if not all(math.isfinite(number) for number in numbers) or self.tolerance <= 0:
+            raise UsageError(f"parameter {self.name}: {numbers}, expected finite numbers, tolerance above 0")
+        if not self.minimum < self.maximum or not self.minimum <= self.default <= self.maximum:
+            raise UsageError(
+                f"parameter {self.name}: range {self.minimum} to {self.maximum}, default {self.default}; "
+                "expected minimum < maximum with the default between"
+            )
+        if self.transform not in TRANSFORMS:
+            raise UsageError(
+                f"parameter {self.name}: transform {self.transform!r}, expected one of {', '.join(TRANSFORMS)}"
+            )
+        if self.transform == "log" and self.minimum < 0:
+            raise UsageError(
+                f"parameter {self.name}: log needs a minimum of at least 0, found {self.minimum}"
+            )
+
+    @property
+    def range(self) -> float:
+        """Maximum minus minimum."""
+        return self.maximum - self.minimum
+
+    def inward(self, p: Array | float) -> Array:
+        """What the optimiser sees of values p."""
+        p = np.asarray(p, float)
+        if self.transform == "log":
+            return np.log(np.maximum(p, _LOG_FLOOR))
+        if self.transform == "square":
+            return np.sqrt(np.maximum(p - self.minimum, 0.0))
+        return p
+
+    def outward(self, t: Array | float) -> Array:
+        """Values of what the optimiser sees; the inverse of `inward`."""
+        t = np.asarray(t, float)
+        if self.transform == "log":
+            return np.clip(np.exp(t), self.minimum, self.maximum)
+        if self.transform == "square":
+            return self.minimum + t * t
+        return t
+
+    def slope(self, t: Array | float) -> Array:
+        """Derivative of `outward`."""
+        t = np.asarray(t, float)
+        if self.transform == "log":
+            return np.exp(t)
+        if self.transform == "square":
+            return 2.0 * t
+        return np.ones_like(t)
+
+
+@dataclass(frozen=True)
+class BsdfFamily:
+    """A type of Mitsuba BSDF with its free parameters and what stays fixed.
+
+    Attributes:
+        type: the plugin's name, built in or registered from Python.
+        parameters: what is fitted.
+        fixed: the other entries of the plugin's dictionary.
+    """
+
+    type: str
+    parameters: tuple[FreeParameter, ...]
+    fixed: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [parameter.name for parameter in self.parameters]
+        if not names or len(set(names)) != len(names) or set(names) & set(self.fixed):
+            raise UsageError(
+                f"BSDF {self.type}: free parameters {', '.join(names) or 'none'} and fixed "
+                f"{', '.join(self.fixed) or 'none'}; expected at least one free, each named once"
+            )
+
+    def named(self, name: str) -> FreeParameter:
+        """The free parameter of that name.
+
+        Raises:
+            UsageError: there is none.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        known = ", ".join(parameter.name for parameter in self.parameters)
+        raise UsageError(f"BSDF {self.type} has no free parameter {name!r}; found {known}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, which `from_json` reads."""
+        return {
+            "type": self.type,
+            "parameters": [asdict(parameter) for parameter in self.parameters],
+            "fixed": dict(self.fixed),
+        }
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> BsdfFamily:
+        """The family of plain values: `type`, `parameters` (a list of `FreeParameter` fields) and `fixed`.
+
+        Raises:
+            UsageError: an entry is missing, unknown, or of the wrong kind.
+        """
+        try:
+            parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
+            return cls(str(content["type"]), parameters, dict(content.get("fixed", {})))
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            if isinstance(error, UsageError):
+                raise
+            raise UsageError(
+                f"description of a BSDF: {error}; expected type, parameters (name, minimum, maximum, default, "
+                "transform, per_band, affine, tolerance) and fixed"
+            ) from error
+
+
+class Layout:
+    """How the parameters of a family lie in one vector of K numbers, for B bands.
+
+    Parameters stand in the family's order; one that is per band takes B places.
+    """
+
+    def __init__(self, family: BsdfFamily, n_bands: int) -> None:
+        self.family = family
+        self.n_bands = n_bands
+        self.slices: dict[str, slice] = {}
+        owner: list[FreeParameter] = []
+        for parameter in family.parameters:
+            size = n_bands if parameter.per_band else 1
+            self.slices[parameter.name] = slice(len(owner), len(owner) + size)
+            owner += [parameter] * size
+        self.owner = tuple(owner)
+
+    @property
+    def size(self) -> int:
+        """K."""
+        return len(self.owner)
+
+    @cached_property
+    def minimum(self) -> Array:
+        """Lower ends of the ranges, shape (K,)."""
+        return np.array([parameter.minimum for parameter in self.owner])
+
+    @cached_property
+    def maximum(self) -> Array:
+        """Upper ends of the ranges, shape (K,)."""
+        return np.array([parameter.maximum for parameter in self.owner])
+
+    @cached_property
+    def default(self) -> Array:
+        """Default values, shape (K,)."""
+        return np.array([parameter.default for parameter in self.owner])
+
+    @cached_property
+    def tolerance(self) -> Array:
+        """Tolerances, shape (K,)."""
+        return np.array([parameter.tolerance for parameter in self.owner])
+
+    @cached_property
+    def is_per_band(self) -> Array:
+        """Which places belong to parameters per band, bool (K,)."""
+        return np.array([parameter.per_band for parameter in self.owner])
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """A name per place: the parameter's, with the band's index where there are several."""
+        return tuple(
+            f"{name}[{k}]" if self.family.named(name).per_band else name
+            for name, place in self.slices.items()
+            for k in range(place.stop - place.start)
+        )
+
+    def inward(self, p: Array) -> Array:
+        """Values (..., K) as the optimiser sees them."""
+        return np.stack([o.inward(p[..., k]) for k, o in enumerate(self.owner)], axis=-1)
+
+    def outward(self, t: Array) -> Array:
+        """The inverse of `inward`."""
+        return np.stack([o.outward(t[..., k]) for k, o in enumerate(self.owner)], axis=-1)
+
+    def slope(self, t: Array) -> Array:
+        """Derivative of `outward`, place by place, shape of t."""
+        return np.stack([o.slope(t[..., k]) for k, o in enumerate(self.owner)], axis=-1)
+
+    def join(self, values: Mapping[str, Any]) -> Array:
+        """The vector (K,) of values by name; defaults where a name is missing."""
+        out = self.default.copy()
+        for name, value in values.items():
+            out[self.slices[name]] = value
+        return out
+
+    def split(self, p: Array) -> dict[str, float | list[float]]:
+        """Values by name: a number, or B of them."""
+        return {
+            name: [float(v) for v in p[place]] if self.family.named(name).per_band else float(p[place.start])
+            for name, place in self.slices.items()
+        }
+
+    def with_bands(self, p: Array, n_bands: int) -> Array:
+        """The same material in another number of bands, where every band starts from the mean of p's."""
+        other = Layout(self.family, n_bands)
+        return other.join({name: np.mean(p[place]) for name, place in self.slices.items()})
+
+
+_COLOUR = FreeParameter(
+    "base_color", -0.25, 1.25, 0.5, per_band=True, affine=True, tolerance=0.01
+)  # wider than Rec. 709, so that what lies outside is found and can be said
+
+_PRINCIPLED = (
+    _COLOUR,
+    FreeParameter("metallic", 0.0, 1.0, 0.2),
+    FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log"),
+    FreeParameter("specular", 0.0, 1.0, 0.5, transform="square"),  # of which the index is a smooth function
+    FreeParameter("clearcoat", 0.0, 1.0, 0.2),
+    FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8),
+    FreeParameter("sheen", 0.0, 1.0, 0.1),
+    FreeParameter("spec_tint", 0.0, 1.0, 0.1),
+    FreeParameter("sheen_tint", 0.0, 1.0, 0.1),
+    FreeParameter("flatness", 0.0, 1.0, 0.1),
+    FreeParameter("anisotropic", 0.0, 1.0, 0.1),
+)
+
+PRINCIPLED_DEFAULT = (
+    "base_color", "metallic", "roughness", "specular", "clearcoat", "clearcoat_gloss", "sheen",
+)  # fmt: skip
+"""What is free unless others are named; see docs/design/principled.md."""
+
+
+def principled(names: Iterable[str] = PRINCIPLED_DEFAULT) -> BsdfFamily:
+    """Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults.
+
+    Roughness is the artist's: Mitsuba squares it to get the GGX alpha.
+
+    Raises:
+        UsageError: a name is unknown.
+    """
+    family = BsdfFamily("principled", _PRINCIPLED)
+    return BsdfFamily("principled", tuple(family.named(name) for name in names))

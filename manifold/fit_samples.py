@@ -1,0 +1,167 @@
+"""Tables of reflectance samples that BSDFs are fitted to: from arrays, files, or any BRDF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold import spectra
+from manifold.brdf import BRDF, MeasuredBRDF
+from manifold.directions import from_spherical, normalize, require_directions
+from manifold.errors import ShapeError, UsageError
+from manifold.gonio import u_to_phi, u_to_theta
+from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
+from manifold.records import Array, Bands, BsdfFile
+from manifold.warp import Warp
+
+MIN_PAIRS = 4
+MAX_PAIRS = 2048
+_GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
+
+
+@dataclass(frozen=True, eq=False)
+class FitSamples:
+    """M reflectance samples.
+
+    Attributes:
+        wi, wo: unit vectors, shape (M, 3), above the horizon.
+        f: BRDF in 1/sr, shape (M, B).
+        weight: importance of each direction pair, mean 1, shape (M,).
+        bands: the B bands.
+    """
+
+    wi: Array
+    wo: Array
+    f: Array
+    weight: Array
+    bands: Bands
+
+    @classmethod
+    def from_arrays(
+        cls, wi: Array, wo: Array, f: Array, *, bands: Bands | None = None, weight: Array | None = None
+    ) -> FitSamples:
+        """Samples of a table.
+
+        Args:
+            wi, wo: unit vectors, shape (M, 3).
+            f: BRDF (not times the cosine) in 1/sr, shape (M, B).
+            bands: their wavelengths; linear sRGB if None.
+            weight: importance per pair, shape (M,), not negative; `cos(theta_i)` if None, which with values
+                times `cos(theta_o)` weighs errors by both cosines.
+        Raises:
+            ShapeError: a shape is wrong, a value is not finite, or a direction is not above the horizon.
+            UsageError: values are negative or all zero, or there are too few different pairs.
+        """
+        bands = Bands(None) if bands is None else bands
+        wi, wo, f = require_directions(wi, "wi"), require_directions(wo, "wo"), np.asarray(f, float)
+        if wi.ndim != 2 or wo.shape != wi.shape:
+            raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}, expected the same (M, 3)")
+        if f.shape != (len(wi), bands.count):
+            raise ShapeError(
+                f"values have shape {f.shape}, expected {(len(wi), bands.count)}: one row per pair, {bands}"
+            )
+        _require_values(f)
+        below = int(np.count_nonzero((wi[:, 2] <= 0) | (wo[:, 2] <= 0)))
+        if below:
+            raise ShapeError(f"{below} of {len(wi)} direction pairs lie below the horizon; drop them")
+        if len(np.unique(np.round(np.hstack([wi, wo]), 6), axis=0)) < MIN_PAIRS:
+            raise UsageError(f"fewer than {MIN_PAIRS} different direction pairs; measure more directions")
+        weight = wi[:, 2] if weight is None else np.asarray(weight, float)
+        if weight.shape != (len(wi),) or not np.all(np.isfinite(weight)) or np.any(weight < 0):
+            raise ShapeError(
+                f"weights have shape {weight.shape}, expected {(len(wi),)} of finite numbers, none negative"
+            )
+        if not np.any(weight[np.any(f > 0, axis=1)] > 0):
+            raise UsageError("every pair that reflects anything has weight 0; raise some weights")
+        return cls(wi, wo, f, weight / weight.mean(), bands)
+
+    def __len__(self) -> int:
+        return len(self.wi)
+
+    @property
+    def f_cos(self) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (M, B): what Mitsuba's `eval` returns."""
+        return self.f * self.wo[:, 2:]
+
+    def thinned(self, n: int) -> FitSamples:
+        """At most n of the samples, the same ones each time, spread over the table's order."""
+        if len(self) <= n:
+            return self
+        # Irrational strides visit every part of a gridded table without beating against its rows.
+        order = np.argsort(np.modf(np.arange(len(self)) * (0.5 * (np.sqrt(5.0) - 1.0)))[0], kind="stable")
+        return self.subset(np.sort(order[:n]))
+
+    def subset(self, rows: Array) -> FitSamples:
+        """The samples of the given rows."""
+        weight = self.weight[rows]
+        return FitSamples(self.wi[rows], self.wo[rows], self.f[rows], weight / weight.mean(), self.bands)
+
+    def as_rgb(self) -> FitSamples:
+        """The same samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
+        if self.bands.is_rgb:
+            return self
+        return replace(self, f=spectra.to_srgb(self.f, self.bands), bands=Bands(None))
+
+
+def _require_values(f: Array) -> None:
+    bad = ~np.isfinite(f)
+    if np.any(bad):
+        at = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise ShapeError(f"values: {int(bad.sum())} of {f.size} are not finite (first at {at}); drop those")
+    if np.any(f < 0):
+        at = tuple(int(i) for i in np.argwhere(f < 0)[0])
+        raise UsageError(
+            f"values: {int((f < 0).sum())} of {f.size} are negative (first at {at}), expected 1/sr; "
+            "clip noise to 0 or drop those pairs"
+        )
+    if f.size and not np.any(f > 0):
+        raise UsageError("values are all 0: there is nothing to fit; check the measurement")
+
+
+def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
+    """The direction pairs at which a file was measured: wi and wo, each (M, 3).
+
+    Left out are cells that the file marks as unmeasured, and elevations above 87 degrees.
+    """
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    mask = file.measured_mask
+    rows, columns = mask.shape[2:]
+    axes = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows), indexing="xy")
+    variates = np.stack(axes, axis=-1)  # (rows, columns, (x, y))
+    all_wi, all_wo = [], []
+    for p, t in np.ndindex(mask.shape[:2]):
+        theta_i, phi_i = float(file.theta_i_rad[t]), float(file.phi_i_rad[p])
+        wi = from_spherical(theta_i, phi_i)
+        points, _ = warp.sample(variates, phi_i, theta_i)
+        phi_m = u_to_phi(points[..., 1]) + (phi_i if file.is_isotropic else 0.0)
+        m = from_spherical(u_to_theta(points[..., 0]), phi_m)
+        wo = 2.0 * (m @ wi)[..., None] * m - wi
+        wo = wo[mask[p, t] & (wo[..., 2] >= _GRAZING_COS) & (wi[2] >= _GRAZING_COS)]
+        all_wo.append(normalize(wo))
+        all_wi.append(np.broadcast_to(wi, wo.shape))
+    return np.concatenate(all_wi), np.concatenate(all_wo)
+
+
+def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
+    """Samples of a file at the direction pairs at which it was measured, thinned to at most `max_pairs`."""
+    wi, wo = file_pairs(file)
+    brdf = MeasuredBRDF(file)
+    f = np.maximum(brdf.eval(wi, wo), 0.0)
+    return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).thinned(max_pairs)
+
+
+def from_brdf(brdf: BRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS) -> FitSamples:
+    """Samples of a BRDF, dense around the mirror direction.
+
+    Args:
+        brdf: what to sample; negative values of a prediction count as 0.
+        grid: direction pairs; the default grid of `metrics` if None.
+        max_pairs: how many of them, at most.
+    """
+    wi, wo, above = rusinkiewicz_grid() if grid is None else grid.directions()
+    keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
+    if len(keep) > max_pairs:
+        keep = np.sort(np.random.default_rng(0).permutation(keep)[:max_pairs])
+    wi, wo = wi[keep], wo[keep]
+    return FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)

@@ -15,6 +15,7 @@ from manifold.combination import Combination
 from manifold.encoding import PAIR_STRIDE, Decoder
 from manifold.gplvm import GPLVM
 from manifold.gpr import GPWeights
+from manifold.likelihood_encoding import LikelihoodEncoder
 from manifold.mapping import Mapping, mapping_named
 from manifold.monochrome import MonochromeGPLVM
 from manifold.records import Array
@@ -68,6 +69,11 @@ class Method:
 
 def standard_methods() -> list[Method]:
     """Methods that need no fitted model: baselines first, the setting of Hikichi & Iwasaki, then models."""
+    return [*baseline_methods(), *gplvm_methods()]
+
+
+def baseline_methods() -> list[Method]:
+    """What a model of this package has to beat."""
     return [
         Method("nearest", "nearest material", lambda B: 1, fit_nearest),
         Method("linear", "linear, two nearest", lambda B: 3, fit_linear),
@@ -76,6 +82,12 @@ def standard_methods() -> list[Method]:
         Method("pca_6_cube_root", "PCA, 6, cube root", lambda B: 6, fit_pca("cube-root", 6)),
         Method("pca_6_log_relative", "PCA, 6, log-relative", lambda B: 6, fit_pca("log-relative", 6)),
         Method("seed", "seed: GPLVM, 2, identity", lambda B: 2, fit_seed, fits_model=True),
+    ]
+
+
+def gplvm_methods() -> list[Method]:
+    """Models of this package at settings of their own."""
+    return [
         Method("gplvm_2", "GPLVM, 2, cube root", lambda B: 2, fit_gplvm(2), fits_model=True),
         Method("gplvm_6", "GPLVM, 6, cube root", lambda B: 6, fit_gplvm(6, prior=0.1), fits_model=True),
         _monochrome("monochrome_2_1", "monochrome, 2 + 1 per band", 2, 1),
@@ -210,17 +222,17 @@ def fit_gplvm(
     mu: float = 1e-4,
     length_scale: float = 1.0,
     prior: float = 0.0,
-    optimizer: str | None = None,
+    optimizer: str = "l-bfgs",
+    by_likelihood: bool = False,
 ) -> Fit:
-    """The whole-material GPLVM; a material is encoded by its decoded error.
+    """The whole-material GPLVM; a material is encoded by its decoded error, or by its likelihood.
 
     Args:
         count: Q; fewer where there are not enough materials.
-        mapping, mu, length_scale, prior: of the model.
-        optimizer: by default direct local search up to two dimensions, L-BFGS beyond.
+        mapping, mu, length_scale, prior, optimizer: of the model.
+        by_likelihood: how to encode.
     """
     T = mapping_named(mapping)
-    optimizer = optimizer or ("dls" if count <= 2 else "l-bfgs")
 
     def fit(data: Data, training: Array) -> Encode:
         S = data.gram(T)[np.ix_(training, training)]
@@ -228,9 +240,26 @@ def fit_gplvm(
             min(count, len(training) - 1), mu=mu, length_scale=length_scale, prior=prior, optimizer=optimizer,
             tol=_REFIT_TOLERANCE,
         ).fit_gram(S, data.n_outputs)  # fmt: skip
+        if by_likelihood:
+            return _likelihood_in_materials(data, training, fitted.gp_, T, prior)
         return encode_in_materials(data, training, fitted.gp_, T, prior, fitted.output_variance_)
 
     return fit
+
+
+def _likelihood_in_materials(
+    data: Data, training: Array, gp: GPWeights, mapping: Mapping, prior: float
+) -> Encode:
+    """Encode by likelihood, in a process on the latents of whole training materials."""
+    S = data.gram(mapping)
+    encoder = LikelihoodEncoder(gp, S[np.ix_(training, training)], data.n_outputs, gp.X.shape[1], prior=prior)
+
+    def encode(i: int) -> Combination:
+        x = encoder.encode(S[i, training][None], S[i, i][None])
+        variance = encoder.output_variance * float(gp.variance(x)[0])
+        return _whole(data, training, gp.weights(x)[0], mapping, is_clipped=True, variance=variance)
+
+    return encode
 
 
 def encode_in_materials(
@@ -259,13 +288,15 @@ def fit_monochrome(
     length_scale: float = 1.0,
     prior: float = 0.1,
     sample_bands: int = SAMPLE_BANDS,
+    by_likelihood: bool = False,
 ) -> Fit:
-    """The monochrome GPLVM; structure and colours of the samples are encoded together, then every band's colour.
+    """The monochrome GPLVM, encoded as `encode_in_curves` does, or by likelihood.
 
     Args:
         n_structure, n_colour, mu, length_scale, prior: of the model.
         mapping: its name.
         sample_bands: bands per material that are samples.
+        by_likelihood: how to encode.
     """
     T = mapping_named(mapping)
 
@@ -276,7 +307,8 @@ def fit_monochrome(
         model = MonochromeGPLVM(
             n_structure, n_colour, mu=mu, length_scale=length_scale, prior=prior
         ).fit_gram(S[np.ix_(columns, columns)], len(training), data.f.shape[1])  # fmt: skip
-        return encode_in_curves(data, training, model.gp_, n_structure, bands, T, prior)
+        encode = _likelihood_in_curves if by_likelihood else encode_in_curves
+        return encode(data, training, model.gp_, n_structure, bands, T, prior)
 
     return fit
 
@@ -286,7 +318,8 @@ def encode_in_curves(
 ) -> Encode:
     """Encode by the decoded error, in a process on the latents of monochrome samples, bands (B_s,) of each.
 
-    Two and more colour coordinates are searched for in the data's bands, and the curve between these is linear.
+    Structure and colours of the samples are found together, then the colour of every band. Two and more colour
+    coordinates are searched for in the data's bands, and the curve between these is linear.
     """
     columns = sample_columns(training, len(bands))
     some = slice(None, None, PAIR_STRIDE)
@@ -305,13 +338,35 @@ def encode_in_curves(
         elif gp.X.shape[1] - n_structure == 1:
             colours = decoder.encode_colours(structure, values)
         else:
-            nodes = decoder.encode_colours(structure, values[data.bands])
-            every = np.arange(data.n_bands)
-            colours = np.column_stack([np.interp(every, data.bands, node) for node in nodes.T])
+            colours = _interpolated(data, decoder.encode_colours(structure, values[data.bands]))
         latents = np.hstack([np.tile(structure, (data.n_bands, 1)), colours])
         return curve(data, columns, gp, latents, bands, mapping, output_variance)
 
     return encode
+
+
+def _likelihood_in_curves(
+    data: Data, training: Array, gp: GPWeights, n_structure: int, bands: Array, mapping: Mapping, prior: float
+) -> Encode:
+    """Encode by likelihood: structure and the colours of the data's bands together; the curve between is linear."""
+    columns = sample_columns(training, len(bands))
+    samples = data.samples(mapping, bands)[columns]
+    S = data.sample_gram(mapping, bands)[np.ix_(columns, columns)]
+    encoder = LikelihoodEncoder(gp, S, data.f.shape[1], n_structure, len(bands), prior)
+
+    def encode(i: int) -> Combination:
+        T = data.mapped(mapping)[i].T  # [B', P]
+        nodes = encoder.encode((T * data.cosines) @ samples.T, (T * T) @ data.cosines)
+        latents = _interpolated(data, nodes)
+        return curve(data, columns, gp, latents, bands, mapping, encoder.output_variance)
+
+    return encode
+
+
+def _interpolated(data: Data, nodes: Array) -> Array:
+    """Coordinates (B, Q) of all bands from those of the data's bands, (B', Q)."""
+    every = np.arange(data.n_bands)
+    return np.column_stack([np.interp(every, data.bands, node) for node in nodes.T])
 
 
 def curve(

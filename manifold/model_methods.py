@@ -26,7 +26,7 @@ from manifold.tabulated import Data
 
 
 def model_methods(model: Manifold) -> list[Method]:
-    """Methods of one fitted model, most flattering first; the last is the honest one."""
+    """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
     space, settings = model.space, model.settings
     is_curve = isinstance(space, CurveSpace)
     sample_bands = len(space.sample_bands) if isinstance(space, CurveSpace) else None
@@ -35,7 +35,7 @@ def model_methods(model: Manifold) -> list[Method]:
         return settings.latent_dim + B * is_curve
 
     def method(key: str, title: str, fit: Fit, *, held_out: bool = True, refits: bool = True) -> Method:
-        return Method(key, title, numbers, fit, held_out, refits, sample_bands, key == "gp_refitted")
+        return Method(key, title, numbers, fit, held_out, refits, sample_bands, "refitted" in key)
 
     count = _pca_count(model)
     return [
@@ -47,6 +47,7 @@ def model_methods(model: Manifold) -> list[Method]:
         method("gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
         method("gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
         method("gp_refitted", "GP, refitted without it", _fit_refitted(model)),
+        method("gp_refitted_likelihood", "GP, refitted, likelihood", _fit_refitted(model, by_likelihood=True)),
         Method(
             "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count,
             fit_pca("log-relative", count),
@@ -130,17 +131,18 @@ def _fit_encoded(model: Manifold) -> Fit:
     return fit
 
 
-def _fit_refitted(model: Manifold) -> Fit:
+def _fit_refitted(model: Manifold, *, by_likelihood: bool = False) -> Fit:
     """The model's own settings, fitted to the others from their own principal components."""
     s = model.settings
     if isinstance(model.space, CurveSpace):
         return fit_monochrome(
             min(s.latent_dim, len(model.names) - 2), 1, mapping=s.mapping, mu=s.mu,
             length_scale=s.length_scale, prior=s.prior, sample_bands=s.sample_bands,
+            by_likelihood=by_likelihood,
         )  # fmt: skip
     return fit_gplvm(
         s.latent_dim, mapping=s.mapping, mu=s.mu, length_scale=s.length_scale, prior=s.prior,
-        optimizer=s.optimizer,
+        optimizer=s.optimizer, by_likelihood=by_likelihood,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from manifold.brdf import MeasuredBRDF
 from manifold.colour_difference import colour_differences, illuminants_for, multi_angle_pairs
 from manifold.combination import Values, evaluate
 from manifold.heldout import Encoded, encode_all
-from manifold.methods import SAMPLE_BANDS, Method, standard_methods
+from manifold.methods import SAMPLE_BANDS, Method, baseline_methods, gplvm_methods
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model import Manifold, evenly_spaced
 from manifold.model_methods import model_methods, replaced_keys
@@ -147,7 +147,8 @@ def make_report(
         model: a fitted manifold.
         grid_name: `default`, or `seed` for the 1,458,000 pairs of Hikichi & Iwasaki.
         on_progress: called with (done, total, what).
-        compare: also run the methods that take long: those that fit a large model once per material.
+        compare: also run what takes long: models of other settings, and large ones that are fitted once per
+            material.
         all_bands: measure errors in all bands, not in about 20 of them.
     Raises:
         UsageError: the grid is unknown.
@@ -155,8 +156,10 @@ def make_report(
     """
     grid = RusinkiewiczGrid.named(grid_name)
     replaced = replaced_keys(model)
-    methods = [*model_methods(model), *(m for m in standard_methods() if m.key not in replaced)]
-    chosen = [m for m in methods if compare or not is_long(m, len(model.names), model.bands.count)]
+    own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
+    others = [m for m in gplvm_methods() if m.key not in replaced]
+    chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
+    chosen += others if compare else []
     materials, load = _timed(lambda: model.load_materials(on_progress))
     data, tabulate = _timed(lambda: _tabulate(model, materials, on_progress))
     encoded, encode = _timed(lambda: _encode(data, chosen, on_progress))
@@ -177,7 +180,7 @@ def make_report(
         settings=dict(vars(model.settings)),
         condition=model.gp.condition,
         methods=results,
-        left_out=tuple(m.title for m in methods if m not in chosen),
+        left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
         seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate_seconds},
     )
 

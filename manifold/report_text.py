@@ -199,7 +199,7 @@ def _closing(report: Report) -> list[str]:
         f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s."
     ]
     if report.left_out:
-        lines.append(f"{len(report.left_out)} methods that take long were left out: --compare runs them.")
+        lines.append(f"{len(report.left_out)} more methods take long: --compare runs them too.")
     return lines
 
 

@@ -17,6 +17,7 @@ from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.model import evenly_spaced
 from manifold.monochrome import MonochromeGPLVM
 
 GRID = RusinkiewiczGrid(14, 8, 6)
@@ -229,7 +230,7 @@ def test_many_bands_are_thinned_evenly(many_bands):
 
 @pytest.mark.parametrize("key", ["monochrome_2_1", "monochrome_0_2"])
 def test_monochrome_methods_predict_every_band(many_bands, key):
-    data = heldout.Data.evaluate(many_bands, GRID)
+    data = heldout.Data.evaluate(many_bands, GRID, evenly_spaced(60, 8))
     combination = METHODS[key].leave_out(data, 1)
     assert combination.weights.shape[0] == 60
     wi, wo, above = GRID.directions()

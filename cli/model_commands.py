@@ -80,7 +80,7 @@ def embed(
         typer.Option(
             help="monochrome: structure on the map, colour apart. material: colour and all on the map."
         ),
-    ] = Kind.material,
+    ] = Kind.monochrome,
     latent_dim: Annotated[
         str,
         typer.Option(
@@ -309,8 +309,11 @@ def report(
     compare: Annotated[
         bool,
         typer.Option(
-            "--compare", help="Also leave materials out of ten models and baselines (minutes for 195 bands)."
+            "--compare", help="Also refit the large models without each material (minutes for 195 bands)."
         ),
+    ] = False,
+    all_bands: Annotated[
+        bool, typer.Option("--all-bands", help="Measure errors in all bands, not in about 20 of them.")
     ] = False,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
@@ -318,19 +321,16 @@ def report(
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
     from manifold import workflows
-    from manifold.report_text import format_comparison, format_report
+    from manifold.report_text import format_report
 
     results = terminal.Results(json)
     with terminal.progress("Evaluating") as step:
-        made = workflows.report(model, library=library, grid=grid.value, picture=picture, on_progress=step)
+        made = workflows.report(
+            model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, picture=picture,
+            on_progress=step,
+        )  # fmt: skip
     results.text(format_report(made))
-    document = made.to_json()
-    if compare:
-        with terminal.progress("Leaving out") as step:
-            compared = workflows.compare(model, library=library, on_progress=step)
-        results.text("\n" + format_comparison(compared))
-        document["comparison"] = [vars(result) for result in compared]
-    results.document(document)
+    results.document(made.to_json())
 
 
 def demo(

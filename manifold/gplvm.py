@@ -33,7 +33,7 @@ from manifold.records import Array
 
 OPTIMIZERS = ("dls", "l-bfgs", "both")
 CRITERIA = ("likelihood", "residual")
-_SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
+SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
 _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
 _SEARCH_ROUNDS = 10  # of every direct local search: later rounds gain slowly, and the polish has a gradient
@@ -218,8 +218,8 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             raise UsageError(f"optimizer '{self.optimizer}', expected one of {', '.join(OPTIMIZERS)}")
         if not self.n_components >= 1:
             raise UsageError(f"n_components = {self.n_components}, expected at least 1")
-        if not self.mu >= _SMALLEST_MU:
-            raise UsageError(f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K must stay definite")
+        if not self.mu >= SMALLEST_MU:
+            raise UsageError(f"mu = {self.mu}, expected at least {SMALLEST_MU}: K must stay definite")
         if not self.prior >= 0:
             raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
         if not self.n_starts >= 1:
@@ -374,6 +374,10 @@ class LatentObjective:
 
         Source: Lawrence 2005, eq. 6, with the output variance profiled out.
         """
+        return self.with_noise(X)[:2]
+
+    def with_noise(self, X: Array) -> tuple[float, Array, float]:
+        """F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
         N = self.S.shape[0]
         K, P, log_det = self.factorise(X)
         PS = P @ self.S
@@ -381,7 +385,7 @@ class LatentObjective:
         dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
         K[np.diag_indices_from(K)] = 1.0
         gradient = self.kernel.gradient(X, dK, smooth=K) + self.prior * X
-        return self.value_of(log_det, trace, float(np.sum(X**2))), gradient
+        return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
 
     def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
         """F of log|K|, tr(K^-1 S) and ||X||^2; inf where rounding made the trace negative."""

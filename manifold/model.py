@@ -61,7 +61,7 @@ class Settings:
         sample_bands: bands per material that are samples of a monochrome manifold, at most.
     """
 
-    kind: str = "material"
+    kind: str = "monochrome"
     latent_dim: int = 2
     mapping: str = "cube-root"
     optimizer: str = cast(str, None)
@@ -348,6 +348,8 @@ class Manifold:
             return self.gp.variance_fraction(X)
         if colours is None:
             latents = self._sample_latents(X)
+        elif len(X) == 1 and self._owner(X[0], self._require_colours(colours)) is not None:
+            return np.zeros(1)
         else:
             latents = self.space.join(
                 X, np.broadcast_to(self._require_colours(colours), (len(X), self.bands.count))
@@ -498,11 +500,16 @@ class Manifold:
         if colours is None:
             colours = self.colours_like(x, self.nearest(x)[0][0])
         colours = self._require_colours(colours)
-        own = np.all(x == self.X, axis=1) & np.all(self.space.colours == colours, axis=1)
-        if np.any(own):
-            return self._predict_from_materials(np.eye(len(own))[np.argmax(own)])
+        owner = self._owner(x, colours)
+        if owner is not None:
+            return self._predict_from_materials(np.eye(len(self.names))[owner])
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
         return MonochromePrediction(self._thinned, weights, self.mapping, self.bands)
+
+    def _owner(self, x: Array, colours: Array) -> int | None:
+        """The material whose structure x (Q,) and colours (B,) these are."""
+        own = np.all(x == self.X, axis=1) & np.all(colours == self._require_curves().colours, axis=1)
+        return int(np.argmax(own)) if np.any(own) else None
 
     def _predict_from_materials(self, weights: Array, mapping: Mapping | None = None) -> PredictedBRDF:
         if np.count_nonzero(weights) > 2:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from manifold.errors import ShapeError, UsageError
-from manifold.gplvm import LatentObjective, blas_threads, fix_gauge
+from manifold.gplvm import SMALLEST_MU, LatentObjective, blas_threads, fix_gauge
 from manifold.gpr import GPWeights, centre_gram
 from manifold.records import Array
 
@@ -56,6 +56,8 @@ class MonochromeGPLVM:
             raise UsageError(
                 f"{n_structure} structure and {n_colour} colour coordinates, expected at least 0 and 1"
             )
+        if not SMALLEST_MU <= mu < np.inf:
+            raise UsageError(f"mu = {mu}, expected at least {SMALLEST_MU}: K must stay definite")
         self.n_structure = n_structure
         self.n_colour = n_colour
         self.mu = mu

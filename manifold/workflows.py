@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, corpus, gonio, heldout, plot, selection
+from manifold import __version__, atomic, corpus, gonio, plot, selection
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.errors import LibraryError, UsageError
@@ -290,29 +290,27 @@ def locate(
 
 
 def report(
-    model: Path, *, library: Path | None = None, grid: str = "default", picture: Path | None = None,
+    model: Path,
+    *,
+    library: Path | None = None,
+    grid: str = "default",
+    compare: bool = False,
+    all_bands: bool = False,
+    picture: Path | None = None,
     on_progress: Progress | None = None,
-) -> Report:  # fmt: skip
-    """Evaluate a model; with `picture`, also draw the map of its latents."""
+) -> Report:
+    """Evaluate a model and other methods, see `make_report`; with `picture`, also draw the map of its latents."""
     if picture is not None:
         plot.require_writable(picture)
     loaded = Manifold.load(model, library)
-    made = make_report(loaded, grid, on_progress)
+    if len(loaded.names) < 3:
+        raise UsageError(
+            f"{model}: found {len(loaded.names)} materials, expected at least 3 to leave one out; import more"
+        )
+    made = make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands)
     if picture is not None:
         plot.save(plot.latent_map(loaded), picture)
     return made
-
-
-def compare(
-    model: Path, *, library: Path | None = None, on_progress: Progress | None = None
-) -> list[heldout.Result]:
-    """Encode-decode leave-one-out of models and baselines on the library of a model; see `heldout.compare`."""
-    materials = Manifold.load(model, library).load_materials()
-    if len(materials) < 4:
-        raise UsageError(
-            f"{model}: a comparison needs at least 4 materials, found {len(materials)}; import more"
-        )
-    return heldout.compare(materials, on_progress=on_progress)
 
 
 @dataclass(frozen=True)

@@ -301,8 +301,12 @@ def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_
         return
     assert status == 0
     status, out, err = run("report", "--picture", "map.png", cwd=tmp_path)
-    assert (status, err) == (0, "")
-    assert f"{count} materials" in out
+    if count == 2:
+        assert status == 2
+        assert "leave one out" in one_line(err)
+    else:
+        assert (status, err) == (0, "")
+        assert f"{count} materials" in out
     latent = ",".join(["0.1"] * latent_dim)
     assert run("predict", "--latent", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
 
@@ -325,7 +329,7 @@ def structures(tmp_path_factory):
     """A folder with `library.zarr` and a monochrome `model.h5` made by the command line."""
     path = tmp_path_factory.mktemp("structures")
     small_library(path)
-    assert manifold("embed", "--kind", "monochrome", cwd=path)[0] == 0
+    assert manifold("embed", cwd=path)[0] == 0
     return path
 
 
@@ -382,7 +386,8 @@ def test_colours_that_are_none_are_usage_errors(run, structures, arguments, word
 
 
 def test_colours_of_whole_materials_are_usage_errors(run, folder):
-    code, _, err = run("predict", "--latent", "0,0", "--srgb", "#ffffff", cwd=folder)
+    assert run("embed", "--kind", "material", "-M", "whole.h5", cwd=folder)[0] == 0
+    code, _, err = run("predict", "-M", "whole.h5", "--latent", "0,0", "--srgb", "#ffffff", cwd=folder)
     assert code == 2
     assert "--kind monochrome" in err
 
@@ -499,7 +504,7 @@ def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
 
 def test_an_interruption_leaves_nothing_half_written(tmp_path):
     process = start("corpus", "out", cwd=tmp_path)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 150
     while not list(tmp_path.glob("out/*_spec.bsdf")) and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from manifold.heldout import Result
 from manifold.report import MethodResult, Report
 
 _SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
@@ -40,24 +39,6 @@ def format_report(report: Report) -> str:
         *_closing(report),
     ]
     return "\n".join(lines) + "\n"
-
-
-def format_comparison(results: Sequence[Result]) -> str:
-    """Encode-decode leave-one-out of several methods; plain text that ends in a newline."""
-    rows = [
-        (
-            r.title,
-            str(r.numbers),
-            f"{r.median:.3f}",
-            f"{r.p90:.3f}",
-            f"{r.negative_share:.2%}",
-            f"{r.seconds:.1f}",
-        )
-        for r in results
-    ]
-    head = ("encode-decode leave-one-out", "numbers", "median", "90th pct.", "negative", "seconds")
-    note = "Relative error of materials that a model was fitted without; numbers describe one material.\n"
-    return "\n".join(_table(head, rows)) + "\n\n" + note
 
 
 def _heading(report: Report) -> list[str]:
@@ -107,7 +88,8 @@ def _errors(methods: Sequence[MethodResult]) -> list[str]:
         "predicted without it. All other methods have not seen it when they are fitted.",
         "a + b per band: a coordinates that all bands share, and b of every band.",
         "error, p90: relative, cosine-weighted; median and 90th percentile of materials.",
-        "RMSE: eq. 22, median, 1/sr. negative: share of values. recip., albedo: worst.",
+        "RMSE: eq. 22, median, 1/sr. recip., albedo: worst of materials. negative: share",
+        "of values; measured files have some too.",
     ]
 
 

@@ -17,7 +17,7 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error, rm
 from manifold.model import Manifold, Settings
 from manifold.model_methods import model_methods, replaced_keys
 from manifold.plausibility import plausibility
-from manifold.report_text import format_comparison, format_report
+from manifold.report_text import format_report
 from manifold.store import Library
 
 KINDS = ("monochrome", "material")
@@ -255,12 +255,6 @@ def test_the_report_is_plain_json(made):
     assert document["names"] == list(made.names)
     assert document["program"].startswith("manifold ")
     assert {m["key"] for m in document["methods"]} >= {"reconstruction", "gp_refitted", "linear", "nearest"}
-
-
-def test_a_comparison_is_a_table(model):
-    results = heldout.compare(model.load_materials(), heldout.standard_methods()[:3])
-    lines = format_comparison(results).splitlines()
-    assert all(any(line.startswith(r.title) and f"{r.median:.3f}" in line for line in lines) for r in results)
 
 
 def test_the_map_shows_every_material_where_it_lies(model, tmp_path):

@@ -11,6 +11,7 @@ COMMANDS = {
     "evaluation": ["bench_evaluation.py"],
     "import": ["bench_import.py"],
     "goniometer": ["bench_goniometer.py"],
+    "gplvm": ["bench_gplvm.py", "--figure", "results/scaling.png"],
 }
 
 

@@ -38,7 +38,7 @@ _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
 _SEARCH_ROUNDS = 10  # of every direct local search: later rounds gain slowly, and the polish has a gradient
 _WIDE_MU = 0.1  # of the second search, which first follows a smoother objective
-_RELOCATIONS, _RELOCATED, _RELOCATION_SPREAD = 20, 0.125, 0.3  # tries, share of latents, in length scales
+_RELOCATIONS, _RELOCATED, _RELOCATION_SPREAD = 30, 0.25, 0.3  # tries, share of latents, in length scales
 _RELOCATION_ITERATIONS = 60  # of L-BFGS after each: enough to tell a better basin from a worse one
 _RELOCATION_TOLERANCE = 1e-5
 _PERTURBATION = 0.3  # of random starts, in standard deviations of the start
@@ -676,7 +676,7 @@ def _refine_dls(run: _Run, start: Array) -> Array:
 
 
 def _relocate(X: Array, length_scale: float, random: np.random.RandomState) -> Array:
-    """Latents (N, Q) with a random eighth of them, at least two, moved next to random others."""
+    """Latents (N, Q) with a random quarter of them, at least two, moved next to random others."""
     N, Q = X.shape
     moved = random.choice(N, max(2, int(_RELOCATED * N)), replace=False)
     beside = X[random.choice(N, len(moved))]

@@ -51,6 +51,14 @@ def test_gradient_agrees_with_central_differences(rng, prior):
     np.testing.assert_allclose(gradient, numeric, rtol=0, atol=1e-6 * np.abs(numeric).max())
 
 
+def test_derivative_by_the_noise_agrees_with_central_differences(rng):
+    Y, X, h = curved(rng, 15), rng.normal(size=(15, 3)), 1e-6
+    ahead, behind = (objective_of(Y, 1e-2 + step, 1.2, 0.3)(X)[0] for step in (h, -h))
+    _, _, derivative = objective_of(Y, 1e-2, 1.2, 0.3).with_noise(X)
+    # h = 1e-4 of mu: truncation is h^2 / mu^2 = 1e-8 of the derivative.
+    assert derivative == pytest.approx((ahead - behind) / (2 * h), rel=1e-6)
+
+
 @pytest.mark.parametrize("prior", [0.0, 0.3])
 def test_ten_thousand_rank_two_updates_agree_with_a_fresh_factorisation(rng, prior):
     Y = curved(rng, 51)

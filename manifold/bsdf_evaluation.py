@@ -93,7 +93,8 @@ def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = 
 
 def _load(mi: Any, content: dict[str, Any]) -> Any:
     try:
-        loaded = mi.load_dict(content)
+        # Equal textures would become one, and their parameters with them.
+        loaded = mi.load_dict(content, optimize=False)
     except RuntimeError as error:
         raise _refusal(content["type"], error) from error
     if not isinstance(loaded, mi.BSDF):
@@ -106,13 +107,12 @@ def _refusal(kind: str, error: RuntimeError) -> UsageError:
     return UsageError(f"BSDF {kind}: Mitsuba says {reason[:200]}; check its type and parameters")
 
 
-def bsdf_keys(family: BsdfFamily) -> dict[str, str]:
+def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
     """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture.
 
     Raises:
         UsageError: Mitsuba has no such plugin, or the plugin no such parameter.
     """
-    mi = backend.mitsuba(colour="rgb")
     defaults = {
         o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default for o in family.parameters
     }
@@ -133,7 +133,7 @@ class LaneEvaluator:
     def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
         self.layout = Layout(family, n_bands)
         self._mi, self._dr = mi, backend.drjit()
-        slots = bsdf_keys(family)
+        slots = bsdf_keys(mi, family)
         self._textures = {
             o.name: mi.load_dict({"type": _lane_plugin(mi.variant())})
             for o in family.parameters
@@ -248,7 +248,7 @@ class LaneEvaluator:
         si = dr.zeros(mi.SurfaceInteraction3f, n * m)
         si.wi = dr.gather(mi.Vector3f, directions[0], column)
         wo = dr.gather(mi.Vector3f, directions[1], column)
-        out = self._bsdf.eval(mi.BSDFContext(), si, wo)
+        out = self._bsdf.eval(mi.BSDFContext(), si, wo, True)
         if slopes is None:
             return np.array(out)
         slope = dr.forward_to(out)
@@ -303,7 +303,7 @@ class ScalarEvaluator:
     def __init__(self, mi: Any, family: BsdfFamily, wi: Array, wo: Array, n_bands: int) -> None:
         self.layout = Layout(family, n_bands)
         self._mi = mi
-        self._slots = bsdf_keys(family)
+        self._slots = bsdf_keys(mi, family)
         defaults = {
             o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default
             for o in family.parameters
@@ -325,7 +325,7 @@ class ScalarEvaluator:
                 count = min(3, self.layout.n_bands - first)
                 for i, m in enumerate(pairs):
                     si.wi = self._wi[m]
-                    value = self._bsdf.eval(context, si, self._wo[m])
+                    value = self._bsdf.eval(context, si, self._wo[m], True)
                     for c in range(count):
                         out[k, i, first + c] = value[c]
         return out

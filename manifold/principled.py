@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from manifold import backend, fit_metrics, fit_samples, gauss_newton, identifiability, seed_fitters
 from manifold.brdf import BRDF
@@ -120,15 +121,16 @@ def fit(
     measure = Metric.of(metric, rgb)
     whole = evaluator(family, rgb.wi, rgb.wo, 3)
     start = time.perf_counter()
-    if isinstance(options, GaussNewton):
-        rows = gauss_newton.coarse_rows(rgb, options)
-        coarse = evaluator(family, rgb.wi[rows], rgb.wo[rows], 3)
-        minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse)
-    elif isinstance(options, AdamOptions):
-        minima = [seed_fitters.adam(family, rgb, whole, measure, options)]
-    else:
-        minima = [seed_fitters.swarm(family, rgb, whole, measure, options)]
-    spectra, spectral_residual = _fit_spectra(family, samples, metric, minima[0].p, whole.layout)
+    with threadpool_limits(1):  # small matrices: threads would only wait for each other
+        if isinstance(options, GaussNewton):
+            rows = gauss_newton.coarse_rows(rgb, options)
+            coarse = evaluator(family, rgb.wi[rows], rgb.wo[rows], 3)
+            minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse)
+        elif isinstance(options, AdamOptions):
+            minima = [seed_fitters.adam(family, rgb, whole, measure, options)]
+        else:
+            minima = [seed_fitters.swarm(family, rgb, whole, measure, options)]
+        spectra, spectral_residual = _fit_spectra(family, samples, metric, minima[0].p, whole.layout)
     seconds = time.perf_counter() - start
     return _result(
         family, samples, rgb, whole, measure, minima, noise,

@@ -78,7 +78,7 @@ def adam(
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     if not mi.variant().startswith("llvm"):
         raise UsageError(f"method adam needs Mitsuba's LLVM backend, found {mi.variant()}; use gauss-newton")
-    keys = bsdf_keys(family)
+    keys = bsdf_keys(mi, family)
     shared = [o for o in family.parameters if not o.per_band]
     colours = [o for o in family.parameters if o.per_band]
     values = {o.name: o.default for o in shared} | {o.name: [1.0] * 3 for o in colours}
@@ -90,7 +90,7 @@ def adam(
     weight = mi.Float(samples.weight.astype(np.float32))
 
     def loss(luminance_only: bool) -> Any:
-        difference = bsdf.eval(mi.BSDFContext(), si, wo) - target
+        difference = bsdf.eval(mi.BSDFContext(), si, wo, True) - target
         if luminance_only:
             return dr.mean(weight * dr.square(mi.luminance(difference)))
         return dr.mean(weight * dr.mean(dr.square(difference)))

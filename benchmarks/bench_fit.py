@@ -1,0 +1,213 @@
+"""Fits of `principled`: known truths, time and residual beside the older methods, and rough black against smooth grey.
+
+    python benchmarks/bench_fit.py --files FOLDER [--cases 200] [--baseline-cases 20] [--json FILE]
+
+All methods see the same samples in the same run. FOLDER holds .bsdf files; the directions of the first serve for the
+known truths. Residuals are compared in the metric of the default fit and in the squared linear error that Adam sees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import fit_samples
+from manifold.bsdf_evaluation import evaluator
+from manifold.bsdf_parameters import Layout, principled
+from manifold.directions import from_spherical
+from manifold.fit_metrics import Metric, relative_residual
+from manifold.fit_samples import FitSamples
+from manifold.identifiability import DETERMINED
+from manifold.io_rgl import read_bsdf
+from manifold.metrics import rusinkiewicz_grid
+from manifold.principled import FitResult, fit
+
+NOISE = 0.005
+METHODS = ("gauss-newton", "adam", "swarm")
+SENSORS_DEG = (
+    (60, 0), (30, 0), (0, 0), (30, 180), (65, 180), (45, 60), (45, 120), (30, 90), (60, 60), (60, 120),
+)  # fmt: skip
+
+
+def truths(n: int, layout: Layout) -> np.ndarray:
+    """Random parameter vectors (n, K): uniform, a little away from the ends of [0, 1]."""
+    low, high = np.maximum(layout.minimum, 0.02), np.minimum(layout.maximum, 0.98)
+    return np.random.default_rng(1).uniform(low, high, (n, layout.size))
+
+
+def noisy(
+    samples: FitSamples, f_cos: np.ndarray, rng: np.random.Generator, relative: float, floor: float = 0.0
+):
+    """Samples of known values with Gaussian noise, per value; negative ones clipped."""
+    f = f_cos / samples.wo[:, 2:]
+    f = np.maximum(f + (relative * f + floor) * rng.standard_normal(f.shape), 0.0)
+    return FitSamples.from_arrays(samples.wi, samples.wo, f)
+
+
+def judge(result: FitResult, p: np.ndarray, truth_residual: float) -> dict[str, Any]:
+    """How a fit compares with the truth."""
+    layout = Layout(result.family, 3)
+    error = np.abs(layout.join(result.values) - p)
+    counted = [k for k, label in enumerate(layout.labels) if label not in ("clearcoat_gloss", "sheen")]
+    claimed = [k for k in counted if result.statements[k].state == DETERMINED]
+    return {
+        "recovered": bool(np.all(error[claimed] <= layout.tolerance[claimed])),
+        "recovered_all": bool(np.all(error[counted] <= layout.tolerance[counted])),
+        "claimed": len(claimed),
+        "counted": len(counted),
+        "as_low_as_truth": result.residuals[result.metric] <= truth_residual * 1.0001,
+        "seconds": result.seconds,
+    }
+
+
+def known_truths(pairs: FitSamples, n: int, n_baseline: int) -> dict[str, Any]:
+    """Recovery of random parameters by every method."""
+    family = principled()
+    whole = evaluator(family, pairs.wi, pairs.wo, 3)
+    rng = np.random.default_rng(2)
+    rows: dict[str, list[dict[str, Any]]] = {method: [] for method in METHODS}
+    for k, p in enumerate(truths(n, whole.layout)):
+        value = whole.values(p)[0]
+        samples = noisy(pairs, value, rng, NOISE)
+        truth = relative_residual(samples, Metric.of("cube-root", samples), value)
+        for method in METHODS:
+            if method == "gauss-newton" or k < n_baseline:
+                rows[method].append(judge(fit(samples, family, method=method, noise=NOISE), p, truth))
+    out = {}
+    for method, judged in rows.items():
+        if not judged:
+            continue
+        out[method] = {
+            "cases": len(judged),
+            "recovered_where_claimed": sum(j["recovered"] for j in judged),
+            "recovered_everything": sum(j["recovered_all"] for j in judged),
+            "share_of_values_claimed": sum(j["claimed"] for j in judged) / sum(j["counted"] for j in judged),
+            "as_low_as_truth": sum(j["as_low_as_truth"] for j in judged),
+            "median_seconds": statistics.median(j["seconds"] for j in judged),
+        }
+        print(f"known truths, {method}: {out[method]}", flush=True)
+    return out
+
+
+def rough_or_smooth(n: int) -> dict[str, Any]:
+    """Rough black and smooth grey: how often both are among the solutions that fit as well as the best."""
+    family = principled()
+    layout = Layout(family, 3)
+    materials = {
+        "rough black": {"base_color": [0.01] * 3, "roughness": 0.95},
+        "smooth grey": {"base_color": [0.02] * 3, "roughness": 0.1},
+    }
+    wi, wo = [], []
+    for incidence in (15, 45):
+        for theta, phi in SENSORS_DEG:
+            wi.append(from_spherical(np.deg2rad(incidence), np.pi))
+            wo.append(from_spherical(np.deg2rad(theta), np.deg2rad(phi)))
+    dense_wi, dense_wo, above = rusinkiewicz_grid()
+    keep = np.flatnonzero(above & (np.minimum(dense_wi[:, 2], dense_wo[:, 2]) > 0.05))[::6]
+    tables = {"20 geometries": (np.array(wi), np.array(wo)), "dense": (dense_wi[keep], dense_wo[keep])}
+    out: dict[str, Any] = {}
+    for table, (wi_t, wo_t) in tables.items():
+        for name, values in materials.items():
+            p = layout.join({"metallic": 0, "specular": 0.5, "clearcoat": 0, "sheen": 0} | values)
+            f_cos = evaluator(family, wi_t, wo_t, 3).values(p)[0]
+            pairs = FitSamples.from_arrays(wi_t, wo_t, np.ones((len(wi_t), 3)))
+            rng = np.random.default_rng(3)
+            row = {
+                "cases": n,
+                "both_listed": 0,
+                "roughness_determined_and_right": 0,
+                "says_it_cannot_tell": 0,
+            }
+            for _ in range(n):
+                result = fit(noisy(pairs, f_cos, rng, 0.05, 0.003), family, noise=0.05)
+                good = [float(m.values["roughness"]) for m in result.minima if m.as_good]
+                state = next(s for s in result.statements if s.name == "roughness")
+                row["both_listed"] += max(good) > 0.5 and min(good) < 0.3
+                row["says_it_cannot_tell"] += state.state != DETERMINED
+                row["roughness_determined_and_right"] += (
+                    state.state == DETERMINED and abs(state.value - values["roughness"]) < 0.03
+                )
+            out[f"{table}, {name}"] = row
+            print(f"{table}, {name}: {row}", flush=True)
+    return out
+
+
+def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
+    """Time and residual of Gauss-Newton and Adam on files."""
+    rows = []
+    for k, path in enumerate(sorted(folder.glob("*.bsdf"))):
+        samples = fit_samples.from_file(read_bsdf(path)).as_rgb()
+        ours = fit(samples)
+        row: dict[str, Any] = {
+            "name": path.stem,
+            "seconds": ours.seconds,
+            "residual": ours.residuals["cube-root"],
+            "diffuse": ours.diffuse_residual,
+            "at_bound_said": all(
+                any(s.name in note for note in ours.notes) for s in ours.statements if s.at_bound
+            ),
+        }
+        if k < n_baseline:
+            theirs = fit(samples, method="adam")
+            linear = fit(samples, metric="linear")
+            row |= {
+                "adam_seconds": theirs.seconds,
+                "adam_residual": theirs.residuals["cube-root"],
+                "adam_linear": theirs.residuals["linear"],
+                "linear": linear.residuals["linear"],
+                "linear_seconds": linear.seconds,
+            }
+        rows.append(row)
+        print(row, flush=True)
+    both = [row for row in rows if "adam_seconds" in row]
+    summary: dict[str, Any] = {
+        "materials": len(rows),
+        "median_seconds": statistics.median(row["seconds"] for row in rows),
+        "worse_than_diffuse": sum(row["residual"] > row["diffuse"] for row in rows),
+        "unsaid_bounds": sum(not row["at_bound_said"] for row in rows),
+    }
+    if both:
+        summary |= {
+            "beside_adam": len(both),
+            "median_time_ratio": statistics.median(row["adam_seconds"] / row["seconds"] for row in both),
+            "residual_as_low": sum(row["residual"] <= row["adam_residual"] for row in both),
+            "linear_as_low": sum(row["linear"] <= row["adam_linear"] * 1.0001 for row in both),
+        }
+    print(f"materials of {folder.name}: {summary}", flush=True)
+    return {"summary": summary, "rows": rows}
+
+
+def main() -> None:
+    """Run what the options ask for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--files", type=Path, required=True, help="folder of .bsdf files")
+    parser.add_argument("--cases", type=int, default=200, help="known truths")
+    parser.add_argument(
+        "--baseline-cases", type=int, default=10**9, help="of those, and of the files, also by Adam"
+    )
+    parser.add_argument("--rough-cases", type=int, default=20)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    results: dict[str, Any] = {}
+    if options.cases:
+        first = sorted(options.files.glob("*.bsdf"))[0]
+        wi, wo = fit_samples.file_pairs(read_bsdf(first))
+        pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).thinned(fit_samples.MAX_PAIRS)
+        fit(pairs)  # compile
+        results["known_truths"] = known_truths(pairs, options.cases, options.baseline_cases)
+    if options.rough_cases:
+        results["rough_or_smooth"] = rough_or_smooth(options.rough_cases)
+    results["materials"] = materials(options.files, options.baseline_cases)
+    if options.json is not None:
+        options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""Fits as files: the schema, what comes back, the workflow and the command."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_library import measured, small_model
+from typer.testing import CliRunner
+
+from manifold import backend, fit_json, fit_workflows
+from manifold.bsdf_evaluation import evaluator
+from manifold.bsdf_parameters import principled
+from manifold.cli.main import app
+from manifold.errors import FileFormatError, UsageError
+from manifold.fit_samples import FitSamples, from_file
+from manifold.fit_workflows import FitSettings
+from manifold.io_rgl import write_bsdf
+from manifold.principled import fit
+from manifold.records import Bands
+
+SETTINGS = FitSettings(principled(["base_color", "roughness", "metallic"]))
+
+
+@pytest.fixture(scope="module")
+def satin(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("files") / "satin_rgb.bsdf"
+    write_bsdf(path, measured("syn_satin_gold"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def fitted(satin, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("fits") / "satin.fit.json"
+    fit_workflows.fit_files([satin], path, SETTINGS)
+    return path
+
+
+def evaluate(bsdf, wi, wo):
+    """f_cos (M, 3) of a Mitsuba BSDF."""
+    mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
+    if mi.variant().startswith("llvm"):
+        si = dr.zeros(mi.SurfaceInteraction3f, len(wi))
+        si.wi = mi.Vector3f(wi.T.astype(np.float32))
+        return np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.astype(np.float32)), True)).T
+    si, rows = mi.SurfaceInteraction3f(), []
+    for a, b in zip(wi, wo, strict=True):
+        si.wi = mi.Vector3f(*a)
+        rows.append(np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(*b), True)))
+    return np.array(rows)
+
+
+def test_the_json_recreates_the_fitted_bsdf(satin, fitted):
+    samples = from_file(measured("syn_satin_gold"))
+    whole = evaluator(SETTINGS.family, samples.wi, samples.wo, 3)
+    expected = whole.values(whole.layout.join(fit_json.read(fitted)["values"]))[0]
+    direct = fit(samples, SETTINGS.family)
+    assert direct.values == fit_json.read(fitted)["values"]  # a fit is determined by its samples
+    for bsdf in (
+        fit_json.read_bsdf(fitted),
+        backend.mitsuba(colour="rgb").load_dict(fit_json.read(fitted)["mitsuba"]),
+    ):
+        found = evaluate(bsdf, samples.wi, samples.wo)
+        assert np.max(np.abs(found - expected)) <= 1e-6 * np.max(expected)
+
+
+def test_a_spectral_fit_loads_in_a_spectral_variant():
+    bands = Bands((420.0, 500.0, 580.0, 660.0))
+    rng = np.random.default_rng(0)
+    pairs = rng.normal(size=(2, 60, 3))
+    pairs[..., 2] = np.abs(pairs[..., 2]) + 0.2
+    pairs /= np.linalg.norm(pairs, axis=-1, keepdims=True)
+    f = np.tile([0.05, 0.1, 0.2, 0.3], (60, 1))
+    result = fit(
+        FitSamples.from_arrays(pairs[0], pairs[1], f, bands=bands), principled(["base_color", "roughness"])
+    )
+    content = fit_json.document(result, fit_json.Source("flat"))
+    mi = backend.mitsuba(colour="spectral")
+    try:
+        assert isinstance(mi.load_dict(content["mitsuba_spectral"]), mi.BSDF)
+    finally:
+        backend.mitsuba(colour="rgb")
+    assert content["spectra"]["wavelengths_nm"] == list(bands.wavelengths_nm)
+
+
+def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
+    content = json.loads(fitted.read_text())
+    assert content["source"]["sha256"] == hashlib.sha256(satin.read_bytes()).hexdigest()
+    assert content["source"]["file"] == satin.name
+    assert content["hyperparameters"]["noise"] == SETTINGS.noise
+    assert content["minima"][0]["values"] == content["values"]
+    assert set(fit_json.schema()["required"]) == set(content)
+    assert not list(fitted.parent.glob(".*"))
+
+
+def test_a_prediction_names_its_model_and_latent(tmp_path):
+    model = small_model(tmp_path)
+    target = tmp_path / "between.fit.json"
+    made = fit_workflows.fit_prediction(model, [0.1, -0.2], target, SETTINGS)
+    source = fit_json.read(target)["source"]
+    assert source["latent"] == [0.1, -0.2]
+    assert source["model_sha256"] == hashlib.sha256(model.read_bytes()).hexdigest()
+    assert made.content is not None
+    assert made.content["residuals"]["cube-root"] < made.content["diffuse_residual"]
+
+
+def test_a_second_run_keeps_what_is_there_and_other_settings_do_not(satin, fitted):
+    before = fitted.stat().st_mtime_ns
+    assert fit_workflows.fit_files([satin], fitted, SETTINGS)[0].was_there
+    assert fitted.stat().st_mtime_ns == before
+    copy_of = fitted.with_name("other.json")
+    copy_of.write_bytes(fitted.read_bytes())
+    other = FitSettings(SETTINGS.family, metric="log")
+    assert not fit_workflows.fit_files([satin], copy_of, other)[0].was_there
+
+
+def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    for name in ("syn_satin_gold", "syn_felt_green"):
+        write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
+    (folder / "broken.bsdf").write_bytes(b"not a tensor file")
+    outcomes = fit_workflows.fit_files([folder], tmp_path / "fits", SETTINGS, jobs=2)
+    assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
+    assert [o.failure is None for o in outcomes] == [False, True, True]
+    assert sorted(p.name for p in (tmp_path / "fits").iterdir()) == [
+        "syn_felt_green.fit.json", "syn_satin_gold.fit.json",
+    ]  # fmt: skip
+
+
+def test_the_command_fits_and_says_what_it_knows(satin, tmp_path):
+    target = tmp_path / "out.json"
+    arguments = ["fit", str(satin), "-o", str(target), "--free", "base_color,roughness", "--json", "-"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["fits"][0] == json.loads(target.read_text())
+    shown = CliRunner().invoke(app, arguments[:-2])
+    assert "roughness" in shown.stdout
+    assert "it was there" in shown.stdout
+
+
+def test_a_described_bsdf_is_fitted_by_the_command(satin, tmp_path):
+    family = {
+        "type": "roughplastic",
+        "parameters": [
+            {"name": "diffuse_reflectance", "minimum": 0, "maximum": 1, "default": 0.5, "per_band": True},
+            {"name": "alpha", "minimum": 0.02, "maximum": 1, "default": 0.3, "transform": "log"},
+        ],
+        "fixed": {"distribution": "ggx"},
+    }
+    description, target = tmp_path / "family.json", tmp_path / "out.json"
+    description.write_text(json.dumps(family))
+    result = CliRunner().invoke(app, ["fit", str(satin), "-o", str(target), "--bsdf", str(description)])
+    assert result.exit_code == 0, result.output
+    assert fit_json.read(target)["mitsuba"]["type"] == "roughplastic"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.pop("values"), "'values'"),
+        (lambda c: c.update(format="other"), "format"),
+        (lambda c: c.update(format_version=2), "format_version"),
+        (lambda c: c.update(n_pairs="many"), "n_pairs"),
+        (lambda c: c["minima"][0].update(as_good=1), r"minima\[0\].as_good"),
+        (lambda c: c["source"].pop("sha256"), "'sha256'"),
+    ],
+)
+def test_a_changed_document_is_refused_by_name(fitted, tmp_path, change, words):
+    content = copy.deepcopy(json.loads(fitted.read_text()))
+    change(content)
+    path = tmp_path / "changed.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match=words) as raised:
+        fit_json.read(path)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda p: fit_json.read(p / "none.json"), "no such file"),
+        (lambda p: fit_workflows.find_files([p / "none.bsdf"]), "no such file"),
+        (lambda p: fit_workflows.find_files([p]), "no .bsdf file"),
+        (lambda p: fit_workflows.family_of("base_color", p), "cannot be used together"),
+        (lambda p: fit_workflows.read_family(p / "none.json"), "No such file"),
+        (lambda p: FitSettings(principled(), method="simplex"), "simplex"),
+        (lambda p: FitSettings(principled(), noise=2.0), "noise 2"),
+    ],
+)
+def test_bad_requests_are_one_clear_line(tmp_path, call, words):
+    with pytest.raises(UsageError, match=words) as raised:
+        call(tmp_path)
+    assert "\n" not in str(raised.value)

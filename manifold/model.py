@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from manifold import gram
 from manifold.brdf import BRDF, MeasuredBRDF
@@ -320,7 +321,7 @@ class Manifold:
         """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
 
         Of a monochrome manifold: summed over the samples of a material, averaged over bands, in the colours of
-        the nearest material.
+        the materials around.
         """
         return self._at(x, self._weights)
 
@@ -335,7 +336,7 @@ class Manifold:
         """Posterior standard deviation at latents x (M, Q) or (Q,), as a fraction of the prior's, in [0, 1].
 
         Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
-        over the sample bands in the colours of the nearest material.
+        over the sample bands in the colours of the materials around.
         """
         return self._at(x, lambda X: np.sqrt(self._variance_fraction(X, colours)))
 
@@ -357,10 +358,17 @@ class Manifold:
         return self.gp.variance_fraction(latents).reshape(len(X), -1).mean(axis=1)
 
     def _sample_latents(self, X: Array) -> Array:
-        """Latents of the sample bands at structures X (M, Q), in the colours of the nearest materials."""
+        """Latents of the sample bands at structures X (M, Q), in colours blended from those of the materials around.
+
+        The weights fall with the fourth power of the distance: near a material its own colours, and no seams.
+        """
         assert isinstance(self.space, CurveSpace)
-        nearest = np.argmin(np.linalg.norm(X[:, None] - self.X[None], axis=2), axis=1)
-        return self.space.join(X, self.space.sample_colours[nearest])
+        distance = cdist(X, self.X)
+        nearest = distance.min(axis=1, keepdims=True)
+        share = np.divide(nearest, distance, out=np.ones_like(distance), where=distance > 0) ** 4
+        share[nearest[:, 0] == 0] = 0.0
+        share[np.flatnonzero(nearest[:, 0] == 0), distance[nearest[:, 0] == 0].argmin(axis=1)] = 1.0
+        return self.space.join(X, share @ self.space.sample_colours / share.sum(axis=1, keepdims=True))
 
     def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""

@@ -11,12 +11,13 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manifold import fit_samples
+from manifold import backend, fit_json, fit_samples
 from manifold.bsdf_evaluation import evaluator
 from manifold.bsdf_parameters import Layout, principled
 from manifold.directions import from_spherical
@@ -137,6 +138,21 @@ def rough_or_smooth(n: int) -> dict[str, Any]:
     return out
 
 
+def json_difference(result: FitResult, samples: FitSamples) -> float:
+    """Largest difference of the BSDF that the written JSON re-creates, over the largest value."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "fit.json"
+        fit_json.write(path, result, fit_json.Source("benchmark"))
+        bsdf = fit_json.read_bsdf(path)
+    mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
+    si = dr.zeros(mi.SurfaceInteraction3f, len(samples))
+    si.wi = mi.Vector3f(samples.wi.T.astype(np.float32))
+    found = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(samples.wo.T.astype(np.float32)), True)).T
+    whole = evaluator(result.family, samples.wi, samples.wo, 3)
+    expected = whole.values(whole.layout.join(result.values))[0]
+    return float(np.max(np.abs(found - expected)) / np.max(expected))
+
+
 def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
     """Time and residual of Gauss-Newton and Adam on files."""
     rows = []
@@ -148,6 +164,7 @@ def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
             "seconds": ours.seconds,
             "residual": ours.residuals["cube-root"],
             "diffuse": ours.diffuse_residual,
+            "json_difference": json_difference(ours, samples),
             "at_bound_said": all(
                 any(s.name in note for note in ours.notes) for s in ours.statements if s.at_bound
             ),
@@ -168,6 +185,7 @@ def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
     summary: dict[str, Any] = {
         "materials": len(rows),
         "median_seconds": statistics.median(row["seconds"] for row in rows),
+        "largest_json_difference": max(row["json_difference"] for row in rows),
         "worse_than_diffuse": sum(row["residual"] > row["diffuse"] for row in rows),
         "unsaid_bounds": sum(not row["at_bound_said"] for row in rows),
     }

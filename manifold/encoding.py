@@ -24,6 +24,7 @@ PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find 
 _STARTS = 5  # nearest training materials to start from
 _MAX_ITER = 200
 _COLOUR_TABLE = 257  # values of a single colour coordinate that are decoded
+_COST_OF_DOUBT = 0.1  # an albedo missed by this much is as bad as a prediction that knows nothing
 _COLOUR_MARGIN = 0.25  # of the training colours' range, on either side
 
 
@@ -113,24 +114,24 @@ class Decoder:
     def colours_of_albedo(self, structure: Array, albedo: Array, measure: Array) -> tuple[Array, Array]:
         """Colour coordinates that give a structure (Q_s,) the albedos (R,), and the albedos they give, (R,).
 
-        Among several the one nearest to the middle of the training colours is taken; an albedo out of reach
-        is met as nearly as it can be. `measure` (P,) makes an albedo of values at the outputs.
+        Albedo need not grow with the colour coordinate everywhere. All rows take their colours from one stretch
+        where it does, so that neighbouring bands do not jump between looks: the stretch that misses the albedos
+        least, and where the posterior is surest. `measure` (P,) makes an albedo of values at the outputs.
         """
         grid = self._colour_grid()
-        reached = self.decode(np.column_stack([np.tile(structure, (len(grid), 1)), grid])) @ measure
-        middle = float(np.median(self.gp.X[:, -1]))
-        colours, found = np.empty(len(albedo)), np.empty(len(albedo))
-        low, high = reached[:-1], reached[1:]
-        for r, target in enumerate(albedo):
-            between = np.flatnonzero((np.minimum(low, high) <= target) & (target <= np.maximum(low, high)))
-            if len(between):
-                k = between[np.argmin(np.abs(grid[between] - middle))]
-                t = (target - low[k]) / (high[k] - low[k]) if high[k] != low[k] else 0.0
-                colours[r], found[r] = grid[k] + t * (grid[k + 1] - grid[k]), target
-            else:
-                k = int(np.argmin(np.abs(reached - target)))
-                colours[r], found[r] = grid[k], reached[k]
-        return colours, found
+        latents = np.column_stack([np.tile(structure, (len(grid), 1)), grid])
+        reached, std = self.decode(latents) @ measure, np.sqrt(self.gp.variance(latents))
+        best: tuple[float, Array, Array] | None = None
+        for first, last in _growing_stretches(reached):
+            part = slice(first, last + 1)
+            found = np.clip(albedo, reached[first], reached[last])
+            colours = np.interp(found, reached[part], grid[part])
+            missed = np.mean(np.abs(found - albedo))
+            cost = float(missed + _COST_OF_DOUBT * np.mean(np.interp(colours, grid, std)))
+            if best is None or cost < best[0]:
+                best = (cost, colours, found)
+        assert best is not None
+        return best[1], best[2]
 
     def relative_error(self, latents: Array, f: Array) -> float:
         """`||w (f* - f)|| / ||w f||` of values f (R, P) and what latents (R, Q) decode to."""
@@ -235,3 +236,11 @@ class Decoder:
         z0 = np.concatenate([start[0, :Qs], start[:, Qs:].ravel()])
         found = minimize(value_and_gradient, z0, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_ITER})
         return unpack(found.x), float(found.fun)
+
+
+def _growing_stretches(values: Array) -> list[tuple[int, int]]:
+    """First and last index of every run in which values grow; the largest value alone where none does."""
+    rises = np.concatenate([[False], np.diff(values) > 0, [False]])
+    edges = np.flatnonzero(rises[1:] != rises[:-1])
+    runs = [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+    return runs or [(int(np.argmax(values)),) * 2]

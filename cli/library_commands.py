@@ -167,6 +167,9 @@ def info(
     verify: Annotated[
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
     ] = False,
+    renderer: Annotated[
+        bool, typer.Option("--renderer", help="Show instead what Mitsuba runs on, and try it again.")
+    ] = False,
     library: MovedLibraryOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -176,7 +179,10 @@ def info(
 
     results = terminal.Results(json)
     with terminal.progress("Verifying" if verify else "Reading") as step:
-        shown = inspection.inspect(path, library=library, verify=verify, on_progress=step)
+        if renderer:
+            shown = inspection.inspect_renderer()
+        else:
+            shown = inspection.inspect(path, library=library, verify=verify, on_progress=step)
     results.rows(shown.title, shown.rows)
     for table in shown.tables:
         results.text("\n")

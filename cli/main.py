@@ -13,7 +13,7 @@ import typer
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
 
-from . import fit_commands, library_commands, model_commands, picture_commands
+from . import fit_commands, library_commands, model_commands, picture_commands, render_commands
 
 app = typer.Typer(
     name="manifold",
@@ -51,6 +51,7 @@ library_commands.register(app)
 model_commands.register(app)
 picture_commands.register(app)
 fit_commands.register(app)
+render_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:

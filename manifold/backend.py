@@ -191,6 +191,25 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
     return mi
 
 
+def mitsuba_of_any_variant() -> Any:
+    """Mitsuba for what is alike in all variants, such as image files: with the variant that is set, or `scalar_rgb`."""
+    import mitsuba as mi
+
+    if mi.variant() is None:
+        mi.set_variant("scalar_rgb")
+    return mi
+
+
+def on_variant(callback: Callable[[str], None]) -> None:
+    """Call back with the variant that is set, if any, and with every one that is set later."""
+    import mitsuba as mi
+
+    current = mi.variant()
+    if current is not None:
+        callback(current)
+    mi.detail.add_variant_callback(lambda _old, new: callback(new))
+
+
 def drjit() -> Any:
     """Dr.Jit, for arrays of the variant that `mitsuba` has set."""
     choose()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold import backend
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.model import Manifold
@@ -70,6 +71,26 @@ def inspect(
     if path.suffix in (".h5", ".hdf5") or _begins_with(path, _HDF5_MAGIC):
         return _inspect_model(path, library)
     return _inspect_file(read_bsdf(path), path)
+
+
+def inspect_renderer() -> Inspection:
+    """What Mitsuba runs on here, and why; every library is tried again."""
+    chosen = backend.choose(refresh=True)
+    tried = {probe.library: probe.outcome for probe in chosen.probes}
+    libraries = list(dict.fromkeys([*tried, *backend.find_libraries()]))
+    outcomes = [(library, tried.get(library, "not tried: a newer one works")) for library in libraries]
+    if not tried:
+        outcomes = [(library, "not tried: scalar was asked for") for library in libraries]
+    rows: dict[str, object] = {
+        "Mitsuba": backend.mitsuba_version(),
+        "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
+        "libLLVM": str(chosen.library or "none"),
+    }
+    if chosen.advice is not None:
+        rows["advice"] = chosen.advice
+    table = Table(("library", "outcome"), tuple((str(library), outcome) for library, outcome in outcomes))
+    document = chosen.to_json() | {"libraries": {str(library): outcome for library, outcome in outcomes}}
+    return Inspection("Renderer", rows, document, (table,) if libraries else ())
 
 
 def _begins_with(path: Path, magic: bytes) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -180,22 +181,7 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
         FileFormatError: there are not two rows of two such numbers, or wavelengths repeat.
         UsageError: the file cannot be read.
     """
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise UsageError(
-            f"{path}: {error.strerror}; expected a text file of wavelengths and reflectances"
-        ) from error
-    rows = [cells for line in lines if (cells := _numbers(line)) is not None]
-    if len(rows) < 2:
-        raise FileFormatError(
-            f"{path}: found {len(rows)} rows of wavelength and reflectance, expected at least 2"
-        )
-    nm, values = np.array(sorted(rows)).T
-    if np.any(np.diff(nm) <= 0) or not 100.0 <= nm[0] <= nm[-1] <= 10000.0:
-        raise FileFormatError(
-            f"{path}: wavelengths from {nm[0]:g} to {nm[-1]:g}, expected different ones in nm"
-        )
+    nm, values = _read_columns(path, "reflectance")
     if values.min() < 0 or values.max() > 1:
         raise FileFormatError(
             f"{path}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; divide percent by 100"
@@ -203,6 +189,111 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
     if bands.is_rgb:
         return np.clip(to_srgb(values, Bands(tuple(nm.tolist()))), 0.0, 1.0)
     return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+
+
+def _read_columns(path: Path, what: str) -> tuple[Array, Array]:
+    """Wavelengths in nm, increasing, and values of a text file of two columns."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise UsageError(
+            f"{path}: {error.strerror}; expected a text file of wavelengths and {what}s"
+        ) from error
+    rows = [cells for line in lines if (cells := _numbers(line)) is not None]
+    if len(rows) < 2:
+        raise FileFormatError(f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2")
+    nm, values = np.array(sorted(rows)).T
+    if np.any(np.diff(nm) <= 0) or not 100.0 <= nm[0] <= nm[-1] <= 10000.0:
+        raise FileFormatError(
+            f"{path}: wavelengths from {nm[0]:g} to {nm[-1]:g}, expected different ones in nm"
+        )
+    return nm, values
+
+
+@dataclass(frozen=True)
+class Illuminant:
+    """The relative spectral power of a light.
+
+    Attributes:
+        name: of a CIE illuminant, or of the file it was read from.
+        wavelengths_nm: increasing.
+        power: one value per wavelength, linear between, 0 beyond.
+    """
+
+    name: str
+    wavelengths_nm: tuple[float, ...]
+    power: tuple[float, ...]
+
+    @classmethod
+    def named(cls, name: str) -> Illuminant:
+        """One of `illuminant_names()`.
+
+        Raises:
+            UsageError: there is no such illuminant.
+        """
+        nodes, power = _spectral_distribution(_colour().SDS_ILLUMINANTS[_illuminant_key(name)])
+        return cls(name, tuple(nodes.tolist()), tuple(power.tolist()))
+
+    @classmethod
+    def read(cls, path: Path) -> Illuminant:
+        """A text file of two columns, wavelength in nm and power in any unit; laid out as in `read_reflectance`.
+
+        Raises:
+            FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or power is negative.
+            UsageError: the file cannot be read.
+        """
+        nm, power = _read_columns(path, "power")
+        if power.min() < 0 or power.max() <= 0:
+            raise FileFormatError(
+                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0 and one above"
+            )
+        return cls(path.stem, tuple(nm.tolist()), tuple(power.tolist()))
+
+    @property
+    def is_d65(self) -> bool:
+        """Whether it is the light of linear sRGB."""
+        return self.name == "D65"
+
+    def at(self, wavelengths_nm: Array) -> Array:
+        """Power at wavelengths in nm, any shape."""
+        return np.interp(wavelengths_nm, self.wavelengths_nm, self.power, left=0.0, right=0.0)
+
+
+def sensor_responses(illuminant: Illuminant) -> tuple[Array, Array]:
+    """What a colorimetric sensor weighs reflectance by: the light times the matching functions.
+
+    Returns:
+        wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ
+        of the perfect diffuser, with Y = 1.
+    Raises:
+        UsageError: the light has no power where the observer sees.
+    """
+    nodes, matching = _spectral_distribution(_colour().MSDS_CMFS[OBSERVER])
+    stimulus = illuminant.at(nodes)[:, None] * matching
+    total = stimulus[:, 1].sum()
+    if total <= 0.0:
+        raise UsageError(
+            f"illuminant {illuminant.name!r} gives no visible light; choose another, such as D65"
+        )
+    return nodes, stimulus / total
+
+
+def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
+    """Linear sRGB (not clipped) of XYZ (..., 3), seen under a white (3,) that becomes (1, 1, 1); D65 by default."""
+    to_rgb = np.linalg.inv(_srgb_to_xyz())
+    if white is not None:
+        to_rgb = to_rgb @ _adaptation(np.asarray(white, float), _srgb_to_xyz().sum(axis=1))
+    return np.asarray(xyz) @ to_rgb.T
+
+
+def srgb_to_xyz(linear: Array) -> Array:
+    """CIE XYZ of linear sRGB (..., 3); white is that of D65 with Y = 1."""
+    return np.asarray(linear) @ _srgb_to_xyz().T
+
+
+def decode_srgb(display: Array) -> Array:
+    """Linear sRGB of display values in [0, 1], any shape (IEC 61966-2-1)."""
+    return np.asarray(_colour().models.eotf_sRGB(np.asarray(display, dtype=np.float64)))
 
 
 def _numbers(line: str) -> tuple[float, float] | None:

@@ -1,0 +1,170 @@
+"""Commands that render: render, compare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+from . import terminal
+from .library_commands import JsonOption, MovedLibraryOption
+from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+
+if TYPE_CHECKING:
+    from manifold.image_metrics import Summary
+    from manifold.render_workflows import Rendered
+
+IlluminantOption = Annotated[
+    str,
+    typer.Option(
+        help="CIE illuminant (D65, A, F2, F11, LED-B3, ...), or a text file of nm and power.",
+        metavar="NAME|FILE",
+    ),
+]
+EnvironmentOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Picture of the surroundings, latitude by longitude; a studio if none.", metavar="FILE"
+    ),
+]
+SizeOption = Annotated[int, typer.Option(help="Pixels per side.", metavar="N", min=16, max=8192)]
+SamplesOption = Annotated[int, typer.Option(help="Light paths per pixel.", metavar="N", min=1, max=1 << 20)]
+SeedOption = Annotated[
+    int, typer.Option(help="Fixes the noise: same seed, same picture.", metavar="N", min=0)
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        "render",
+        short_help="Picture of a ball of a measured or predicted material.",
+        epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
+    )(render)
+    app.command(
+        "compare",
+        short_help="How two pictures, or two rendered materials, differ.",
+        epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
+    )(compare)
+
+
+def render(
+    file: Annotated[Path | None, typer.Argument(help="A .bsdf file.", metavar="[FILE]")] = None,
+    latent: Annotated[
+        str | None,
+        typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y"),
+    ] = None,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    like: Annotated[
+        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+    ] = None,
+    reflectance: Annotated[
+        Path | None, typer.Option(help="Take a reflectance spectrum, a text file.", metavar="FILE")
+    ] = None,
+    srgb: Annotated[
+        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+    ] = None,
+    direct: Annotated[
+        bool,
+        typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),
+    ] = False,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="Picture: .png tone-mapped, .exr linear.", metavar="FILE"),
+    ] = Path("render.png"),
+    illuminant: IlluminantOption = "D65",
+    environment: EnvironmentOption = None,
+    size: SizeOption = 256,
+    samples: SamplesOption = 64,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
+
+    Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light, as the eye does.
+    """
+    from manifold import images, render_workflows
+    from manifold.colour_choice import ColourChoice
+
+    results = terminal.Results(json)
+    if file is None and latent is None:
+        raise UsageError("found neither a file nor --latent; name a .bsdf file, or say --latent X,Y")
+    if file is not None and latent is not None:
+        raise UsageError(f"found both {file} and --latent; give one of them")
+    colour = ColourChoice(like, reflectance, srgb)
+    if file is not None and (direct or colour != ColourChoice()):
+        raise UsageError("--direct, --like, --reflectance and --srgb go with --latent; a file is what it is")
+    images.require_image_path(output)
+    settings = render_workflows.make_settings(
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
+    )
+    coordinates = None if latent is None else parse_latent(latent)
+    with terminal.progress("Rendering") as step:
+        if file is not None:
+            made = render_workflows.render(render_workflows.file_source(file), output, settings, step)
+        elif coordinates is not None:
+            with render_workflows.latent_source(
+                model, coordinates, library=library, colour=colour, direct=direct, on_progress=step
+            ) as source:
+                made = render_workflows.render(source, output, settings, step)
+    _show(results, made)
+
+
+def _show(results: terminal.Results, made: Rendered) -> None:
+    results.rows(
+        f"Rendered {made.path}",
+        {
+            "material": f"{made.material} ({made.route})",
+            "light": made.illuminant,
+            "picture": f"{made.size} x {made.size}, {made.samples} samples per pixel, seed {made.seed}",
+            "renderer": made.backend,
+            "time": f"{made.seconds:.1f} s",
+        },
+    )
+    results.document(made.to_json())
+
+
+def compare(
+    a: Annotated[Path, typer.Argument(help="A picture, or a .bsdf file.", metavar="A")],
+    b: Annotated[Path, typer.Argument(help="Another of the same kind.", metavar="B")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The figure: .png, .pdf or .svg.", metavar="FILE")
+    ] = Path("comparison.png"),
+    illuminant: IlluminantOption = "D65",
+    environment: EnvironmentOption = None,
+    size: SizeOption = 256,
+    samples: SamplesOption = 256,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Put two pictures side by side, with maps of CIEDE2000 and FLIP; .bsdf files are rendered alike first.
+
+    CIEDE2000 of 1 is about the least that people notice side by side. FLIP runs from 0 to 1 and leaves out what is
+    too fine to be seen. Both see the noise of renders: few samples make everything differ.
+    """
+    from manifold import render_workflows
+
+    results = terminal.Results(json)
+    settings = render_workflows.make_settings(
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
+    )
+    with terminal.progress("Comparing") as step:
+        made = render_workflows.compare(a, b, output, settings, step)
+    rows = {"CIEDE2000": _summary(made.ciede2000), "FLIP": _summary(made.flip)}
+    if made.ciede2000_ball is not None and made.flip_ball is not None:
+        rows |= {
+            "CIEDE2000 on the ball": _summary(made.ciede2000_ball),
+            "FLIP on the ball": _summary(made.flip_ball),
+        }
+    results.rows(f"Compared {a} and {b} in {output}", rows)
+    results.document(made.to_json())
+
+
+def _summary(found: Summary) -> str:
+    return (
+        f"mean {found.mean:.3f}, median {found.median:.3f}, 95 % below {found.p95:.3f}, most {found.max:.3f}"
+    )

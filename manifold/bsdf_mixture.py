@@ -1,0 +1,146 @@
+"""What the plugin evaluates: packed materials, and how their mapped values are weighted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold import plugin_tables
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.errors import UsageError
+from manifold.gpr import GPWeights
+from manifold.holes import close_holes
+from manifold.mapping import Mapping
+from manifold.model import Manifold
+from manifold.plugin_tables import Tables
+from manifold.records import Array, Bands, BsdfFile
+from manifold.spaces import CurveSpace, MaterialSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A weighted sum of N materials under a mapping.
+
+    Attributes:
+        names: of the materials.
+        tables: what they hold.
+        mapping: T.
+        bands: of the prediction.
+        weights: of whole materials, (N,); of monochrome samples, (B, N, B_s); None where the latent varies.
+        lobes: shares of the materials in sampling, (N,), positive, of sum 1.
+        gp: what turns latents into weights, where they vary.
+        left_out: materials that were left out.
+        left_out_error: what that changes, as a share of the norm of the mapped values.
+    """
+
+    names: tuple[str, ...]
+    tables: Tables
+    mapping: Mapping
+    bands: Bands
+    weights: Array | None
+    lobes: Array
+    gp: GPWeights | None = None
+    left_out: int = 0
+    left_out_error: float = 0.0
+
+    def __str__(self) -> str:
+        left = f", {self.left_out} left out at an error of {self.left_out_error:.2g}" if self.left_out else ""
+        return f"{len(self.names)} materials{left}, {self.bands}, mapping {self.mapping.name}"
+
+
+def fixed_mixture(
+    model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, minimum_weight: float = 0.0
+) -> Mixture:
+    """The prediction at a latent; at a training latent the measured file.
+
+    Args:
+        model: a fitted manifold.
+        latent: Q coordinates.
+        colour: on a monochrome manifold.
+        minimum_weight: materials of smaller weight, by magnitude, are left out, and the weights of the others
+            fitted to what all would give (by the Gram matrix).
+    Raises:
+        LatentError: the latent does not have Q finite coordinates.
+        UsageError: no weight is left, a material is anisotropic, or the manifold is monochrome and weights are cut.
+    """
+    x = model.require_latent(latent)
+    if isinstance(model.space, MaterialSpace):
+        weights = model.gp.weights(x[None])[0]
+        kept, fitted, error = leave_out(weights, model.S, minimum_weight)
+        return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
+    if minimum_weight > 0.0:
+        raise UsageError(
+            "minimum_weight needs a manifold of whole materials; leave it out, or embed with --kind material"
+        )
+    chosen = choose_colour(model, x, colour)
+    assert chosen.colours is not None
+    space = model.space
+    own = np.all(x == space.X, axis=1) & np.all(space.colours == chosen.colours, axis=1)
+    if np.any(own):
+        return _of_materials(model, np.array([np.argmax(own)]), np.ones(1), 0, 0.0)
+    flat = model.gp.weights(space.join(x[None], chosen.colours[None]))
+    samples = flat.reshape(model.bands.count, len(model.names), len(space.sample_bands))
+    lobes = np.abs(samples).sum(axis=(0, 2))
+    tables = plugin_tables.pack(_read(model, range(len(model.names))), space.sample_bands.tolist())
+    return Mixture(model.names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
+
+
+def varying_mixture(model: Manifold) -> Mixture:
+    """All materials, for latents that are known only where a surface is hit.
+
+    Raises:
+        UsageError: the manifold is monochrome, or a material is anisotropic.
+    """
+    if isinstance(model.space, CurveSpace):
+        raise UsageError(
+            "textures of latents need a manifold of whole materials; give one latent, or embed with --kind material"
+        )
+    n = len(model.names)
+    tables = plugin_tables.pack(_read(model, range(n)))
+    return Mixture(model.names, tables, model.mapping, model.bands, None, np.full(n, 1.0 / n), model.gp)
+
+
+def leave_out(weights: Array, S: Array, minimum: float) -> tuple[Array, Array, float]:
+    """Materials of weights (N,) that are large enough, their new weights, and the relative error that remains.
+
+    The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
+
+    Args:
+        weights: v, shape (N,).
+        S: Gram matrix of the mapped materials, shape (N, N).
+        minimum: least magnitude.
+    Raises:
+        UsageError: none is large enough.
+    """
+    used = np.flatnonzero(weights)
+    kept = np.flatnonzero((np.abs(weights) >= minimum) & (weights != 0))
+    if len(kept) == 0:
+        raise UsageError(
+            f"minimum_weight {minimum:g} leaves no material, the largest weight is {abs(weights).max():.3g}; lower it"
+        )
+    if len(kept) == len(used):
+        return kept, weights[kept], 0.0
+    fitted = np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0]
+    change = -weights
+    change[kept] += fitted
+    return kept, fitted, float(np.sqrt(max(change @ S @ change, 0.0) / (weights @ S @ weights)))
+
+
+def _of_materials(model: Manifold, kept: Array, weights: Array, left_out: int, error: float) -> Mixture:
+    is_measured = len(kept) == 1 and weights[0] == 1.0
+    files = [model.library.read(model.names[kept[0]])] if is_measured else _read(model, kept)
+    lobes = np.abs(weights) / np.abs(weights).sum()
+    names = tuple(model.names[k] for k in kept)
+    tables = plugin_tables.pack(files)
+    return Mixture(
+        names, tables, model.mapping, model.bands, weights, lobes, left_out=left_out, left_out_error=error
+    )
+
+
+def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:
+    """Measured files as predictions combine them, holes closed."""
+    with ThreadPoolExecutor() as pool:
+        return list(pool.map(lambda k: close_holes(model.library.read(model.names[k])), which))

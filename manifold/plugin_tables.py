@@ -1,0 +1,147 @@
+"""Measured materials as flat tables that a vectorised evaluation gathers from in packets.
+
+Whatever one look-up needs lies side by side: the four corners of a grid cell, and for warps their cumulative sums
+too. That repeats every value four times and replaces scattered reads, which cost most of a look-up, by few wide ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.records import Array, BsdfFile
+from manifold.warp import Warp
+
+WARP_PACKET = 8
+"""Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows."""
+
+META = 16
+"""Integers per material; see `Tables.meta`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """N isotropic materials, one after the other in flat arrays.
+
+    Attributes:
+        meta: where the parts of each material begin and how large they are, uint32, shape (N * META,): vndf cell,
+            its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
+            columns; sigma cell, rows, columns; spectra cell; elevations of incidence.
+        theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
+        n_theta: T, the most that any material has.
+        warps: vndf and luminance cells, float32, shape (cells * 8,).
+        marginals: their cumulative sums of rows, float32.
+        grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
+        spectra: four corners per cell and band, float32, shape (cells * bands * 4,).
+        n_bands: bands per cell in `spectra`, padded with zeros.
+        most_nodes: of a warp's axis.
+    """
+
+    meta: Array
+    theta_nodes: Array
+    n_theta: int
+    warps: Array
+    marginals: Array
+    grids: Array
+    spectra: Array
+    n_bands: int
+    most_nodes: int
+
+    @property
+    def bytes(self) -> int:
+        """Memory that the tables take."""
+        arrays = (self.meta, self.theta_nodes, self.warps, self.marginals, self.grids, self.spectra)
+        return sum(array.nbytes for array in arrays)
+
+
+def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Tables:
+    """Lay isotropic materials out.
+
+    Args:
+        files: N materials of the same bands.
+        bands: indices of those to keep; all by default.
+    Raises:
+        UsageError: a material is anisotropic.
+    """
+    kept = list(range(files[0].bands.count)) if bands is None else list(bands)
+    n_bands = len(kept) if len(kept) > 8 else int(2 ** np.ceil(np.log2(len(kept))))
+    n_theta = max(len(file.theta_i_rad) for file in files)
+    warps, marginals, grids, spectra = _Store(WARP_PACKET), _Store(1), _Store(4), _Store(4 * n_bands)
+    meta = np.zeros((len(files), META), dtype=np.uint32)
+    nodes = np.zeros((len(files), n_theta), dtype=np.float32)
+    most_nodes = 2
+    for k, file in enumerate(files):
+        if file.phi_i_rad.shape[0] > 1:
+            raise UsageError(
+                f"material {file.name} is anisotropic, and the plugin `manifold` takes isotropic ones; "
+                "render its prediction as a .bsdf"
+            )
+        row = []
+        density = np.maximum(file.luminance, 0.0)
+        density[density.sum(axis=(2, 3)) <= 0] = 1.0
+        for values in (file.vndf, density):
+            warp = Warp.from_values(values, file.phi_i_rad, file.theta_i_rad)
+            row += [warps.add(_warp_cells(warp)), marginals.add(warp.marginal), *warp.data.shape[1:]]
+            most_nodes = max(most_nodes, *warp.data.shape[1:])
+        # The factor ndf / (4 sigma) is 1 where a file holds final values.
+        one = np.ones((2, 2))
+        for grid in (file.ndf, 4.0 * file.sigma) if file.jacobian else (one, one):
+            row += [grids.add(_corners(grid)), *grid.shape]
+        cells = _corners(file.spectra[0][:, kept])  # [T, B, H - 1, W - 1, 4]
+        padded = np.zeros((*cells.shape[:1], *cells.shape[2:4], n_bands, 4), dtype=np.float32)
+        padded[..., : len(kept), :] = np.moveaxis(cells, 1, 3)
+        row += [spectra.add(padded)]
+        row += [len(file.theta_i_rad)]
+        if file.spectra.shape[3:] != file.luminance.shape[2:]:
+            raise UsageError(f"material {file.name}: luminance and spectra have grids of different sizes")
+        meta[k, : len(row)] = row
+        nodes[k] = np.pad(file.theta_i_rad, (0, n_theta - len(file.theta_i_rad)), mode="edge")
+    return Tables(
+        meta=meta.ravel(),
+        theta_nodes=nodes.ravel(),
+        n_theta=n_theta,
+        warps=warps.joined(),
+        marginals=marginals.joined(),
+        grids=grids.joined(),
+        spectra=spectra.joined(),
+        n_bands=n_bands,
+        most_nodes=most_nodes,
+    )
+
+
+class _Store:
+    """Blocks of packets, one after the other."""
+
+    def __init__(self, packet: int) -> None:
+        self._packet, self._blocks, self._length = packet, [], 0  # type: ignore[var-annotated]
+
+    def add(self, block: Array) -> int:
+        """Append; the index of its first packet."""
+        start = self._length
+        self._blocks.append(np.ascontiguousarray(block, dtype=np.float32).ravel())
+        self._length += self._blocks[-1].size // self._packet
+        return start
+
+    def joined(self) -> Array:
+        """Everything, shape (packets * size,)."""
+        joined = np.concatenate(self._blocks)
+        self._blocks.clear()
+        if joined.size > np.iinfo(np.uint32).max:
+            raise UsageError("the materials are too many for 32-bit indices; leave out those of small weight")
+        return joined
+
+
+def _corners(grid: Array) -> Array:
+    """Corners of all cells of node values (..., R, C), shape (..., R - 1, C - 1, 4): row by row."""
+    return np.stack([grid[..., :-1, :-1], grid[..., :-1, 1:], grid[..., 1:, :-1], grid[..., 1:, 1:]], axis=-1)
+
+
+def _warp_cells(warp: Warp) -> Array:
+    """All cells of a warp, shape (S, R - 1, C - 1, 8)."""
+    before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
+    totals = warp.conditional[:, :, -1]
+    rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]
+    return np.concatenate([_corners(warp.data), before, np.broadcast_to(rows, before.shape)], axis=-1)

@@ -1,0 +1,216 @@
+"""The material ball: a sphere on a pedestal under a studio of light, as a scene that Mitsuba loads.
+
+World: z points up, the camera looks along +y, lengths are in radii of the ball. The studio is an environment image,
+scaled so that a white diffuser that lies on the floor has the radiance 1: what is diffuse shows its reflectance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.records import Array
+
+FLOOR_REFLECTANCE = 0.22
+PEDESTAL_REFLECTANCE = 0.42
+BALL_CENTRE = (0.0, 0.0, 1.16)
+
+_FLOOR_RADIUS = 60.0
+_CAMERA, _TARGET, _FIELD_OF_VIEW_DEG = (0.0, -8.2, 3.5), (0.0, 0.0, 0.98), 21.0
+
+# Soft boxes: azimuth from straight ahead to the right, elevation, half width, half height (degrees), radiance.
+_SOFT_BOXES = (
+    (-128.0, 48.0, 17.0, 15.0, 16.0),  # key, behind the camera to the left
+    (98.0, 32.0, 5.0, 26.0, 7.0),  # strip to the right
+    (-38.0, 24.0, 22.0, 5.0, 6.0),  # rim, behind the ball
+)
+_EDGE_DEG = 2.0  # over which a soft box fades out
+_ZENITH, _HORIZON = 0.9, 0.28
+
+# Half the outline of the pedestal: a disc with rounded edges and a bowl that the ball lies in.
+_RADIUS, _HEIGHT, _ROUNDING, _BOWL_RADIUS, _BOWL_DEPTH = 1.02, 0.3, 0.07, 0.62, 0.06
+
+
+def studio(height: int = 256) -> Array:
+    """The package's own environment: a dim dome and three soft boxes, linear and without colour.
+
+    Args:
+        height: rows; there are twice as many columns.
+    Returns:
+        Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right
+        from there.
+    """
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    azimuth = 2 * np.pi * (np.arange(2 * height) + 0.5) / (2 * height)
+    direction = from_spherical(theta[:, None], azimuth[None, :])
+    elevation = np.maximum(direction[..., 2], 0.0)
+    radiance = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(elevation)
+    for box_azimuth, box_elevation, half_width, half_height, power in _SOFT_BOXES:
+        x, y = _angles_from(direction, np.deg2rad(box_azimuth), np.deg2rad(box_elevation))
+        radiance += power * _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
+    return exposed(np.repeat(radiance[..., None], 3, axis=2))
+
+
+def exposed(environment: Array) -> Array:
+    """An environment scaled so that a white diffuser that lies on the floor has the mean radiance 1.
+
+    Args:
+        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
+    Raises:
+        UsageError: no light comes from above.
+    """
+    theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
+    cosine = np.maximum(np.cos(theta), 0.0) * np.sin(theta)
+    total = np.sum(environment.mean(axis=(1, 2)) * cosine) / np.sum(cosine)
+    if not total > 0.0:
+        raise UsageError("the environment is black above the horizon; expected light from there")
+    return np.asarray(environment / total, dtype=np.float32)
+
+
+def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:
+    """Horizontal and vertical angle of directions (..., 3), as seen when facing a point."""
+    forward = from_spherical(np.pi / 2 - elevation, azimuth)
+    right = from_spherical(np.pi / 2, azimuth + np.pi / 2)
+    up = np.cross(forward, right)
+    ahead = direction @ forward
+    behind = np.where(ahead > 0, 0.0, np.pi)
+    return np.arctan2(direction @ right, np.abs(ahead)) + behind, np.arcsin(np.clip(direction @ up, -1, 1))
+
+
+def _plateau(angle_deg: Array, half_width: float) -> Array:
+    """1 within the half width, 0 beyond its edge, smooth between."""
+    t = np.clip((half_width + _EDGE_DEG - np.abs(angle_deg)) / _EDGE_DEG, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def pedestal(n_azimuths: int = 160) -> tuple[Array, Array]:
+    """The surface of revolution that the ball lies on.
+
+    Returns:
+        vertices, float32, shape (V, 3), and triangles, uint32, shape (F, 3), their normals outwards.
+    """
+    corner = np.linspace(0.0, np.pi / 2, 12)
+    bowl = np.linspace(0.0, 1.0, 24)
+    outline = np.concatenate(
+        [
+            [(_RADIUS, 0.0)],
+            np.stack(
+                [
+                    _RADIUS - _ROUNDING * (1 - np.cos(corner)),
+                    _HEIGHT - _ROUNDING * (1 - np.sin(corner)),
+                ],
+                axis=1,
+            ),
+            # From the rim to the axis; level at both ends.
+            np.stack(
+                [
+                    _BOWL_RADIUS * (1 - bowl),
+                    _HEIGHT - 0.5 * _BOWL_DEPTH * (1 - np.cos(np.pi * bowl)),
+                ],
+                axis=1,
+            )[:-1],
+        ]
+    )
+    azimuth = 2 * np.pi * np.arange(n_azimuths) / n_azimuths
+    rings = np.stack(
+        [
+            outline[:, None, 0] * np.cos(azimuth),
+            outline[:, None, 0] * np.sin(azimuth),
+            np.broadcast_to(outline[:, None, 1], (len(outline), n_azimuths)),
+        ],
+        axis=-1,
+    )
+    tip = np.array([[0.0, 0.0, _HEIGHT - _BOWL_DEPTH]])
+    vertices = np.concatenate([rings.reshape(-1, 3), tip])
+    ring, k = np.meshgrid(np.arange(len(outline) - 1), np.arange(n_azimuths), indexing="ij")
+    a, b = ring * n_azimuths + k, ring * n_azimuths + (k + 1) % n_azimuths
+    sides = np.stack([a, b, b + n_azimuths, a, b + n_azimuths, a + n_azimuths], axis=-1).reshape(-1, 3)
+    last = (len(outline) - 1) * n_azimuths
+    around = np.arange(n_azimuths)
+    tips = np.full(n_azimuths, len(vertices) - 1)
+    cap = np.stack([last + around, last + (around + 1) % n_azimuths, tips], axis=-1)
+    return vertices.astype(np.float32), np.concatenate([sides, cap]).astype(np.uint32)
+
+
+def material_ball(
+    mi: Any,
+    material: Mapping[str, Any] | Any,
+    film: Mapping[str, Any],
+    environment: Array | None = None,
+    *,
+    max_depth: int = 8,
+) -> dict[str, Any]:
+    """The scene, for `mi.load_dict` in the variant that is set.
+
+    Args:
+        mi: Mitsuba.
+        material: BSDF of the ball, as a dictionary or an object.
+        film: dictionary of a film; its shape should be square.
+        environment: linear RGB radiance, float32, shape (H, W, 3), laid out as `studio` does; that by default.
+        max_depth: of light paths.
+    """
+    transform = mi.ScalarTransform4f
+    image = studio() if environment is None else np.ascontiguousarray(environment, dtype=np.float32)
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": max_depth},
+        "sensor": {
+            "type": "perspective",
+            "fov": _FIELD_OF_VIEW_DEG,
+            "to_world": transform().look_at(origin=_CAMERA, target=_TARGET, up=[0, 0, 1]),
+            "film": dict(film),
+            "sampler": {"type": "independent"},
+        },
+        "environment": {
+            "type": "envmap",
+            "bitmap": mi.Bitmap(image),
+            # Mitsuba's environments have y up and begin behind -z.
+            "to_world": transform().rotate([1, 0, 0], 90),
+        },
+        "floor": {
+            "type": "disk",
+            "to_world": transform().scale([_FLOOR_RADIUS, _FLOOR_RADIUS, 1]),
+            "bsdf": _grey(FLOOR_REFLECTANCE),
+        },
+        "pedestal": _mesh(mi, *pedestal(), _grey(PEDESTAL_REFLECTANCE)),
+        "ball": {"type": "sphere", "center": list(BALL_CENTRE), "radius": 1.0, "material": material},
+    }
+
+
+def _grey(reflectance: float) -> dict[str, Any]:
+    return {"type": "diffuse", "reflectance": {"type": "uniform", "value": reflectance}}
+
+
+def _mesh(mi: Any, vertices: Array, triangles: Array, bsdf: Mapping[str, Any]) -> Any:
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(dict(bsdf))
+    mesh = mi.Mesh("pedestal", len(vertices), len(triangles), properties, True)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = vertices.ravel()
+    parameters["faces"] = triangles.ravel()
+    parameters.update()
+    return mesh
+
+
+def ball_interior(size: int, margin: float = 0.0) -> Array:
+    """Which pixels of a square picture look at the ball, bool, shape (size, size).
+
+    Args:
+        size: pixels per side.
+        margin: share of the ball's radius to leave out along its outline.
+    """
+    centre = np.array(BALL_CENTRE) - np.array(_CAMERA)
+    forward = np.array(_TARGET) - np.array(_CAMERA)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    t = (2 * (np.arange(size) + 0.5) / size - 1) * np.tan(np.deg2rad(_FIELD_OF_VIEW_DEG / 2))
+    rays = forward + t[None, :, None] * right + t[:, None, None] * down
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = rays @ centre
+    return centre @ centre - along**2 < (1.0 - margin) ** 2

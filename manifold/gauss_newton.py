@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from manifold.bsdf_evaluation import Evaluator
+from manifold.errors import NumericalError
 from manifold.fit_metrics import Metric
 from manifold.fit_samples import FitSamples
 from manifold.records import Array
@@ -118,7 +119,9 @@ def search(
     in every band, to first order in the residual's measure.
 
     Returns:
-        Vectors (n_search, K) and costs (n_search,).
+        Vectors (n, K) and costs (n,), those left out where the BSDF is not finite.
+    Raises:
+        NumericalError: it is finite nowhere.
     """
     layout = evaluator.layout
     rows = _spread(len(samples), options.search_pairs)
@@ -145,6 +148,12 @@ def search(
         points[:, place] = np.clip(best, o.minimum, o.maximum)
         model = offset + points[:, None, place] * gain
     costs = np.sum(w * (metric(model) - metric(y)) ** 2, axis=(1, 2))
+    finite = np.isfinite(costs)
+    if not np.any(finite):
+        raise NumericalError(
+            f"BSDF {layout.family.type} gives no finite values anywhere in the ranges of {', '.join(names)}; check them"
+        )
+    points, costs = points[finite], costs[finite]
     order = np.argsort(costs, kind="stable")
     return points[order], costs[order]
 

@@ -12,10 +12,10 @@ from manifold.brdf import MeasuredBRDF
 from manifold.bsdf_evaluation import LaneEvaluator, ScalarEvaluator, evaluator
 from manifold.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled
 from manifold.directions import from_spherical
-from manifold.errors import ManifoldError, ShapeError, UsageError
+from manifold.errors import ManifoldError, NumericalError, ShapeError, UsageError
 from manifold.fit_metrics import METRICS, Metric, best_diffuse, relative_residual
 from manifold.fit_samples import FitSamples
-from manifold.gauss_newton import GaussNewton
+from manifold.gauss_newton import GaussNewton, search
 from manifold.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
@@ -247,6 +247,19 @@ def test_a_custom_python_bsdf_is_fitted():
     result = fit(samples_of(family, truth, grid_pairs()), family)
     assert result.values["albedo"] == pytest.approx(truth["albedo"], abs=1e-3)
     assert result.values["exponent"] == pytest.approx(60.0, rel=1e-3)
+
+
+def test_a_bsdf_without_finite_values_is_one_clear_error():
+    class Nowhere:
+        layout = Layout(principled(), 3)
+
+        def values(self, p, rows=None):
+            return np.full((len(p), len(rows), 3), np.nan)
+
+    wi, wo = grid_pairs(100)
+    samples = FitSamples.from_arrays(wi, wo, np.full((len(wi), 3), 0.1))
+    with pytest.raises(NumericalError, match="no finite values"):
+        search(Nowhere(), samples, Metric.of("log", samples), GaussNewton(n_search=8))
 
 
 def test_a_rough_conductor_with_a_spectral_index_is_fitted():

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numba as nb
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.errors import ShapeError
@@ -62,7 +63,8 @@ class Mixture:
         out = np.empty((len(pairs), self.bands.count))
         blocks = [(block, out[rows]) for rows, block in pairs.blocks(_block_size(len(pairs)))]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
-            with ThreadPoolExecutor(nb.get_num_threads()) as pool:
+            # Every thread multiplies matrices of its own: a second level of threads costs more than it does.
+            with threadpool_limits(1, "blas"), ThreadPoolExecutor(nb.get_num_threads()) as pool:
                 list(pool.map(self._combine, *zip(*blocks, strict=True)))
         else:  # other materials may have parallel loops of their own
             for block, values in blocks:

@@ -1,4 +1,4 @@
-"""Commands that draw: slices."""
+"""Commands that draw: map, walk, slices."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from . import terminal
 from .library_commands import MovedLibraryOption
 from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
 
+PictureOption = Annotated[
+    Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
+]
+
 
 class SliceKind(StrEnum):
     """Choices of --kind."""
@@ -26,10 +30,56 @@ class SliceKind(StrEnum):
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(
+        "map",
+        short_help="Draw the map of materials as rendered balls.",
+        epilog="Example: manifold map --mark -0.3,1.2 -o map.png",
+    )(latent_map)
+    app.command(
+        "walk",
+        short_help="Draw the way between two materials.",
+        epilog="Example: manifold walk syn_satin_gold syn_chrome_mint -o walk.png",
+    )(walk)
+    app.command(
         "slices",
         short_help="Draw BRDF values over angles or wavelengths.",
         epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
     )(slices)
+
+
+def latent_map(
+    mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y")] = None,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    output: PictureOption = Path("map.png"),
+) -> None:
+    """Draw the first two latent dimensions: every material as a rendered ball, over the uncertainty.
+
+    Balls are rendered once and remembered by the library.
+    """
+    from manifold import ball_workflows
+
+    results = terminal.Results()
+    marked = parse_latent(mark) if mark is not None else None
+    with terminal.progress("Rendering") as step:
+        ball_workflows.latent_map(model, output, library=library, marked=marked, on_progress=step)
+    results.rows(f"Drawn {output}", {})
+
+
+def walk(
+    start: Annotated[str, typer.Argument(help="The first material.", metavar="FROM")],
+    end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
+    steps: Annotated[int, typer.Option(help="Balls on the way.", metavar="N", min=2, max=25)] = 7,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    output: PictureOption = Path("walk.png"),
+) -> None:
+    """Draw the way between two materials along the manifold, and beside it their linear interpolation."""
+    from manifold import ball_workflows
+
+    results = terminal.Results()
+    with terminal.progress("Rendering") as step:
+        ball_workflows.walk(model, start, end, output, steps=steps, library=library, on_progress=step)
+    results.rows(f"Drawn {output}", {})
 
 
 def slices(
@@ -48,9 +98,7 @@ def slices(
     ] = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
-    ] = Path("slices.png"),
+    output: PictureOption = Path("slices.png"),
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
     from manifold import picture_workflows, plot

@@ -36,25 +36,30 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
-    X = _two_dimensions(model.X)
+    X = two_dimensions(model.X)
     if model.settings.latent_dim == 2:
-        _draw_uncertainty(figure, axes, model)
+        draw_uncertainty(figure, axes, model)
     colours = _material_colours(model)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
     names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
     if marked is not None:
-        X = np.vstack([X, _two_dimensions(np.asarray(marked, dtype=float)[None])])
+        X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
         names.append("predicted")
         axes.scatter(
             X[-1:, 0], X[-1:, 1], 3 * _DOT_POINTS**2, _MARK, marker="*", edgecolors="white", zorder=5
         )
+    latent_axes(axes, model)
+    _label(figure, axes, X, names)
+    return figure
+
+
+def latent_axes(axes: Axes, model: Manifold) -> None:
+    """Title and labels of a map of latents."""
     synthetic = all(model.library.attributes(name).is_synthetic for name in model.names)
     kind = "synthetic corpus" if synthetic else "measured materials"
     axes.set_title(f"Material manifold: {len(model.names)} materials ({kind}), {model.bands}", fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")
     axes.set_ylabel("latent $x_2$ (length scales)" if model.settings.latent_dim > 1 else "")
-    _label(figure, axes, X, names)
-    return figure
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -86,12 +91,13 @@ def save(figure: Figure, path: Path) -> None:
         figure.savefig(partial)
 
 
-def _two_dimensions(X: Array) -> Array:
+def two_dimensions(X: Array) -> Array:
     """The first two columns, with zeros for a missing second one."""
     return X[:, :2] if X.shape[1] > 1 else np.column_stack([X[:, 0], np.zeros(len(X))])
 
 
-def _draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
+def draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
+    """The posterior standard deviation as the ground of a two-dimensional map, with its colour bar."""
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))

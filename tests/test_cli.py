@@ -19,7 +19,10 @@ from small_library import NAMES, measured, small_library
 from manifold.io_rgl import read_bsdf, write_bsdf
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
-COMMANDS = ("demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "slices", "report")
+COMMANDS = (
+    "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report",
+    "render", "compare", "map", "walk", "slices", "fit",
+)  # fmt: skip
 
 
 def start(*arguments, cwd, **options):

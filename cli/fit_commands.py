@@ -77,6 +77,9 @@ def fit(
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", help="Processes; one per core if not given.", metavar="N", min=1)
     ] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture", help="Also draw each fit beside its material, into NAME.fit.png.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:  # fmt: skip
     """Fit measured files, or a predicted material, by a BSDF that Mitsuba renders.
@@ -104,11 +107,43 @@ def fit(
         with terminal.progress("Fitting") as step:
             outcomes = fit_workflows.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
     _show(results, outcomes)
+    if picture:
+        _draw(results, outcomes, sources or [], model, library)
     failures = [outcome.failure for outcome in outcomes if outcome.failure is not None]
     results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failures})
     if failures:
         more = f"; and {len(failures) - 3} more (--json lists them)" if failures[3:] else ""
         raise FileFormatError("; ".join(failures[:3]) + more)
+
+
+def _draw(
+    results: terminal.Results,
+    outcomes: list[FitOutcome],
+    sources: list[Path],
+    model: Path,
+    library: Path | None,
+) -> None:
+    """A picture beside the JSON of every fit."""
+    from manifold import fit_picture_workflows, fit_workflows
+
+    files = fit_workflows.find_files(sources) if sources else [None] * len(outcomes)
+    rows = []
+    with terminal.progress("Drawing") as step:
+        for done, (file, outcome) in enumerate(zip(files, outcomes, strict=True), start=1):
+            if outcome.content is None:
+                continue
+            target = outcome.path.with_suffix(".png")
+            if file is not None:
+                made = fit_picture_workflows.picture_of_fit(outcome.path, file, target)
+            else:
+                latent = outcome.content["source"]["latent"]
+                made = fit_picture_workflows.picture_of_prediction_fit(
+                    outcome.path, model, latent, target, library=library
+                )
+            rows.append([made.path.name, f"{made.ciede2000:.2f}", f"{made.flip:.3f}"])
+            if step is not None:
+                step(done, len(outcomes), outcome.name)
+    results.table(["picture", "CIEDE2000", "FLIP"], rows)
 
 
 def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:

@@ -51,7 +51,9 @@ def ball_map(
     figure.draw_without_rendering()  # the layout decides where pixels are
     point = figure.dpi / 72.0
     room = np.array(_ROOM) * _BALL_POINTS * point
-    places = axes.transData.inverted().transform(spread(axes.transData.transform(X), room, np.array(axes.bbox.extents)))
+    places = axes.transData.inverted().transform(
+        spread(axes.transData.transform(X), room, np.array(axes.bbox.extents))
+    )
     outline = [withStroke(linewidth=2.5, foreground="white")]
     for k, (place, true, name, image) in enumerate(zip(places, X, names, shown, strict=True)):
         is_marked = k >= len(images)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from manifold import spectra
-from manifold.brdf import BRDF
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.metrics import from_rusinkiewicz
 from manifold.plot import new_figure
-from manifold.records import Array
+from manifold.records import Array, Bands
 
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
@@ -29,6 +29,17 @@ _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
 
+class Evaluable(Protocol):
+    """The part of a BRDF that slices need."""
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
     """One BRDF of a picture.
@@ -39,7 +50,7 @@ class Source:
     """
 
     label: str
-    brdf: BRDF
+    brdf: Evaluable
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
@@ -54,6 +65,15 @@ def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
     rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
     figure = new_figure(10, 1.2 + 2.3 * len(rows))
     grid = figure.subplots(len(rows), len(INCIDENCES_DEG), sharex=True, sharey="row", squeeze=False)
+    draw_slices(figure, grid, sources, wavelengths_nm)
+    return figure
+
+
+def draw_slices(
+    figure: Figure | SubFigure, grid: Array, sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
+) -> None:
+    """Draw `angle_slices` into axes (rows, 3) of a figure, or of a part of one."""
+    rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
     wo = _in_plane(_ELEVATIONS_DEG)
     for column, incidence in enumerate(INCIDENCES_DEG):
         wi = from_spherical(np.deg2rad(incidence), 0.0)
@@ -71,7 +91,6 @@ def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.grid(alpha=0.25, linewidth=0.5)
     _legend(figure, grid[0, 0], sources)
-    return figure
 
 
 def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
@@ -149,7 +168,7 @@ def _in_plane(theta_deg: Array) -> Array:
     return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
 
 
-def _channels(brdf: BRDF, f: Array, wavelengths_nm: Sequence[float]) -> Array:
+def _channels(brdf: Evaluable, f: Array, wavelengths_nm: Sequence[float]) -> Array:
     """Values to draw, shape (P, rows)."""
     if not wavelengths_nm:
         return spectra.to_srgb(f, brdf.bands)
@@ -175,7 +194,7 @@ def _logarithmic(row: Sequence[Axes]) -> None:
         axes.set_ylim(bottom / 1.5, top * 1.5)
 
 
-def _legend(figure: Figure, axes: Axes, sources: Sequence[Source]) -> None:
+def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[Source]) -> None:
     lines = axes.lines[: len(sources)]
     labels = [source.label for source in sources]
     figure.legend(lines, labels, loc="outside upper center", ncols=min(len(sources), 4), frameon=False)

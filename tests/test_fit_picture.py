@@ -1,0 +1,89 @@
+"""A fit drawn beside its material: the picture shows how well it fits, and a bad fit looks bad."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from small_library import measured, small_model
+
+from manifold import fit_json
+from manifold.brdf import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.errors import FileFormatError
+from manifold.fit_picture_workflows import picture_of_fit, picture_of_prediction_fit
+from manifold.fit_workflows import FitSettings, family_of, fit_files, fit_prediction
+from manifold.fitted_brdf import FittedBRDF
+from manifold.io_rgl import write_bsdf
+from manifold.render import RenderSettings
+
+SETTINGS = RenderSettings(size=96, samples=32)
+FIT = FitSettings(family_of(None, None))
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A measured satin and the JSON of its fit."""
+    folder = tmp_path_factory.mktemp("fit")
+    material = folder / "satin_rgb.bsdf"
+    write_bsdf(material, measured("syn_satin_gold"))
+    (outcome,) = fit_files([material], folder / "satin.fit.json", FIT, jobs=1)
+    return material, outcome.path
+
+
+def test_the_picture_of_a_fit_shows_material_and_fit_alike(fitted, tmp_path):
+    material, fit = fitted
+    made = picture_of_fit(fit, material, tmp_path / "good.png", SETTINGS)
+    assert made.ciede2000 < 4.0
+    picture = imread(made.path)[..., :3]
+    rows, columns = picture.shape[0] // 3, picture.shape[1] // 4
+    halves = [
+        picture[rows // 4 : rows * 3 // 4, k * columns + columns // 4 : k * columns + columns * 3 // 4]
+        for k in (0, 1)
+    ]
+    means = [half.reshape(-1, 3).mean(axis=0) for half in halves]
+    assert np.abs(means[0] - means[1]).max() < 0.06
+    assert means[0][0] > means[0][2] + 0.1  # gold, not grey
+
+
+def test_a_bad_fit_looks_bad(fitted, tmp_path):
+    material, fit = fitted
+    content = json.loads(fit.read_text())
+    content["mitsuba"]["base_color"]["color"] = [0.1, 0.1, 0.8]
+    content["values"]["base_color"] = [0.1, 0.1, 0.8]
+    bad = tmp_path / "bad.fit.json"
+    bad.write_text(json.dumps(content))
+    good = picture_of_fit(fit, material, tmp_path / "good.png", SETTINGS)
+    made = picture_of_fit(bad, material, tmp_path / "bad.png", SETTINGS)
+    assert made.ciede2000 > 5 * good.ciede2000
+    assert made.flip > 2 * good.flip
+
+
+def test_a_fitted_brdf_is_what_mitsuba_evaluates(fitted):
+    _, fit = fitted
+    brdf = FittedBRDF.read(fit)
+    wi = from_spherical(0.6, 0.0)
+    wo = from_spherical(np.array([0.1, 0.5, 1.0, 2.0]), np.array([0.3, 3.1, 2.0, 0.0]))
+    f_cos = brdf.eval_cos(wi, wo)
+    assert f_cos.shape == (4, 3)
+    assert np.all(f_cos[3] == 0)  # below the horizon
+    np.testing.assert_allclose(brdf.eval(wi, wo)[:3] * wo[:3, 2:], f_cos[:3], rtol=1e-6)
+    truth = MeasuredBRDF(measured("syn_satin_gold")).eval_cos(wi, wo)
+    np.testing.assert_allclose(f_cos[:3], truth[:3], rtol=0.25)
+
+
+def test_fits_of_predictions_are_drawn_too(tmp_path):
+    model = small_model(tmp_path)
+    outcome = fit_prediction(model, [0.1, 0.1], tmp_path / "p.fit.json", FIT)
+    made = picture_of_prediction_fit(outcome.path, model, [0.1, 0.1], tmp_path / "p.fit.png")
+    assert np.isfinite(made.ciede2000)
+    assert made.path.stat().st_size > 20_000
+
+
+def test_what_is_no_fit_is_refused(fitted, tmp_path):
+    (tmp_path / "no.json").write_text("{}")
+    with pytest.raises(FileFormatError, match=r"no\.json"):
+        picture_of_fit(tmp_path / "no.json", fitted[0], tmp_path / "x.png", SETTINGS)
+    assert fit_json.read(fitted[1])["bsdf"]["type"] == "principled"

@@ -338,12 +338,12 @@ def demo(
         Path, typer.Argument(help="Where to put everything; made if missing.", metavar="FOLDER")
     ] = Path("demo"),
 ) -> None:
-    """Run everything on the built-in synthetic corpus: files, library, model, prediction, report, picture."""
-    from manifold import workflows
+    """Run everything on the built-in synthetic corpus: files, library, model, prediction, pictures, fit, report."""
+    from manifold import demo
     from manifold.report_text import format_report
 
     results = terminal.Results()
-    result = workflows.demo(folder, terminal.progress)
+    result = demo.run(folder, terminal.progress)
     show_prediction(results, result.predicted)
     results.text(f"\n{format_report(result.report)}\n")
     results.rows(
@@ -352,7 +352,8 @@ def demo(
             "library": result.library.name,
             "model": result.model.name,
             "prediction": result.predicted.path.name,
+            "fit": result.fit.name,
             "report": f"{result.report_text.name}, {result.report_json.name}",
-            "map of the latents": result.picture.name,
+            "pictures": [path.name for path in result.pictures],
         },
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -13,7 +12,7 @@ from typing import Any
 from manifold import __version__, atomic, corpus, gonio, plot, selection
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
-from manifold.errors import LibraryError, UsageError
+from manifold.errors import UsageError
 from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model import Manifold, Settings
@@ -22,7 +21,6 @@ from manifold.plausibility import Plausibility, plausibility
 from manifold.prediction import ClippedBRDF
 from manifold.records import Array
 from manifold.report import Report, make_report
-from manifold.report_text import format_report
 from manifold.selection import Candidate
 from manifold.store import Library
 
@@ -311,48 +309,3 @@ def report(
     if picture is not None:
         plot.save(plot.latent_map(loaded), picture)
     return made
-
-
-@dataclass(frozen=True)
-class DemoResult:
-    """What `demo` left in its folder.
-
-    Attributes:
-        library, model, picture, report_text, report_json: paths.
-        predicted: the prediction.
-        report: the report.
-    """
-
-    library: Path
-    model: Path
-    picture: Path
-    report_text: Path
-    report_json: Path
-    predicted: Prediction
-    report: Report
-
-
-def demo(folder: Path, stage: Stage = no_stage) -> DemoResult:
-    """Run the whole program on the built-in corpus: files, library, model, prediction, report, picture.
-
-    A folder with an earlier demo is used again: what is finished is not done twice.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
-    with stage("Measuring the synthetic corpus") as step:
-        corpus.write(files, keep=True, on_progress=step)
-    with stage("Importing it into a library") as step:
-        imported = import_library(library, [files], on_progress=step)
-        if imported.failed:
-            raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    fitted = embed(library, model, Settings(), stage=stage).model
-    with stage("Predicting a material between two") as step:
-        between = fitted.between("syn_satin_gold", "syn_metallic_gold", 0.5)
-        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
-    with stage("Evaluating the model") as step:
-        made = make_report(fitted, "default", step)
-    text, document, picture = folder / "report.txt", folder / "report.json", folder / "latent_map.png"
-    atomic.write_text(text, format_report(made))
-    atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
-    plot.save(plot.latent_map(fitted, marked=between), picture)
-    return DemoResult(library, model, picture, text, document, predicted, made)

@@ -479,7 +479,7 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
-    from manifold import corpus, workflows
+    from manifold import corpus, demo, workflows
 
     class Stopped(Exception):
         pass
@@ -493,13 +493,13 @@ def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr(workflows, "import_library", stop)
     for _ in range(2):
         with pytest.raises(Stopped):
-            workflows.demo(tmp_path)
+            demo.run(tmp_path)
         files = sorted((tmp_path / "corpus").iterdir())
         assert len(files) == 3
         times = [path.stat().st_mtime_ns for path in files]
         files[0].unlink()
     with pytest.raises(Stopped):
-        workflows.demo(tmp_path)
+        demo.run(tmp_path)
     again = [path.stat().st_mtime_ns for path in files]
     assert again[1:] == times[1:]
     assert again[0] > times[0]

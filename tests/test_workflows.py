@@ -11,13 +11,14 @@ from mitsuba_reference import measured
 from small_library import small_model
 
 from manifold import corpus, workflows
+from manifold import demo as demo_module
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.model import Manifold, Settings
 from manifold.store import Library
 
-FEW = ("syn_satin_gold", "syn_metallic_gold", "syn_felt_green", "syn_paper_white", "syn_gloss_red")
+FEW = ("syn_satin_gold", "syn_chrome_mint", "syn_felt_green", "syn_paper_white", "syn_gloss_red")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def few_materials():
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory, few_materials):
-    return workflows.demo(tmp_path_factory.mktemp("demo"))
+    return demo_module.run(tmp_path_factory.mktemp("demo"))
 
 
 def directions(rng, n):
@@ -41,7 +42,14 @@ def directions(rng, n):
 
 
 def test_the_demo_leaves_everything_it_names(demo):
-    for path in (demo.model, demo.picture, demo.report_text, demo.report_json, demo.predicted.path):
+    for path in (
+        demo.model,
+        *demo.pictures,
+        demo.fit,
+        demo.report_text,
+        demo.report_json,
+        demo.predicted.path,
+    ):
         assert path.stat().st_size > 0
     assert Library.open(demo.library).names == tuple(sorted(FEW))
     assert demo.predicted.path.name == "predicted_spec.bsdf"
@@ -73,7 +81,7 @@ def test_the_predicted_file_says_what_it_is(demo):
 
 def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
     monkeypatch.setattr(workflows, "make_corpus", lambda *_, **__: pytest.fail("measured again"))
-    again = workflows.demo(demo.model.parent)
+    again = demo_module.run(demo.model.parent)
     assert again.predicted.latent == demo.predicted.latent
 
 

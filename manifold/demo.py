@@ -1,0 +1,88 @@
+"""The whole program on the built-in corpus, into one folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from manifold import atomic, backend, ball_workflows, corpus, fit_workflows, plot, render_workflows, workflows
+from manifold.bsdf_parameters import principled
+from manifold.errors import LibraryError
+from manifold.fit_picture_workflows import picture_of_fit
+from manifold.fit_workflows import FitSettings
+from manifold.model import Settings
+from manifold.picture_workflows import slices, sources
+from manifold.render import RenderSettings
+from manifold.report import Report, make_report
+from manifold.report_text import format_report
+from manifold.workflows import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
+
+START, END = "syn_satin_gold", "syn_chrome_mint"
+"""The materials that the demo predicts between, and walks between."""
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What `run` left in its folder.
+
+    Attributes:
+        library, model, report_text, report_json, fit: paths.
+        pictures: what was drawn.
+        predicted: the prediction.
+        report: the report.
+    """
+
+    library: Path
+    model: Path
+    report_text: Path
+    report_json: Path
+    fit: Path
+    pictures: tuple[Path, ...]
+    predicted: Prediction
+    report: Report
+
+
+def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
+    """Files, library, model, a prediction, renders, a fit, the report.
+
+    A folder with an earlier demo is used again: what is finished is not done twice.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
+    with stage("Measuring the synthetic corpus") as step:
+        corpus.write(files, keep=True, on_progress=step)
+    with stage("Importing it into a library") as step:
+        imported = workflows.import_library(library, [files], on_progress=step)
+        if imported.failed:
+            raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
+    fitted = workflows.embed(library, model, Settings(), stage=stage).model
+    with stage("Predicting a material between two") as step:
+        between = fitted.between(START, END, 0.75)
+        predicted = workflows.predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+    pictures = []
+    with stage("Rendering the prediction") as step:
+        pictures.append(folder / "predicted.png")
+        source = render_workflows.file_source(predicted.path)
+        render_workflows.render(source, pictures[-1], RenderSettings(), step)
+    pictures.append(folder / "slices.png")
+    slices(sources([START, END], [between], model), pictures[-1])
+    with stage("Drawing the map and the walk") as step:
+        pictures.append(folder / "map.png")
+        if backend.choose().is_llvm:
+            ball_workflows.latent_map(model, pictures[-1], marked=between, on_progress=step)
+            pictures.append(folder / "walk.png")
+            ball_workflows.walk(model, START, END, pictures[-1], on_progress=step)
+        else:  # balls would take minutes
+            plot.save(plot.latent_map(fitted, marked=between), pictures[-1])
+    with stage("Fitting game parameters to the prediction") as step:
+        fit = folder / "predicted.fit.json"
+        fit_workflows.fit_files([predicted.path], fit, FitSettings(principled()), on_progress=step)
+        pictures.append(folder / "predicted.fit.png")
+        picture_of_fit(fit, predicted.path, pictures[-1])
+    with stage("Evaluating the model") as step:
+        made = make_report(fitted, "default", step)
+    text, document = folder / "report.txt", folder / "report.json"
+    atomic.write_text(text, format_report(made))
+    atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
+    return DemoResult(library, model, text, document, fit, tuple(pictures), predicted, made)

@@ -183,6 +183,9 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "materials": len(model.names),
         "library": str(model.library.path),
         "bands": str(model.bands),
+        "kind": "monochrome: structure on the map, a colour per band"
+        if s.kind == "monochrome"
+        else "whole materials",
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
         "kernel": f"SE + delta, length scale {s.length_scale:g}, mu {s.mu:g}",

@@ -19,6 +19,9 @@ from manifold.plugin_tables import Tables
 from manifold.records import Array, Bands, BsdfFile
 from manifold.spaces import CurveSpace, MaterialSpace
 
+SEEN_NM = (360.0, 830.0)
+"""Wavelengths that Mitsuba renders."""
+
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
@@ -32,6 +35,9 @@ class Mixture:
         weights: of whole materials, (N,); of monochrome samples, (B, N, B_s); None where the latent varies.
         lobes: shares of the materials in sampling, (N,), positive, of sum 1.
         gp: what turns latents into weights, where they vary.
+        order: index of each material in `gp`, (N,).
+        is_clipped: whether negative values are cut, as in predicted files; a measured file keeps its own, which are
+            colours outside sRGB.
         left_out: materials that were left out.
         left_out_error: what that changes, as a share of the norm of the mapped values.
     """
@@ -43,6 +49,8 @@ class Mixture:
     weights: Array | None
     lobes: Array
     gp: GPWeights | None = None
+    order: Sequence[int] = ()
+    is_clipped: bool = True
     left_out: int = 0
     left_out_error: float = 0.0
 
@@ -82,10 +90,13 @@ def fixed_mixture(
     if np.any(own):
         return _of_materials(model, np.array([np.argmax(own)]), np.ones(1), 0, 0.0)
     flat = model.gp.weights(space.join(x[None], chosen.colours[None]))
-    samples = flat.reshape(model.bands.count, len(model.names), len(space.sample_bands))
+    files = _read(model, range(len(model.names)))
+    order = _by_size(files)
+    samples = flat.reshape(model.bands.count, len(model.names), len(space.sample_bands))[:, order]
     lobes = np.abs(samples).sum(axis=(0, 2))
-    tables = plugin_tables.pack(_read(model, range(len(model.names))), space.sample_bands.tolist())
-    return Mixture(model.names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
+    tables = plugin_tables.pack([files[k] for k in order], space.sample_bands.tolist())
+    names = tuple(model.names[k] for k in order)
+    return Mixture(names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
 
 
 def varying_mixture(model: Manifold) -> Mixture:
@@ -99,8 +110,12 @@ def varying_mixture(model: Manifold) -> Mixture:
             "textures of latents need a manifold of whole materials; give one latent, or embed with --kind material"
         )
     n = len(model.names)
-    tables = plugin_tables.pack(_read(model, range(n)))
-    return Mixture(model.names, tables, model.mapping, model.bands, None, np.full(n, 1.0 / n), model.gp)
+    files = _read(model, range(n))
+    order = _by_size(files)
+    bands, seen = _seen_bands(model.bands)
+    tables = plugin_tables.pack([files[k] for k in order], seen)
+    names, lobes = tuple(model.names[k] for k in order), np.full(n, 1.0 / n)
+    return Mixture(names, tables, model.mapping, bands, None, lobes, model.gp, order)
 
 
 def leave_out(weights: Array, S: Array, minimum: float) -> tuple[Array, Array, float]:
@@ -132,12 +147,40 @@ def leave_out(weights: Array, S: Array, minimum: float) -> tuple[Array, Array, f
 def _of_materials(model: Manifold, kept: Array, weights: Array, left_out: int, error: float) -> Mixture:
     is_measured = len(kept) == 1 and weights[0] == 1.0
     files = [model.library.read(model.names[kept[0]])] if is_measured else _read(model, kept)
+    order = _by_size(files)
+    files, kept, weights = [files[k] for k in order], kept[order], weights[order]
     lobes = np.abs(weights) / np.abs(weights).sum()
     names = tuple(model.names[k] for k in kept)
-    tables = plugin_tables.pack(files)
+    bands, seen = _seen_bands(model.bands)
+    tables = plugin_tables.pack(files, seen)
     return Mixture(
-        names, tables, model.mapping, model.bands, weights, lobes, left_out=left_out, left_out_error=error
-    )
+        names, tables, model.mapping, bands, weights, lobes,
+        is_clipped=not is_measured, left_out=left_out, left_out_error=error,
+    )  # fmt: skip
+
+
+def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
+    """The bands that renders ask for, and their indices: Mitsuba's wavelengths go from 360 to 830 nm."""
+    if bands.wavelengths_nm is None:
+        return bands, list(range(bands.count))
+    nm = np.asarray(bands.wavelengths_nm)
+    first, last = np.searchsorted(nm, SEEN_NM[0], side="right") - 1, np.searchsorted(nm, SEEN_NM[1])
+    seen = list(range(max(int(first), 0), min(int(last), len(nm) - 1) + 1))
+    if len(seen) < 2:
+        raise UsageError(
+            f"{bands} hold nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, where renders look"
+        )
+    return Bands(tuple(bands.wavelengths_nm[k] for k in seen)), seen
+
+
+def _by_size(files: list[BsdfFile]) -> list[int]:
+    """An order in which materials whose tables have the same sizes are neighbours."""
+
+    def sizes(k: int) -> tuple[object, ...]:
+        file = files[k]
+        return (*(a.shape for a in (file.spectra, file.vndf, file.ndf, file.sigma)), file.jacobian)
+
+    return sorted(range(len(files)), key=sizes)
 
 
 def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:

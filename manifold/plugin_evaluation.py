@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from manifold.bsdf_mixture import Mixture
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
-from manifold.plugin_tables import META
+from manifold.plugin_tables import META, MOST_BANDS_AT_ONCE
 from manifold.plugin_warp import Family, PackedWarps
 
 
@@ -21,6 +23,33 @@ class _Lobes:
         self.local, self.total = local, total
 
 
+_OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Neighbouring materials whose tables have the same sizes.
+
+    Attributes:
+        start, end: their range.
+        first: meta data of the first, shape (META,).
+        step: what that grows by from one to the next.
+    """
+
+    start: int
+    end: int
+    first: Any
+    step: Any
+
+    @classmethod
+    def all_of(cls, meta: Any) -> list[_Group]:
+        """The groups of materials with meta data (N, META)."""
+        sizes = np.delete(meta, _OFFSETS, axis=1)
+        breaks = np.flatnonzero(np.any(sizes[1:] != sizes[:-1], axis=1)) + 1
+        edges = [0, *breaks.tolist(), len(meta)]
+        return [cls(a, b, meta[a], meta[min(a + 1, b - 1)] - meta[a]) for a, b in itertools.pairwise(edges)]
+
+
 class Evaluation:
     """Evaluates and samples a mixture in the variant that is set."""
 
@@ -29,16 +58,19 @@ class Evaluation:
         self._mi, self._dr = mi, dr
         tables = mixture.tables
         self._n = len(mixture.names)
+        self._groups = _Group.all_of(tables.meta.reshape(-1, META).astype(np.int64))
         self._n_theta = tables.n_theta
         self._n_stored = tables.n_bands
         self._meta, self._nodes = mi.UInt32(tables.meta), mi.Float(tables.theta_nodes)
-        self._grids, self._spectra = mi.Float(tables.grids), mi.Float(tables.spectra)
+        self._grids = mi.Float(tables.grids)
+        self._spectra = (mi.Float16 if tables.spectra.dtype == np.float16 else mi.Float)(tables.spectra)
         self._warps = PackedWarps(
             mi, dr, mi.Float(tables.warps), mi.Float(tables.marginals), tables.most_nodes
         )
         self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
         self._is_rgb = mixture.bands.is_rgb
         self._gp = mixture.gp
+        self._is_clipped = mixture.is_clipped
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
         self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
         if mixture.bands.wavelengths_nm is not None:
@@ -52,8 +84,9 @@ class Evaluation:
         elif mixture.weights is not None:
             self._weights = mi.Float(mixture.weights.astype(np.float32))
         if self._gp is not None:
-            self._inverse_K = mi.Float64(np.linalg.inv(self._gp.K).ravel())
-            self._latents = [mi.Float(np.ascontiguousarray(c, dtype=np.float32)) for c in self._gp.X.T]
+            order = list(mixture.order)
+            self._inverse_K = mi.Float64(np.linalg.inv(self._gp.K)[np.ix_(order, order)].ravel())
+            self._latents = [mi.Float(c.astype(np.float32)) for c in self._gp.X[order].T]
 
     # -- weights -------------------------------------------------------------------------------------------
 
@@ -121,6 +154,14 @@ class Evaluation:
         m = [meta[k] for k in range(META)]
         return Family(*m[0:4]), Family(*m[4:8]), m[8:]
 
+    def _families_of(self, group: _Group, i: Any) -> tuple[Family, Family, list[Any]]:
+        """The same of a material of a group, sizes as numbers that the compiler knows."""
+        m: list[Any] = [
+            int(first) + (i - group.start) * int(step) if k in _OFFSETS else int(first)
+            for k, (first, step) in enumerate(zip(group.first, group.step, strict=True))
+        ]
+        return Family(*m[0:4]), Family(*m[4:8]), m[8:]
+
     def _slices(self, i: Any, theta: Any, n_theta: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
         """The two elevations of incidence around theta, and the weight of the second."""
         mi, dr = self._mi, self._dr
@@ -163,7 +204,7 @@ class Evaluation:
         jacobian = dr.maximum(2.0 * math.pi**2 * ux * dr.sin(theta_m), 1e-6) * 4.0 * dr.dot(wi, m)
 
         def add(i: Any, total: Any, density: Any) -> Any:
-            visible, luminance, rest = self._families(i, active)
+            visible, luminance, rest = self._families_of(group, i)
             slices, t = self._slices(i, theta_i, rest[7], active)
             u, v, pdf = self._warps.invert(visible, slices, t, ux, uy, active)
             pdf *= self._warps.density(luminance, slices, t, u, v, active)
@@ -176,13 +217,17 @@ class Evaluation:
             )
             return i + 1, total + values, density + share * pdf
 
-        _, total, density = dr.while_loop(
-            (mi.UInt32(0), mi.Spectrum(0.0), mi.Float(0.0)),
-            lambda i, total, density: i < self._n,
-            add,
-            labels=("material", "sum", "density"),
-        )
-        f = dr.maximum(self._mapping.inverse(total, cosines), 0.0)
+        total, density = mi.Spectrum(0.0), mi.Float(0.0)
+        for group in self._groups:
+            _, total, density = dr.while_loop(
+                (mi.UInt32(group.start), total, density),
+                lambda i, total, density, end=group.end: i < end,
+                add,
+                labels=("material", "sum", "density"),
+            )
+        f = self._mapping.inverse(total, cosines)
+        if self._is_clipped:
+            f = dr.maximum(f, 0.0)
         return f * cos_o, density / jacobian
 
     def _spectrum(
@@ -199,7 +244,7 @@ class Evaluation:
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
-        if self._n_stored <= 8:  # all bands of a cell in one read
+        if self._n_stored <= MOST_BANDS_AT_ONCE:  # all bands of a cell in one read
             stored = self._all_bands(first, t, corners, active)
             mapped = [forward(value) for value in stored]
             if self._sample_weights is None:
@@ -230,8 +275,8 @@ class Evaluation:
     def _two_bands(self, cell: Any, band: Any, s: Any, corners: Any, active: Any) -> Any:
         dr, mi = self._dr, self._mi
         index = cell * self._n_stored + band
-        below = dr.gather(mi.Vector4f, self._spectra, index, active)
-        above = dr.gather(mi.Vector4f, self._spectra, index + 1, active)
+        half4 = dr.float16_array_t(mi.Vector4f)
+        below, above = (mi.Vector4f(dr.gather(half4, self._spectra, k, active)) for k in (index, index + 1))
         return sum(w * dr.lerp(below[c], above[c], s) for c, w in enumerate(corners))
 
     def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:

@@ -18,6 +18,9 @@ from manifold.warp import Warp
 WARP_PACKET = 8
 """Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows."""
 
+MOST_BANDS_AT_ONCE = 8
+"""Bands up to which all of a cell are read together; more are read as wavelengths ask for them."""
+
 META = 16
 """Integers per material; see `Tables.meta`."""
 
@@ -35,7 +38,8 @@ class Tables:
         warps: vndf and luminance cells, float32, shape (cells * 8,).
         marginals: their cumulative sums of rows, float32.
         grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
-        spectra: four corners per cell and band, float32, shape (cells * bands * 4,).
+        spectra: four corners per cell and band, shape (cells * bands * 4,): float32 for few bands, float16 for many,
+            where memory is what takes time. Halves are scaled by a power of two, which `ndf` takes back.
         n_bands: bands per cell in `spectra`, padded with zeros.
         most_nodes: of a warp's axis.
     """
@@ -67,9 +71,11 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
         UsageError: a material is anisotropic.
     """
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
-    n_bands = len(kept) if len(kept) > 8 else int(2 ** np.ceil(np.log2(len(kept))))
+    n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
     n_theta = max(len(file.theta_i_rad) for file in files)
-    warps, marginals, grids, spectra = _Store(WARP_PACKET), _Store(1), _Store(4), _Store(4 * n_bands)
+    is_half = len(kept) > MOST_BANDS_AT_ONCE
+    warps, marginals, grids = _Store(WARP_PACKET), _Store(1), _Store(4)
+    spectra = _Store(4 * n_bands, np.float16 if is_half else np.float32)
     meta = np.zeros((len(files), META), dtype=np.uint32)
     nodes = np.zeros((len(files), n_theta), dtype=np.float32)
     most_nodes = 2
@@ -88,9 +94,11 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
             most_nodes = max(most_nodes, *warp.data.shape[1:])
         # The factor ndf / (4 sigma) is 1 where a file holds final values.
         one = np.ones((2, 2))
-        for grid in (file.ndf, 4.0 * file.sigma) if file.jacobian else (one, one):
+        ndf, sigma = (file.ndf, 4.0 * file.sigma) if file.jacobian else (one, one)
+        unit = _unit(file.spectra) if is_half else 1.0
+        for grid in (unit * ndf, sigma):
             row += [grids.add(_corners(grid)), *grid.shape]
-        cells = _corners(file.spectra[0][:, kept])  # [T, B, H - 1, W - 1, 4]
+        cells = _corners(file.spectra[0][:, kept]) / np.float32(unit)  # [T, B, H - 1, W - 1, 4]
         padded = np.zeros((*cells.shape[:1], *cells.shape[2:4], n_bands, 4), dtype=np.float32)
         padded[..., : len(kept), :] = np.moveaxis(cells, 1, 3)
         row += [spectra.add(padded)]
@@ -115,13 +123,14 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
 class _Store:
     """Blocks of packets, one after the other."""
 
-    def __init__(self, packet: int) -> None:
-        self._packet, self._blocks, self._length = packet, [], 0  # type: ignore[var-annotated]
+    def __init__(self, packet: int, dtype: type = np.float32) -> None:
+        self._packet, self._dtype, self._length = packet, dtype, 0
+        self._blocks: list[Array] = []
 
     def add(self, block: Array) -> int:
         """Append; the index of its first packet."""
         start = self._length
-        self._blocks.append(np.ascontiguousarray(block, dtype=np.float32).ravel())
+        self._blocks.append(np.ascontiguousarray(block, dtype=self._dtype).ravel())
         self._length += self._blocks[-1].size // self._packet
         return start
 
@@ -132,6 +141,12 @@ class _Store:
         if joined.size > np.iinfo(np.uint32).max:
             raise UsageError("the materials are too many for 32-bit indices; leave out those of small weight")
         return joined
+
+
+def _unit(values: Array) -> float:
+    """The power of two in which the largest of some values is between 2^14 and 2^15, near the end of float16."""
+    largest = float(np.abs(values).max())
+    return 2.0 ** (np.floor(np.log2(largest)) - 14) if largest > 0 else 1.0
 
 
 def _corners(grid: Array) -> Array:

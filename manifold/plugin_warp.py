@@ -40,8 +40,11 @@ class PackedWarps:
         i = dr.minimum(mi.UInt32(scaled), n - 2)
         return i, scaled - mi.Float(i)
 
+    def _index(self, family: Family, slice_: Any, i: Any, j: Any) -> Any:
+        return family.cells + (slice_ * (family.rows - 1) + i) * (family.columns - 1) + j
+
     def _packet(self, family: Family, slice_: Any, i: Any, j: Any, active: Any) -> Any:
-        index = family.cells + (slice_ * (family.rows - 1) + i) * (family.columns - 1) + j
+        index = self._index(family, slice_, i, j)
         shape = (WARP_PACKET, self._dr.width(index))
         return self._dr.gather(self._mi.ArrayXf, self._warps, index, active, shape=shape)
 
@@ -76,8 +79,9 @@ class PackedWarps:
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
-        d00, d01, d10, d11 = self._blended(family, slices, t, i, j, active)[:4]
-        value = dr.lerp(dr.lerp(d00, d01, tx), dr.lerp(d10, d11, tx), ty)
+        a, b = (dr.gather(mi.Vector4f, self._warps, 2 * self._index(family, s, i, j), active) for s in slices)
+        d = dr.lerp(a, b, t)  # the first half of a packet
+        value = dr.lerp(dr.lerp(d.x, d.y, tx), dr.lerp(d.z, d.w, tx), ty)
         return value * mi.Float((family.rows - 1) * (family.columns - 1))
 
     def sample(self, family: Family, slices: Any, t: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:

@@ -163,7 +163,7 @@ def material_ball(
             "fov": _FIELD_OF_VIEW_DEG,
             "to_world": transform().look_at(origin=_CAMERA, target=_TARGET, up=[0, 0, 1]),
             "film": dict(film),
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},
         },
         "environment": {
             "type": "envmap",

@@ -1,6 +1,6 @@
 """Why light needs spectra: materials under the fluorescent lamp F11, rendered in bands and in RGB.
 
-Draws, for a few materials of the built-in corpus, the spectral render under F11 and the render of the same file reduced to
+Draws, for a few materials of the built-in corpus, the spectral render under F11 and that of the same file reduced to
 linear sRGB, both adapted to the lamp's white, and prints the mean CIEDE2000 over the ball between each and a spectral
 reference of four times the samples. The RGB render is what it is under any light once white is balanced.
 """

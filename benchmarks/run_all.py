@@ -11,6 +11,8 @@ COMMANDS = {
     "evaluation": ["bench_evaluation.py"],
     "import": ["bench_import.py"],
     "goniometer": ["bench_goniometer.py"],
+    "prediction": ["bench_prediction.py"],
+    "fluorescent": ["fluorescent_light.py"],
     "gplvm": ["bench_gplvm.py", "--figure", "results/scaling.png"],
 }
 

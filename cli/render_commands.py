@@ -52,7 +52,9 @@ def register(app: typer.Typer) -> None:
 
 
 def render(
-    file: Annotated[Path | None, typer.Argument(help="A .bsdf file.", metavar="[FILE]")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="A .bsdf file, or the JSON of a fit.", metavar="[FILE]")
+    ] = None,
     latent: Annotated[
         str | None,
         typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y"),
@@ -129,7 +131,7 @@ def _show(results: terminal.Results, made: Rendered) -> None:
 
 
 def compare(
-    a: Annotated[Path, typer.Argument(help="A picture, or a .bsdf file.", metavar="A")],
+    a: Annotated[Path, typer.Argument(help="A picture, a .bsdf file, or the JSON of a fit.", metavar="A")],
     b: Annotated[Path, typer.Argument(help="Another of the same kind.", metavar="B")],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The figure: .png, .pdf or .svg.", metavar="FILE")

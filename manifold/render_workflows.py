@@ -15,6 +15,7 @@ import numpy as np
 from manifold import (
     __version__,
     backend,
+    fit_json,
     image_metrics,
     images,
     plot,
@@ -109,12 +110,18 @@ def make_settings(
 
 
 def file_source(path: Path) -> Source:
-    """A measured file.
+    """A measured file, or the JSON of a fit.
 
     Raises:
-        FileFormatError: it is no RGL file.
+        FileFormatError: it is no RGL file, and no fit.
         UsageError: Mitsuba's `measured` does not take it.
     """
+    if path.suffix == ".json":
+        content = fit_json.read(path)
+        spectral = content["mitsuba_spectral"]
+        material = content["mitsuba"] if spectral is None else spectral
+        route = f"fitted {content['bsdf']['type']}"
+        return Source(content["source"]["name"] + ", fitted", material, spectral is None, route)
     file = read_bsdf(path)
     rows, columns = file.spectra.shape[3:]
     if rows != columns:
@@ -232,7 +239,7 @@ def compare(
         ShapeError: the pictures have different sizes.
     """
     plot.require_writable(output)
-    are_materials = [path.suffix == ".bsdf" for path in (a, b)]
+    are_materials = [path.suffix in (".bsdf", ".json") for path in (a, b)]
     if any(are_materials) and not all(are_materials):
         raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
     ball = None

@@ -18,6 +18,7 @@ from manifold.fit_workflows import FitSettings, family_of, fit_files, fit_predic
 from manifold.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
 from manifold.render import RenderSettings
+from manifold.render_workflows import compare, file_source
 
 SETTINGS = RenderSettings(size=96, samples=32)
 FIT = FitSettings(family_of(None, None))
@@ -87,3 +88,12 @@ def test_what_is_no_fit_is_refused(fitted, tmp_path):
     with pytest.raises(FileFormatError, match=r"no\.json"):
         picture_of_fit(tmp_path / "no.json", fitted[0], tmp_path / "x.png", SETTINGS)
     assert fit_json.read(fitted[1])["bsdf"]["type"] == "principled"
+
+
+def test_a_fit_is_rendered_and_compared_like_a_file(fitted, tmp_path):
+    material, fit = fitted
+    source = file_source(fit)
+    assert (source.is_rgb, source.route) == (True, "fitted principled")
+    made = compare(fit, material, tmp_path / "both.png", SETTINGS)
+    assert made.ciede2000_ball is not None
+    assert made.ciede2000_ball.mean < 4.0

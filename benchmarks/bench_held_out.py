@@ -4,7 +4,7 @@
     python benchmarks/bench_held_out.py FOLDER --trial kernels      # one of them; see --list
 
 The protocol is that of `manifold.heldout`: fit to N - 1 materials, find the latent of the last one by what it decodes
-to, compare. Each row changes one thing; `--linear 1 --mu 1e-3` changes all rows. Results: docs/design/held-out.md.
+to, compare. Each row changes one thing; `--kernel matern32 --linear 1` all rows. Results: docs/design/held-out.md.
 """
 
 from __future__ import annotations
@@ -242,6 +242,9 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--trial", action="append", help="may be given several times")
+    parser.add_argument(
+        "--kernel", dest="name", choices=("se", "matern32", "matern52", "rq"), help="of every model"
+    )
     parser.add_argument("--linear", type=float, help="add a linear term of this weight to every kernel")
     parser.add_argument("--mu", type=float, help="noise filter of every kernel")
     parser.add_argument("--rows", default="", help="only rows whose name this regular expression finds")
@@ -263,7 +266,9 @@ def main() -> None:
             if args.list:
                 print(f"| {name} |")
                 continue
-            changes = {key: value for key in ("linear", "mu") if (value := getattr(args, key)) is not None}
+            changes = {
+                key: value for key in ("name", "linear", "mu") if (value := getattr(args, key)) is not None
+            }
             setting = replace(setting, kernel=replace(setting.kernel, **changes))
             start = time.perf_counter()
             errors, largest = held_out(data, setting, args.every)

@@ -173,7 +173,8 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
             for name, s in MODELS.items()
             if name != "whole 2"
             for weight in (0.3, 1.0, 3.0, 10.0)
-            for mu, prior in ((1e-3, 0.1), (1e-3, 0.3), (3e-3, 0.1), (1e-4, 0.1))
+            for mu in (1e-4, 3e-4, 1e-3, 3e-3)
+            for prior in (0.03, 0.1, 0.3)
         },
         "back": {
             f"{name}, {kind} encoder" + (", alone" if alone else ", then searched"): replace(

@@ -19,6 +19,19 @@ if TYPE_CHECKING:
 
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
+LikeOption = Annotated[
+    str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+]
+ReflectanceOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
+    ),
+]
+SrgbOption = Annotated[
+    str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+]
+
 DEFAULT_MODEL = Path("model.h5")
 AUTO = "auto"
 
@@ -184,18 +197,9 @@ def predict(
     ],
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
-    like: Annotated[
-        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
-    ] = None,
-    reflectance: Annotated[
-        Path | None,
-        typer.Option(
-            help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
-        ),
-    ] = None,
-    srgb: Annotated[
-        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
-    ] = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
     physical: Annotated[
         bool,
         typer.Option("--physical", help="Make it reciprocal, with no negative values and albedo at most 1."),

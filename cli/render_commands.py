@@ -11,7 +11,14 @@ from manifold.errors import UsageError
 
 from . import terminal
 from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+from .model_commands import (
+    DEFAULT_MODEL,
+    LikeOption,
+    ModelOption,
+    ReflectanceOption,
+    SrgbOption,
+    parse_latent,
+)
 
 if TYPE_CHECKING:
     from manifold.image_metrics import Summary
@@ -61,15 +68,9 @@ def render(
     ] = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
-    like: Annotated[
-        str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
-    ] = None,
-    reflectance: Annotated[
-        Path | None, typer.Option(help="Take a reflectance spectrum, a text file.", metavar="FILE")
-    ] = None,
-    srgb: Annotated[
-        str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
-    ] = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
     direct: Annotated[
         bool,
         typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),

@@ -255,11 +255,6 @@ class Manifold:
         """Gram matrix of the mapped materials, not centred, shape (N, N); of whole materials only."""
         return self._require_materials().S
 
-    @property
-    def n_outputs(self) -> int:
-        """D, the outputs behind S."""
-        return self._require_materials().n_outputs
-
     def _require_materials(self) -> MaterialSpace:
         if not isinstance(self.space, MaterialSpace):
             raise UsageError(

@@ -6,7 +6,7 @@ import numpy as np
 
 from manifold.brdf import BRDF
 from manifold.directions import from_spherical
-from manifold.plausibility import mirrored_quadrature
+from manifold.plausibility import quadrature_albedo
 from manifold.records import Array, Bands
 
 _ELEVATIONS_DEG = np.linspace(0.0, 85.0, 18)  # where the albedo is looked at
@@ -59,10 +59,4 @@ class PhysicalBRDF:
             wi: incident unit vectors (..., 3).
             resolution: nodes in elevation and in azimuth.
         """
-        wi = np.asarray(wi, dtype=np.float64)
-        flat = wi.reshape(-1, 3)
-        out = np.empty((len(flat), self.bands.count))
-        for k, w in enumerate(flat):
-            wo, measure = mirrored_quadrature(w, resolution, resolution)
-            out[k] = measure @ self.eval_cos(w, wo)
-        return out.reshape(*wi.shape[:-1], -1)
+        return quadrature_albedo(self, wi, resolution)

@@ -72,6 +72,23 @@ def _max_albedo(evaluate: Evaluate, theta_i: float) -> Array:
     return np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1)
 
 
+def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
+    """Directional albedo of a BRDF by quadrature over half vectors, shape (..., B).
+
+    Args:
+        brdf: of which `eval_cos` is integrated.
+        wi: incident unit vectors (..., 3).
+        resolution: nodes in elevation and in azimuth.
+    """
+    wi = np.asarray(wi, dtype=np.float64)
+    flat = wi.reshape(-1, 3)
+    out = np.empty((len(flat), brdf.bands.count))
+    for k, w in enumerate(flat):
+        wo, measure = mirrored_quadrature(w, resolution, resolution)
+        out[k] = measure @ brdf.eval_cos(w, wo)
+    return out.reshape(*wi.shape[:-1], -1)
+
+
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
     """Outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
 

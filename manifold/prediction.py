@@ -14,7 +14,7 @@ from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity, Mapping
 from manifold.metrics import cosine_weight
 from manifold.pairs import DirectionPairs
-from manifold.plausibility import mirrored_quadrature
+from manifold.plausibility import quadrature_albedo
 from manifold.records import Array, Bands
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
@@ -118,13 +118,7 @@ class Mixture:
             wi: incident unit vectors (..., 3).
             resolution: nodes in elevation and in azimuth.
         """
-        wi = np.asarray(wi, dtype=np.float64)
-        flat = wi.reshape(-1, 3)
-        out = np.empty((len(flat), self.bands.count))
-        for k, w in enumerate(flat):
-            wo, measure = mirrored_quadrature(w, resolution, resolution)
-            out[k] = measure @ self.eval_cos(w, wo)
-        return out.reshape(*wi.shape[:-1], -1)
+        return quadrature_albedo(self, wi, resolution)
 
 
 class PredictedBRDF(Mixture):

@@ -1,0 +1,293 @@
+"""The plugin `manifold` beside the package's own predictions and beside Mitsuba's `measured` plugin."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chi_square import chi_square_p_value
+from scipy import stats
+from small_library import small_library
+
+import manifold.render
+from manifold import backend, bsdf_mixture, corpus, scenes, workflows
+from manifold.directions import from_spherical, normalize
+from manifold.errors import UsageError
+from manifold.importing import import_files
+from manifold.io_rgl import write_bsdf
+from manifold.model import Manifold, Settings
+from manifold.render import RenderSettings, colorimetric_film, render_scene, rgb_film
+from manifold.spectra import Illuminant
+from manifold.store import Library
+
+pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
+
+SPECTRAL = ("syn_felt_orange", "syn_gloss_red", "syn_metal_copper", "syn_paper_blue", "syn_satin_gold")
+
+
+@cache
+def spectral_library(folder: Path) -> Path:
+    """A library of a few spectral materials."""
+    materials = {m.name: m for m in corpus.isotropic_materials()}
+    for name in SPECTRAL:
+        write_bsdf(folder / f"{name}_spec.bsdf", corpus.measure(materials[name]))
+    assert not import_files(folder / "library.zarr", [folder]).failed
+    return folder / "library.zarr"
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory) -> dict[str, Path]:
+    """Models by kind and bands."""
+    folder = tmp_path_factory.mktemp("plugin")
+    library = spectral_library(folder)
+    rgb = small_library(tmp_path_factory.mktemp("rgb"))
+    paths = {}
+    for name, source, kind in (
+        ("rgb", rgb, "material"),
+        ("material", library, "material"),
+        ("monochrome", library, "monochrome"),
+    ):
+        paths[name] = folder / f"{name}.h5"
+        Manifold.fit(Library.open(source), Settings(kind=kind)).save(paths[name])
+    return paths
+
+
+def random_directions(rng, n):
+    """Directions above the horizon, shape (n, 3), not quite at it."""
+    return from_spherical(np.arccos(0.02 + 0.98 * rng.random(n)), 2 * np.pi * rng.random(n))
+
+
+def words(latent) -> str:
+    """A latent as scenes name it."""
+    return ",".join(repr(float(v)) for v in latent)
+
+
+class InMitsuba:
+    """A BSDF of Mitsuba with the interface of `manifold.brdf.BRDF`, at fixed wavelengths."""
+
+    def __init__(self, mi, scene, wavelengths_nm=None):
+        self.mi, self.dr = mi, backend.drjit()
+        self.bsdf = mi.load_dict(scene)
+        self.wavelengths_nm = wavelengths_nm
+        self.rng = np.random.default_rng(7)
+
+    def _interaction(self, wi):
+        si = self.dr.zeros(self.mi.SurfaceInteraction3f, len(wi))
+        si.wi = self.mi.Vector3f(wi.T)
+        if self.wavelengths_nm is not None:
+            si.wavelengths = self.mi.Spectrum(*map(float, self.wavelengths_nm))
+        return si
+
+    def eval_pdf(self, wi, wo):
+        wi, wo = np.broadcast_arrays(wi, wo)
+        shape, wi, wo = wi.shape[:-1], wi.reshape(-1, 3), wo.reshape(-1, 3)
+        value, pdf = self.bsdf.eval_pdf(
+            self.mi.BSDFContext(), self._interaction(wi), self.mi.Vector3f(wo.T.copy())
+        )
+        return np.array(value).T.reshape(*shape, -1), np.array(pdf).reshape(shape)
+
+    def pdf(self, wi, wo):
+        return self.eval_pdf(wi, wo)[1].astype(np.float64)
+
+    def sample(self, wi, u):
+        first = self.mi.Float(self.rng.random(len(u)).astype(np.float32))
+        record, weight = self.bsdf.sample(
+            self.mi.BSDFContext(), self._interaction(wi), first, self.mi.Point2f(u.T.copy())
+        )
+        self.weight = np.array(weight).T
+        return np.array(record.wo).T.astype(np.float64), np.array(record.pdf).astype(np.float64)
+
+
+@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome"])
+def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
+    model = Manifold.load(models[kind])
+    mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
+    bands = [0, 1, 2] if kind == "rgb" else [15, 40, 77, 130]
+    nm = None if kind == "rgb" else np.array(model.bands.wavelengths_nm)[bands]
+    x = model.between(model.names[0], model.names[2], 0.4)
+    plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
+    wi, wo = random_directions(rng, 2000), random_directions(rng, 2000)
+    near_mirror = wi[:1000] * [-1, -1, 1] + 0.03 * rng.normal(size=(1000, 3))  # highlights too
+    near_mirror[:, 2] = np.abs(near_mirror[:, 2])
+    wo[:1000] = normalize(near_mirror)
+    value, pdf = plugin.eval_pdf(wi, wo)
+    expected = model.predict(x)
+    f_cos = np.maximum(expected.eval_cos(wi, wo), 0.0)[:, bands]
+    # Halves hold spectra to 2^-11, and a cube magnifies that where weights of both signs cancel.
+    tolerance = 1e-3 if kind == "rgb" else 1e-2
+    np.testing.assert_allclose(value, f_cos, rtol=tolerance, atol=tolerance * np.median(f_cos))
+    np.testing.assert_allclose(pdf, expected.pdf(wi, wo), rtol=1e-3, atol=1e-5)
+
+
+def test_at_a_training_latent_it_is_the_measured_material_with_its_negative_values(models, rng):
+    model = Manifold.load(models["rgb"])
+    mi = backend.mitsuba("rgb")
+    name = model.names[3]
+    plugin = InMitsuba(
+        mi, {"type": "manifold", "model": str(models["rgb"]), "latent": words(model.latent(name))}
+    )
+    wi, wo = random_directions(rng, 1000), random_directions(rng, 1000)
+    np.testing.assert_allclose(
+        plugin.eval_pdf(wi, wo)[0], model.material(name).eval_cos(wi, wo), rtol=2e-3, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("kind", ["rgb", "monochrome"])
+@pytest.mark.parametrize("theta_deg", [12.0, 50.0, 78.0])
+def test_samples_follow_the_density(models, rng, kind, theta_deg):
+    model = Manifold.load(models[kind])
+    mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
+    nm = None if kind == "rgb" else (450.0, 520.0, 580.0, 650.0)
+    x = model.between(model.names[0], model.names[1], 0.5)
+    plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
+    wi = from_spherical(np.deg2rad(theta_deg), 0.7)
+    assert chi_square_p_value(plugin, wi, rng, n_samples=100_000) > 1e-3 / 6  # six tests of this kind
+
+
+@pytest.mark.parametrize("theta_deg", [5.0, 45.0, 70.0])
+def test_the_mean_sample_weight_is_the_albedo(models, rng, theta_deg):
+    """The white furnace."""
+    model = Manifold.load(models["rgb"])
+    x = model.between(model.names[2], model.names[4], 0.3)
+    plugin = InMitsuba(
+        backend.mitsuba("rgb"), {"type": "manifold", "model": str(models["rgb"]), "latent": words(x)}
+    )
+    wi = from_spherical(np.deg2rad(theta_deg), 0.0)
+    n = 400_000
+    plugin.sample(np.broadcast_to(wi, (n, 3)).copy(), rng.random((n, 2)))
+    albedo = model.predict(x).albedo(wi)
+    np.testing.assert_allclose(plugin.weight.mean(axis=0), albedo, rtol=0.01)
+
+
+def passes(mi, material, film, first_seed, count=12):
+    """Independent pictures of the ball, (count, 20, 20, 3)."""
+    scene = mi.load_dict(scenes.material_ball(mi, material, film))
+    settings = [RenderSettings(size=20, samples=25, seed=first_seed + k) for k in range(count)]
+    return np.array([render_scene(mi, scene, s) for s in settings])
+
+
+def require_same_picture(a, b):
+    """A z-test per pixel and channel, corrected for their number."""
+    p = stats.ttest_ind(a, b, axis=0, equal_var=False).pvalue
+    p = p[np.isfinite(p)]
+    assert p.min() > 1e-4 / p.size
+    assert np.mean(p < 0.01) < 0.03
+
+
+@pytest.mark.parametrize("t", [0.2, 0.5, 0.8])
+@pytest.mark.parametrize("illuminant", ["D65", "F11"])
+def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path, t, illuminant):
+    model = Manifold.load(models["material"])
+    x = model.between(model.names[1], model.names[4], t)
+    path = tmp_path / "between_spec.bsdf"
+    workflows.predict(model, x, path, resolution=48, n_theta_i=24)
+    mi = backend.mitsuba("spectral")
+    film = colorimetric_film(mi, 20, Illuminant.named(illuminant))
+    written = passes(mi, {"type": "measured", "filename": str(path)}, film, 0)
+    direct = passes(
+        mi, {"type": "manifold", "model": str(models["material"]), "latent": words(x)}, film, 1000
+    )
+    require_same_picture(written, direct)
+
+
+def test_a_measured_file_and_the_plugin_at_its_latent_make_the_same_picture(models):
+    model = Manifold.load(models["material"])
+    name = "syn_satin_gold"
+    mi = backend.mitsuba("spectral")
+    film = colorimetric_film(mi, 20, Illuminant.named("D65"))
+    path = models["material"].parent / f"{name}_spec.bsdf"
+    measured = passes(mi, {"type": "measured", "filename": str(path)}, film, 0)
+    scene = {"type": "manifold", "model": str(models["material"]), "latent": words(model.latent(name))}
+    require_same_picture(measured, passes(mi, scene, film, 1000))
+
+
+def test_the_picture_test_sees_another_material(models):
+    """The z-test above can fail."""
+    model = Manifold.load(models["rgb"])
+    mi = backend.mitsuba("rgb")
+    a, b = (
+        passes(
+            mi,
+            {
+                "type": "manifold",
+                "model": str(models["rgb"]),
+                "latent": words(model.between("syn_gloss_red", "syn_felt_green", t)),
+            },
+            rgb_film(20),
+            seed,
+        )
+        for t, seed in ((0.5, 0), (0.52, 1000))
+    )
+    with pytest.raises(AssertionError):
+        require_same_picture(a, b)
+
+
+def test_a_texture_of_latents_carries_a_field_of_materials(models, rng):
+    model = Manifold.load(models["rgb"])
+    mi, dr = backend.mitsuba("rgb"), backend.drjit()
+    a, b = model.latent(model.names[0]), model.latent(model.names[2])
+    fields = {}
+    for k in range(2):
+        row = np.array(
+            [[[a[k]], [b[k]], [0.5 * (a[k] + b[k])]]], dtype=np.float32
+        )  # three texels side by side
+        fields[f"latent_{k}"] = {
+            "type": "bitmap", "bitmap": mi.Bitmap(row), "raw": True, "filter_type": "nearest",
+        }  # fmt: skip
+    bsdf = mi.load_dict({"type": "manifold", "model": str(models["rgb"]), **fields})
+    wi, wo = random_directions(rng, 600), random_directions(rng, 600)
+    si = dr.zeros(mi.SurfaceInteraction3f, 600)
+    si.wi = mi.Vector3f(wi.T.copy())
+    si.uv = mi.Point2f(np.tile([1 / 6, 3 / 6, 5 / 6], 200).astype(np.float32), 0.5)
+    value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.copy()))).T
+    closed = model.load_materials()  # a field has no holes, not even where it passes a measured material
+    for k, brdf in enumerate((closed[0], closed[2], model.predict(0.5 * (a + b)))):
+        expected = np.maximum(brdf.eval_cos(wi[k::3], wo[k::3]), 0.0)
+        # Latents are float32 there; weights of both signs cancel.
+        np.testing.assert_allclose(value[k::3], expected, rtol=0.02, atol=0.02 * np.median(expected))
+
+
+def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):
+    values = rng.random((12, 500))
+    weights = np.concatenate([rng.normal(size=5), 0.01 * rng.normal(size=7)])
+    kept, fitted, error = bsdf_mixture.leave_out(weights, values @ values.T, 0.05)
+    assert set(kept) <= set(range(5))
+    full, part = weights @ values, fitted @ values[kept]
+    np.testing.assert_allclose(np.linalg.norm(full - part) / np.linalg.norm(full), error, rtol=1e-6)
+    plain = weights[kept] @ values[kept]
+    assert error < np.linalg.norm(full - plain) / np.linalg.norm(full)  # fitting again pays
+    with pytest.raises(UsageError, match="leaves no material"):
+        bsdf_mixture.leave_out(weights, values @ values.T, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("properties", "message"),
+    [
+        ({}, "no latent; give `latent`"),
+        ({"latent": "0.1"}, "found 1 coordinates"),
+        ({"latent": "a,b"}, "expected numbers"),
+        ({"latent": "0.1,0.2", "minimum_weight": 50.0}, "leaves no material"),
+        ({"latent": "0.1,0.2", "model": "nothing.h5"}, "nothing.h5"),
+    ],
+)
+def test_properties_that_cannot_be_used_are_one_clear_line(models, properties, message):
+    mi = backend.mitsuba("rgb")
+    with pytest.raises(Exception, match=message):
+        mi.load_dict({"type": "manifold", "model": str(models["rgb"]), **properties})
+
+
+def test_a_library_of_other_bands_than_the_variant_is_refused(models):
+    mi = backend.mitsuba("rgb")
+    with pytest.raises(Exception, match="spectral materials; set a spectral variant"):
+        mi.load_dict({"type": "manifold", "model": str(models["material"]), "latent": "0,0"})
+
+
+def test_importing_render_registers_the_plugin_in_every_variant(models):
+    assert manifold.render.bsdf_plugin.NAME == "manifold"
+    for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "monochrome")):
+        mi = backend.mitsuba(colour)
+        scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'
+        bsdf = mi.load_string(scene + '<string name="latent" value="0.0,0.1"/></bsdf>')
+        assert "materials" in str(bsdf)

@@ -218,6 +218,9 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
                 (5, False, True), (9, False, True), (13, False, True), (7, True, True),
             )
         }  # fmt: skip
+        table["bands"] |= {
+            f"mono 3+1, {count} even bands, colours solved": replace(MONO_3, bands=count) for count in (3, 5)
+        }
     return table
 
 

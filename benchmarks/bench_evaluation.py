@@ -15,10 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import llvm
 import numpy as np
 
-from manifold import corpus
+from manifold import backend, corpus
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -34,13 +33,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    library = llvm.use_newest()
-    if library is None:
-        print(
-            "no usable libLLVM (Debian: apt-get install libllvm19); there is nothing to compare with",
-            file=sys.stderr,
-        )
+    chosen = backend.choose()
+    if chosen.library is None:
+        print(f"{chosen.advice or 'scalar was asked for'}; there is nothing to compare with", file=sys.stderr)
         sys.exit(1)
+    library = chosen.library
     material = next(m for m in corpus.isotropic_materials() if m.name == arguments.material)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{material.name}_spec.bsdf"
@@ -59,9 +56,8 @@ def main() -> None:
 def compare(path: Path, pairs: int, rounds: int) -> dict[str, float]:
     """Alternate the two on random pairs over the hemisphere."""
     import drjit as dr
-    import mitsuba as mi
 
-    mi.set_variant("llvm_ad_spectral")
+    mi = backend.mitsuba("spectral")
     rng = np.random.default_rng(0)
     wi, wo = (
         from_spherical(np.arccos(rng.random(pairs)), rng.uniform(-np.pi, np.pi, pairs)) for _ in range(2)

@@ -12,6 +12,7 @@ COMMANDS = {
     "import": ["bench_import.py"],
     "goniometer": ["bench_goniometer.py"],
     "prediction": ["bench_prediction.py"],
+    "render": ["bench_render.py"],
     "fluorescent": ["fluorescent_light.py"],
     "gplvm": ["bench_gplvm.py", "--figure", "results/scaling.png"],
 }

@@ -60,7 +60,7 @@ class Mixture:
 
 
 def fixed_mixture(
-    model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, minimum_weight: float = 0.0
+    model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, tolerance: float = 0.0
 ) -> Mixture:
     """The prediction at a latent; at a training latent the measured file.
 
@@ -68,20 +68,19 @@ def fixed_mixture(
         model: a fitted manifold.
         latent: Q coordinates.
         colour: on a monochrome manifold.
-        minimum_weight: materials of smaller weight, by magnitude, are left out, and the weights of the others
-            fitted to what all would give (by the Gram matrix).
+        tolerance: how much leaving materials out may change; see `leave_out`.
     Raises:
         LatentError: the latent does not have Q finite coordinates.
-        UsageError: no weight is left, a material is anisotropic, or the manifold is monochrome and weights are cut.
+        UsageError: a material is anisotropic, or the manifold is monochrome and materials are to be left out.
     """
     x = model.require_latent(latent)
     if isinstance(model.space, MaterialSpace):
         weights = model.gp.weights(x[None])[0]
-        kept, fitted, error = leave_out(weights, model.S, minimum_weight)
+        kept, fitted, error = leave_out(weights, model.S, tolerance)
         return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
-    if minimum_weight > 0.0:
+    if tolerance > 0.0:
         raise UsageError(
-            "minimum_weight needs a manifold of whole materials; leave it out, or embed with --kind material"
+            "tolerance needs a manifold of whole materials; leave it out, or embed with --kind material"
         )
     chosen = choose_colour(model, x, colour)
     assert chosen.colours is not None
@@ -118,26 +117,38 @@ def varying_mixture(model: Manifold) -> Mixture:
     return Mixture(names, tables, model.mapping, bands, None, lobes, model.gp, order)
 
 
-def leave_out(weights: Array, S: Array, minimum: float) -> tuple[Array, Array, float]:
-    """Materials of weights (N,) that are large enough, their new weights, and the relative error that remains.
+def leave_out(weights: Array, S: Array, tolerance: float) -> tuple[Array, Array, float]:
+    """The fewest materials that do for weights (N,), their new weights, and the relative error that remains.
 
     The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
+    Materials go one by one, that first whose loss raises it least: of weight u_k, by `u_k^2 / [S_kept^-1]_kk`.
 
     Args:
         weights: v, shape (N,).
         S: Gram matrix of the mapped materials, shape (N, N).
-        minimum: least magnitude.
+        tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
     Raises:
-        UsageError: none is large enough.
+        UsageError: the tolerance is not from 0 to below 1.
     """
-    used = np.flatnonzero(weights)
-    kept = np.flatnonzero((np.abs(weights) >= minimum) & (weights != 0))
-    if len(kept) == 0:
-        raise UsageError(
-            f"minimum_weight {minimum:g} leaves no material, the largest weight is {abs(weights).max():.3g}; lower it"
-        )
-    if len(kept) == len(used):
+    if not 0.0 <= tolerance < 1.0:
+        raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")
+    kept = np.flatnonzero(weights)
+    if tolerance == 0.0 or len(kept) == 1:
         return kept, weights[kept], 0.0
+    ridge = 1e-12 * np.trace(S) / len(S) * np.eye(len(kept))
+    inverse = np.linalg.inv(S[np.ix_(kept, kept)] + ridge)
+    u, most = weights[kept], tolerance**2 * (weights @ S @ weights)
+    lost = 0.0
+    while len(kept) > 1:
+        loss = u**2 / np.diag(inverse)
+        k = int(np.argmin(loss))
+        if lost + loss[k] > most:
+            break
+        lost += loss[k]
+        column = inverse[:, k] / inverse[k, k]
+        u = np.delete(u - column * u[k], k)
+        inverse = np.delete(np.delete(inverse - np.outer(column, inverse[k]), k, axis=0), k, axis=1)
+        kept = np.delete(kept, k)
     fitted = np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0]
     change = -weights
     change[kept] += fitted

@@ -15,7 +15,8 @@ Properties:
     latent: coordinates with commas between, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
     like, srgb: the colour on a monochrome manifold, as in `manifold predict`.
-    minimum_weight: leave out materials whose weight is smaller by magnitude; the others' weights are fitted again.
+    tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
+        weights of the others are fitted again. 0 by default, which keeps all.
 """
 
 from __future__ import annotations
@@ -137,12 +138,12 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
     """The textures of the latent, none where it is fixed, and the mixture."""
     names = [f"latent_{k}" for k in range(model.settings.latent_dim)]
     given = [name for name in names if name in properties]
-    minimum = float(properties.get("minimum_weight", 0.0))
+    tolerance = float(properties.get("tolerance", 0.0))
     if given:
         if len(given) < len(names) or "latent" in properties:
             raise UsageError(f"plugin manifold: found {', '.join(given)}, expected all of {', '.join(names)}")
-        if minimum > 0.0:
-            raise UsageError("plugin manifold: minimum_weight needs one latent, not textures; leave it out")
+        if tolerance != 0.0:
+            raise UsageError("plugin manifold: tolerance needs one latent, not textures; leave it out")
         return [properties.get_texture(name) for name in names], varying_mixture(model)
     if "latent" not in properties:
         raise UsageError(
@@ -158,7 +159,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         like=str(properties["like"]) if "like" in properties else None,
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
-    return [], fixed_mixture(model, latent, colour, minimum)
+    return [], fixed_mixture(model, latent, colour, tolerance)
 
 
 def _path(properties: Any, name: str) -> Path:

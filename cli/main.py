@@ -13,7 +13,14 @@ import typer
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
 
-from . import fit_commands, library_commands, model_commands, picture_commands, render_commands
+from . import (
+    budget_commands,
+    fit_commands,
+    library_commands,
+    model_commands,
+    picture_commands,
+    render_commands,
+)
 
 app = typer.Typer(
     name="manifold",
@@ -52,6 +59,7 @@ model_commands.register(app)
 picture_commands.register(app)
 fit_commands.register(app)
 render_commands.register(app)
+budget_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:

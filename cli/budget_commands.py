@@ -1,0 +1,120 @@
+"""The command budget."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+from . import terminal
+from .library_commands import JsonOption
+
+if TYPE_CHECKING:
+    from manifold.budget_workflows import Budget
+
+_WIDTH = 80
+_NAME = 16  # columns of a material's name in the table; below it stands in full
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        "budget",
+        short_help="The cheapest representation of a scene's materials that keeps its picture.",
+        epilog="Example: manifold budget --example felt, or manifold budget scene.xml --max-delta-e 0.5 -o lean",
+    )(budget)
+
+
+def budget(
+    scene: Annotated[
+        Path | None, typer.Argument(help="Mitsuba scene, .xml or .json.", metavar="[SCENE]")
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(help="Instead of a scene: felt, paint or chrome.", metavar="NAME"),
+    ] = None,
+    max_delta_e: Annotated[
+        float, typer.Option(help="Most mean CIEDE2000 over the pixels of a material.", metavar="X")
+    ] = 1.0,
+    max_flip: Annotated[
+        float | None, typer.Option(help="Most mean FLIP over the pixels of a material.", metavar="X")
+    ] = None,
+    max_bytes: Annotated[
+        int | None, typer.Option(help="Most bytes of all materials together.", metavar="N")
+    ] = None,
+    max_ms: Annotated[
+        float | None, typer.Option(help="Most ms per million evaluations of a material.", metavar="X")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Folder for the files and a scene that uses them.", metavar="DIR"
+        ),
+    ] = None,
+    size: Annotated[
+        int, typer.Option(help="Pixels of the longer side, in the analysis.", metavar="N", min=16, max=2048)
+    ] = 128,
+    samples: Annotated[
+        int, typer.Option(help="Light paths per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
+    ] = 128,
+    seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
+    json: JsonOption = None,
+) -> None:
+    """Find the cheapest representation of each measured material that keeps the rendered picture.
+
+    The scene's BSDFs of the types measured and manifold become a few numbers, fewer bands, fewer angles, or stay whole.
+    A CIEDE2000 of 1 is about the least that people notice side by side.
+    """
+    from manifold import budget_workflows
+    from manifold.budget import Tolerance
+
+    results = terminal.Results(json)
+    if (scene is None) == (example is None):
+        found = "neither a scene nor --example" if scene is None else "a scene and --example"
+        raise UsageError(f"found {found}; give one of them")
+    tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
+    settings = budget_workflows.BudgetSettings(size, samples, seed)
+    with terminal.progress("Budget") as step:
+        if scene is not None:
+            made = budget_workflows.budget_scene(scene, tolerance, settings, output, step)
+        else:
+            made = budget_workflows.example(str(example), tolerance, settings, output, step)
+    _show(results, made)
+
+
+def _show(results: terminal.Results, made: Budget) -> None:
+    columns = ["material", "representation", "bytes", "ms", "pred.", "verified", "FLIP"]
+    rows = [
+        [
+            one.material if len(one.material) <= _NAME else f"{one.material[: _NAME - 1]}~",
+            one.representation,
+            one.size,
+            f"{one.milliseconds:.0f}" if one.milliseconds >= 10 else f"{one.milliseconds:.1f}",
+            f"{one.predicted:.2f}",
+            f"{one.verified.delta_e:.2f}",
+            f"{one.verified.flip:.3f}",
+        ]
+        for one in made.chosen
+    ]
+    results.table(columns, rows)
+    lines = []
+    for one in made.chosen:
+        asked = f"{one.material}: {one.asks}; {one.reason}; noise {one.noise.rendered:.2f}, taken out"
+        lines += textwrap.wrap(asked, _WIDTH, subsequent_indent="  ")
+    lines.append("pred., verified: mean CIEDE2000; ms: of a million evaluations")
+    lines.append(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files")
+    for note in made.notes:
+        lines += textwrap.wrap(f"note: {note}", _WIDTH, subsequent_indent="  ")
+    if made.output is not None:
+        lines.append(f"wrote {made.output}")
+    results.text("".join(f"{line}\n" for line in lines))
+    results.document(made.to_json())
+
+
+def _share(made: Budget) -> str:
+    percent = 100.0 * made.size / made.full_size
+    return f"{percent:.2g} %"

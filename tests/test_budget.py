@@ -1,0 +1,298 @@
+"""`manifold budget`: scenes, what they ask, representations, and answers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manifold import (
+    backend,
+    budget_scenes,
+    budget_workflows,
+    gonio,
+    reduced_file,
+    render,
+    representations,
+    scene_survey,
+    spectra,
+)
+from manifold.analytic import Lambert
+from manifold.brdf import MeasuredBRDF
+from manifold.budget import Tolerance
+from manifold.budget_workflows import BudgetSettings
+from manifold.directions import from_spherical
+from manifold.errors import FileFormatError, UsageError
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.records import Bands
+from manifold.scene_document import SceneDocument
+
+SMALL = BudgetSettings(size=48, samples=64)
+BANDS = Bands.from_array(np.linspace(380.0, 760.0, 20))
+
+
+def lambert_file(folder: Path, name: str, reflectance, *, rgb: bool = False) -> Path:
+    path = folder / f"{name}_{'rgb' if rgb else 'spec'}.bsdf"
+    bands = Bands(None) if rgb else BANDS
+    write_bsdf(path, gonio.measure(Lambert(np.asarray(reflectance), bands), name, resolution=8, n_theta_i=4))
+    return path
+
+
+def sphere(x, filename, kind="measured"):
+    return {"type": "sphere", "center": [x, 0.0, 0.0], "bsdf": {"type": kind, "filename": str(filename)}}
+
+
+def scene(**objects):
+    """Objects before a camera that looks along -z, under a sky and a lamp."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3},
+        "camera": {
+            "type": "perspective",
+            "fov": 40.0,
+            "to_world": [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 6], [0, 0, 0, 1]],
+            "film": {"type": "hdrfilm", "width": 64, "height": 32},
+        },
+        "sky": {"type": "constant"},
+        "lamp": {"type": "point", "position": [0.0, 5.0, 5.0]},
+        **objects,
+    }
+
+
+@pytest.fixture(scope="module")
+def examples(tmp_path_factory):
+    """The package's three scenes, answered."""
+    folder = tmp_path_factory.mktemp("examples")
+    return {
+        name: budget_workflows.example(name, Tolerance(1.0), SMALL, folder / name)
+        for name in budget_scenes.EXAMPLES
+    }
+
+
+def test_the_three_examples_end_differently_within_the_tolerance(examples):
+    answers = {name: made.chosen[0] for name, made in examples.items()}
+    assert len({one.representation for one in answers.values()}) == 3
+    assert all(one.verified.delta_e <= 1.0 for one in answers.values())
+    assert all(examples[name].size <= examples[name].full_size / 10 for name in ("felt", "paint"))
+    assert answers["felt"].numbers is not None
+    assert answers["felt"].numbers <= 12
+    assert answers["chrome"].numbers is None
+    assert answers["chrome"].asset.stat().st_size == answers["chrome"].size
+
+
+def test_written_scenes_load_by_themselves_and_look_like_the_answer(examples):
+    made = examples["chrome"]
+    mi = backend.mitsuba("spectral")
+    loaded = mi.load_file(str(made.output))
+    assert "32, 32" in str(loaded.shapes()[0].bsdf())
+    again = SceneDocument.read(made.output)
+    assert Path(again.materials[0].properties["filename"]) == made.chosen[0].asset
+
+
+def test_a_tighter_tolerance_among_the_rendered_candidates_is_not_cheaper(examples):
+    for made in examples.values():
+        rungs = [c for c in made.chosen[0].candidates if c["verified"] is not None]
+        passing = [
+            next((c["bytes"] for c in rungs if c["verified"]["delta_e"] <= t), made.full_size)
+            for t in (2.0, 1.0, 0.5)
+        ]
+        assert passing == sorted(passing)
+        assert passing[1] == made.size
+
+
+def test_answers_are_plain_json(examples):
+    content = json.loads(json.dumps(examples["paint"].to_json(), allow_nan=False))
+    assert content["bytes"] == content["materials"][0]["size"]
+    assert content["materials"][0]["candidates"][-1]["name"] == representations.FULL
+
+
+def test_a_candidate_that_is_the_reference_differs_by_nothing(tmp_path):
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    document = SceneDocument.read(scene(ball=sphere(0.0, path)))
+    key = document.materials[0].key
+    survey = scene_survey.survey(document, {key: path}, False, 24)
+    pictures = budget_workflows._Pictures(document, {key: path}, survey, BudgetSettings(24, 4))
+    ladder = representations.ladder(path, survey.asked[key], survey, tmp_path)
+    assert ladder[-1].is_full
+    assert [c.size for c in ladder] == sorted(c.size for c in ladder)
+    found = pictures.differences({key: ladder[-1]})[key]
+    assert found.delta_e == found.rendered == found.flip == 0.0
+    diffuse = next(c for c in ladder if c.name == "diffuse, 17 bands")
+    assert 0.0 < pictures.differences({key: diffuse})[key].rendered < 2.0
+
+
+def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_path, monkeypatch):
+    monkeypatch.setenv(backend.RENDERER_VARIABLE, "scalar")
+    monkeypatch.setattr(backend, "_chosen", None)
+    red = lambert_file(tmp_path, "red", (0.6, 0.2, 0.1), rgb=True)
+    blue = lambert_file(tmp_path, "blue", (0.1, 0.2, 0.5), rgb=True)
+    two_sided = {"type": "twosided", "nested": {"type": "measured", "filename": str(blue)}}
+    content = scene(a=sphere(-1.1, red), b={"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": two_sided})
+    made = budget_workflows.budget_scene(content, Tolerance(2.0), BudgetSettings(32, 16), tmp_path / "out")
+    assert made.backend == "scalar"
+    assert [one.representation for one in made.chosen] == ["diffuse, RGB"] * 2
+    colours = [one.bsdf["reflectance"]["value"] for one in made.chosen]
+    np.testing.assert_allclose(
+        colours, [(0.6, 0.2, 0.1), (0.1, 0.2, 0.5)], atol=0.03
+    )  # a file of 8x8x4 nodes
+    written = json.loads(made.output.read_text(encoding="utf-8"))
+    assert written["b"]["bsdf"]["nested"]["type"] == "diffuse"
+    assert content["b"]["bsdf"]["nested"]["type"] == "measured"  # what was given is left alone
+
+
+# -- what a scene asks ----------------------------------------------------------------------------------------
+
+
+def test_the_pre_pass_predicts_the_render_of_direct_light(tmp_path):
+    path = lambert_file(tmp_path, "green", np.interp(BANDS.wavelengths_nm, (380, 550, 760), (0.1, 0.7, 0.1)))
+    document = SceneDocument.read(scene(ball=sphere(0.0, path)))
+    key = document.materials[0].key
+    survey = scene_survey.survey(document, {key: path}, False, 32)
+    asked = survey.asked[key]
+    brdf = MeasuredBRDF(read_bsdf(path))
+    nm = np.asarray(asked.bands.wavelengths_nm)
+    f_cos = np.zeros((len(asked.wi), len(nm)))
+    f_cos[asked.lit] = (
+        brdf.eval_cos(asked.wi[asked.lit], asked.wo[asked.lit])
+        @ reduced_file.interpolation(np.asarray(BANDS.wavelengths_nm), nm).T
+    )
+    predicted = asked.radiance(f_cos).mean(axis=0)
+    mi = backend.mitsuba("spectral", backend.Backend("scalar"))
+    loaded = document.load(mi, {}, survey.film())
+    picture = render.render_scene(mi, loaded, render.RenderSettings(32, 64))[..., :3]
+    np.testing.assert_allclose(predicted, picture[asked.mask].mean(axis=0), rtol=0.06)  # noise of both
+    assert asked.mask.shape == (16, 32)
+
+
+def test_the_survey_finds_the_spectrum_of_the_light(tmp_path):
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    powers = {"type": "irregular", "wavelengths": "300, 500, 501, 900", "values": "0.2, 0.2, 1, 1"}
+    content = scene(ball=sphere(0.0, path), sky={"type": "constant", "radiance": powers})
+    del content["lamp"]
+    document = SceneDocument.read(content)
+    key = document.materials[0].key
+    asked = scene_survey.survey(document, {key: path}, False, 16).asked[key]
+    nm = np.asarray(asked.bands.wavelengths_nm)
+    np.testing.assert_allclose(asked.spectrum[nm <= 500], 0.2, rtol=1e-4)
+    np.testing.assert_allclose(asked.spectrum[nm > 501], 1.0, rtol=1e-4)
+
+
+# -- representations ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("illuminant", ["D65", "A", "F11"])
+@pytest.mark.parametrize("count", [3, 5, 9])
+def test_few_bands_keep_the_colour_under_the_light(illuminant, count):
+    bands = Bands.from_array(np.arange(360.0, 831.0, 5.0))
+    light = spectra.Illuminant.named(illuminant).at(np.asarray(bands.wavelengths_nm))
+    source = spectra.rgl_wavelengths_nm()
+    reflectance = spectra.diffuse_reflectance("ohta/orange", source)
+    nodes = reduced_file.band_nodes(bands, light, count)
+    few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
+    fine = Bands.from_array(source)
+    kept = reduced_file.interpolation(nodes, source) @ few
+    xyz, xyz_few = (spectra.to_xyz(values, fine, illuminant) for values in (reflectance, kept))
+    white = spectra.to_xyz(np.ones(len(source)), fine, illuminant)
+    assert float(spectra.delta_e_2000(xyz, xyz_few, white)) < 0.5
+    assert np.all(np.diff(nodes) > 0)
+
+
+def test_more_bands_keep_more_of_the_spectrum():
+    bands = Bands.from_array(np.arange(360.0, 831.0, 5.0))
+    light = spectra.Illuminant.named("D65").at(np.asarray(bands.wavelengths_nm))
+    source = np.arange(400.0, 701.0, 5.0)
+    reflectance = spectra.diffuse_reflectance("ohta/orange", source)
+    errors = []
+    for count in representations.BANDS:
+        nodes = reduced_file.band_nodes(bands, light, count)
+        few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
+        errors.append(np.abs(reduced_file.interpolation(nodes, source) @ few - reflectance).mean())
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_a_file_of_fewer_angles_is_still_the_material(tmp_path):
+    file = read_bsdf(lambert_file(tmp_path, "grey", np.full(20, 0.5)))
+    kept = reduced_file.kept_elevations(file, np.deg2rad([10.0, 40.0]), 3)
+    assert kept[0] == 0
+    assert kept[-1] == 3
+    coarse = reduced_file.with_angles(file, kept, resolution=8, warp_nodes=32)
+    assert coarse.spectra.shape == (1, 3, 20, 8, 8)
+    wi, wo = from_spherical(np.array([0.2, 0.5, 0.9]), 0.3), from_spherical(np.array([0.6, 0.1, 0.4]), 2.0)
+    values = MeasuredBRDF(coarse).eval(wi, wo)
+    np.testing.assert_allclose(values, MeasuredBRDF(file).eval(wi, wo), rtol=0.08)  # 8x8x3 nodes
+
+
+# -- errors ---------------------------------------------------------------------------------------------------
+
+
+def test_scenes_that_cannot_be_budgeted_say_why(tmp_path):
+    def fails(kind, match, content):
+        if isinstance(content, str):
+            path = tmp_path / "scene.xml"
+            path.write_text(content, encoding="utf-8")
+            content = path
+        with pytest.raises(kind, match=match) as caught:
+            budget_workflows.budget_scene(content, Tolerance(1.0), BudgetSettings(16, 1))
+        assert "\n" not in str(caught.value)
+
+    plain = {"type": "sphere", "bsdf": {"type": "diffuse"}}
+    fails(UsageError, "no measured materials", scene(ball=plain))
+    fails(UsageError, r"cannot be read .*name a Mitsuba scene", tmp_path / "none.xml")
+    fails(FileFormatError, r"scene.xml: .*expected a Mitsuba scene", "<scene version='3.0.0'><shape")
+    fails(FileFormatError, "found <model>, expected <scene>", "<model/>")
+    fails(FileFormatError, "no dictionary of the type scene", {"type": "sphere"})
+    fails(UsageError, r"none.bsdf: no such file", scene(ball=sphere(0.0, tmp_path / "none.bsdf")))
+    fails(UsageError, "no plain value", scene(ball=sphere(0.0, "x"), odd=object()))
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    fails(UsageError, "no pixel shows a measured material", scene(ball=sphere(50.0, path)))
+    without_camera = scene(ball=sphere(0.0, path))
+    del without_camera["camera"]
+    fails(UsageError, "no sensor", without_camera)
+    rgb = lambert_file(tmp_path, "pale", (0.5, 0.5, 0.4), rgb=True)
+    fails(
+        UsageError,
+        "an RGB file in a scene with spectral ones",
+        scene(a=sphere(-1.1, path), b=sphere(1.1, rgb)),
+    )
+    latent = {"type": "manifold", "model": str(tmp_path / "model.h5"), "latent": "one"}
+    fails(UsageError, "latent 'one', expected numbers", scene(ball={"type": "sphere", "bsdf": latent}))
+    textured = {"type": "manifold", "model": "model.h5", "latent_0": {"type": "uniform"}}
+    fails(UsageError, "textures of latents", scene(ball={"type": "sphere", "bsdf": textured}))
+
+
+def test_the_scene_is_never_overwritten(tmp_path):
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    source = tmp_path / "scene.json"
+    source.write_text(json.dumps(scene(ball=sphere(0.0, path.name))), encoding="utf-8")
+    before = source.read_bytes()
+    with pytest.raises(UsageError, match="would be overwritten"):
+        budget_workflows.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
+    assert source.read_bytes() == before
+
+
+def test_names_of_xml_defaults_are_followed(tmp_path):
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    source = tmp_path / "scene.xml"
+    source.write_text(
+        """<scene version="3.0.0"><default name="what" value="grey"/><sensor type="perspective"/>
+        <bsdf type="measured" id="m"><string name="filename" value="$what_spec.bsdf"/></bsdf>
+        <shape type="sphere"><ref id="m"/></shape></scene>""",
+        encoding="utf-8",
+    )
+    document = SceneDocument.read(source)
+    assert Path(document.materials[0].properties["filename"]) == path
+    target = tmp_path / "out.xml"
+    document.write(
+        target,
+        {
+            document.materials[0].key: {
+                "type": "diffuse",
+                "reflectance": {"type": "rgb", "value": [0.1, 0.2, 0.3]},
+            }
+        },
+    )
+    mi = backend.mitsuba("rgb", backend.Backend("scalar"))
+    loaded = mi.load_file(str(target))
+    assert "Diffuse" in str(loaded.shapes()[0].bsdf())

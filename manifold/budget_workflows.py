@@ -4,32 +4,29 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from manifold import (
     __version__,
     backend,
     budget,
     budget_scenes,
-    image_metrics,
     render,
     representations,
     scene_survey,
     workflows,
 )
-from manifold.budget import Choice, Difference, Tolerance
+from manifold.budget import Difference, Tolerance
+from manifold.budget_pictures import Pictures, Times, only_errors
 from manifold.colour_choice import ColourChoice
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.records import Array
 from manifold.representations import Candidate
 from manifold.scene_document import SceneDocument, SceneMaterial
-from manifold.scene_survey import Asked, Survey
+from manifold.scene_survey import Asked
 
 Progress = Callable[[int, int, str], None]
 
@@ -176,8 +173,9 @@ def budget_scene(
     document = SceneDocument.read(scene)
     if output is not None:
         _make_folder(output)
+        _require_apart(document, output)
     step = on_progress or (lambda _done, _total, _what: None)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, only_errors():
         folder = Path(name)
         step(0, 4, "reading")
         files = {m.key: _measured_file(m, folder) for m in document.materials}
@@ -190,8 +188,8 @@ def budget_scene(
             (folder / str(k)).mkdir()
             ladders[key] = representations.ladder(files[key], asked, survey, folder / str(k))
         step(3, 4, "rendering")
-        times = _Times(is_rgb)
-        pictures = _Pictures(document, files, survey, settings)
+        times = Times(is_rgb)
+        pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         answer = budget.search(ladders, tolerance, pictures.differences, times)
         noise = pictures.noise()
         chosen = tuple(
@@ -201,7 +199,7 @@ def budget_scene(
         written: Path | None = None
         assets: list[Path | None] = [None] * len(chosen)
         if output is not None:
-            written, assets = _write(document, output, dict(zip(ladders, chosen, strict=True)), files)
+            written, assets = _write(document, output, dict(zip(ladders, chosen, strict=True)))
         chosen = tuple(_with_asset(one, asset) for one, asset in zip(chosen, assets, strict=True))
     step(4, 4, "done")
     hidden = [material_name(path) for key, path in files.items() if key not in ladders]
@@ -221,6 +219,17 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
+
+
+def _require_apart(document: SceneDocument, output: Path) -> None:
+    """Raise UsageError where what is written would replace what is read."""
+    folder = output.resolve()
+    read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
+    taken = next(
+        (path for path in read if Path(path).resolve().parent == folder and Path(path).is_file()), None
+    )
+    if taken is not None:
+        raise UsageError(f"{taken}: might be overwritten; name another --output than the scene's folder")
 
 
 def _measured_file(material: SceneMaterial, folder: Path) -> Path:
@@ -255,82 +264,12 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
     return next(iter(kinds.values()))
 
 
-# -- rendering ------------------------------------------------------------------------------------------------
-
-
-class _Times:
-    """Evaluation times of candidates, measured once each."""
-
-    def __init__(self, is_rgb: bool) -> None:
-        self._is_rgb = is_rgb
-        self._known: dict[int, float] = {}
-
-    def __call__(self, candidate: Candidate) -> float:
-        if id(candidate) not in self._known:
-            self._known[id(candidate)] = representations.milliseconds(candidate.bsdf, self._is_rgb)
-        return self._known[id(candidate)]
-
-
-class _Pictures:
-    """Renders of a scene with its materials exchanged, compared with the reference."""
-
-    def __init__(
-        self, document: SceneDocument, files: Mapping[str, Path], survey: Survey, settings: BudgetSettings
-    ) -> None:
-        self._document, self._survey = document, survey
-        self._bsdfs = {k: {"type": "measured", "filename": str(path.absolute())} for k, path in files.items()}
-        self._settings, self._film = settings, survey.film()
-        self._reference = self._render({}, settings.seed)
-
-    def _render(self, choice: Choice, seed: int) -> list[Array]:
-        """Display values of the whole render, and of its two halves, which share no light path."""
-        mi = backend.mitsuba("rgb" if self._survey.bands.is_rgb else "spectral")
-        bsdfs = dict(self._bsdfs) | {key: dict(candidate.bsdf) for key, candidate in choice.items()}
-        scene = self._document.load(mi, bsdfs, self._film)
-        half = (self._settings.samples + 1) // 2
-        halves = [
-            render.render_scene(mi, scene, render.RenderSettings(max(self._survey.size), half, 2 * seed + k))
-            for k in range(2)
-        ]
-        pictures = [np.mean(halves, axis=0), *halves]
-        return [self._survey.display(picture[..., :3]) for picture in pictures]
-
-    def _compare(self, other: list[Array]) -> dict[str, Difference]:
-        maps = [image_metrics.ciede2000_map(a, b) for a, b in zip(self._reference, other, strict=True)]
-        flip = image_metrics.flip_map(self._reference[0], other[0])
-        found = {}
-        for key, asked in self._survey.asked.items():
-            whole, *halves = (float(one[asked.mask].mean()) for one in maps)
-            found[key] = Difference(without_noise(whole, halves), whole, float(flip[asked.mask].mean()))
-        return found
-
-    def differences(self, choice: Choice) -> dict[str, Difference]:
-        """Of a choice to the reference, with the same seed."""
-        return self._compare(self._render(choice, self._settings.seed))
-
-    def noise(self) -> dict[str, Difference]:
-        """Of the reference to itself with another seed."""
-        return self._compare(self._render({}, self._settings.seed + 1))
-
-
-def without_noise(whole: float, halves: Sequence[float]) -> float:
-    """A mean difference between renders as it would be without noise.
-
-    Squared, noise adds a share that is inverse to the samples: what halves show beyond the whole is the whole's share.
-
-    Args:
-        whole: the difference with all samples.
-        halves: the differences with half of them each.
-    """
-    return float(np.sqrt(max(2.0 * whole**2 - float(np.mean(np.square(halves))), 0.0)))
-
-
 # -- the answer -----------------------------------------------------------------------------------------------
 
 
 def _chosen(
     name: str, asked: Asked, ladder: list[Candidate], answer: budget.Answer, key: str,
-    noise: Mapping[str, Difference], times: _Times,
+    noise: Mapping[str, Difference], times: Times,
 ) -> Chosen:  # fmt: skip
     candidate, alone = answer.choice[key], answer.alone[key]
     return Chosen(
@@ -380,7 +319,7 @@ def _asks(asked: Asked) -> str:
     if asked.bands.is_rgb:
         return text
     spectrum = asked.spectrum
-    effective = float(np.sum(spectrum) ** 2 / np.sum(spectrum**2)) / len(spectrum)
+    effective = float(spectrum.sum() ** 2 / (spectrum**2).sum()) / len(spectrum)
     return f"{text}, by light in {100 * effective:.0f} % of the spectrum"
 
 
@@ -402,7 +341,7 @@ def _with_asset(one: Chosen, asset: Path | None) -> Chosen:
 
 
 def _write(
-    document: SceneDocument, output: Path, chosen: Mapping[str, Chosen], files: Mapping[str, Path]
+    document: SceneDocument, output: Path, chosen: Mapping[str, Chosen]
 ) -> tuple[Path, list[Path | None]]:
     """Copy the chosen files and write a scene that uses them; its path, and an asset or None per material."""
     bsdfs: dict[str, Mapping[str, Any]] = {}
@@ -418,16 +357,10 @@ def _write(
                 base, k = f"{one.material}_{k}", k + 1
             asset = output / f"{base}_{kind}.bsdf"
             names.add(asset.name)
-            if asset.absolute() == files[key].absolute():
-                raise UsageError(
-                    f"{asset}: would be overwritten; name another --output than the scene's folder"
-                )
             shutil.copyfile(one.asset, asset)
             filename = asset.name if document.suffix == ".xml" else str(asset.absolute())
             bsdfs[key] = {"type": "measured", "filename": filename}
         assets.append(asset)
     scene = output / f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
-    if scene.absolute() == Path(document.origin).absolute():
-        raise UsageError(f"{scene}: would be overwritten; name another --output than the scene's folder")
     document.write(scene, bsdfs)
     return scene, assets

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,19 @@ class _Builder:
         """Mean CIEDE2000 to the reference."""
         return float(image_metrics.ciede2000_map(self.reference, seen).mean())
 
+    @cached_property
+    def projections(self) -> list[tuple[Array, Array]]:
+        """Nodes and matrices to the numbers of bands that are fewer than the file's."""
+        bands, asked = self.file.bands, self.asked
+        found = []
+        for count in () if bands.is_rgb else BANDS:
+            if count < bands.count:
+                nodes = reduced_file.band_nodes(asked.bands, asked.spectrum, count)
+                found.append(
+                    (nodes, reduced_file.band_projection(_nm(bands), nodes, asked.bands, asked.spectrum))
+                )
+        return found
+
     def principled_ends(self, fitted: FitResult, shared: Mapping[str, float]) -> tuple[Array, Array]:
         """f_cos with a black and with a white base colour where light falls, each (m, 1)."""
         if self._ends is None:
@@ -150,7 +164,7 @@ def ladder(path: Path, asked: Asked, survey: Survey, folder: Path) -> list[Candi
         bases[name] = coarse
         builder.add_file(f"{all_bands}, {name}", coarse)
     for name, base in bases.items():
-        for nodes, projection in _projections(file, asked):
+        for nodes, projection in builder.projections:
             builder.add_file(f"{len(nodes)} bands, {name}", reduced_file.with_bands(base, nodes, projection))
     bsdf = {"type": "measured", "filename": str(path.absolute())}
     builder.found.append(Candidate(FULL, path.stat().st_size, bsdf, 0.0, path))
@@ -237,7 +251,7 @@ def _add_spectral_parameters(builder: _Builder, fitted: FitResult, albedo: Array
     builder.add_numbers(
         "diffuse, RGB", {"type": "diffuse", "reflectance": colour}, 3, builder.seen(_lambert(in_light))
     )
-    for nodes, projection in _projections(builder.file, asked):
+    for nodes, projection in builder.projections:
         values = np.clip(projection @ albedo, 0.0, 1.0)
         seen = builder.seen(_lambert(builder.in_light(values, Bands.from_array(nodes))))
         bsdf = {"type": "diffuse", "reflectance": _irregular(nodes, values)}
@@ -266,14 +280,6 @@ def _add_principled(
 
 def _lambert(albedo: Array) -> Callable[[Array, Array], Array]:
     return lambda _wi, wo: np.maximum(wo[:, 2:], 0.0) / np.pi * albedo
-
-
-def _projections(file: BsdfFile, asked: Asked) -> Iterator[tuple[Array, Array]]:
-    """Nodes and matrices to the numbers of bands that are fewer than the file's."""
-    for count in BANDS:
-        if not file.bands.is_rgb and count < file.bands.count:
-            nodes = reduced_file.band_nodes(asked.bands, asked.spectrum, count)
-            yield nodes, reduced_file.band_projection(_nm(file.bands), nodes, asked.bands, asked.spectrum)
 
 
 def _nm(bands: Bands) -> Array:

@@ -22,6 +22,7 @@ from manifold import (
 from manifold.analytic import Lambert
 from manifold.brdf import MeasuredBRDF
 from manifold.budget import Tolerance
+from manifold.budget_pictures import Pictures
 from manifold.budget_workflows import BudgetSettings
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
@@ -113,7 +114,7 @@ def test_a_candidate_that_is_the_reference_differs_by_nothing(tmp_path):
     document = SceneDocument.read(scene(ball=sphere(0.0, path)))
     key = document.materials[0].key
     survey = scene_survey.survey(document, {key: path}, False, 24)
-    pictures = budget_workflows._Pictures(document, {key: path}, survey, BudgetSettings(24, 4))
+    pictures = Pictures(document, {key: path}, survey, 4, 0)
     ladder = representations.ladder(path, survey.asked[key], survey, tmp_path)
     assert ladder[-1].is_full
     assert [c.size for c in ladder] == sorted(c.size for c in ladder)
@@ -267,7 +268,7 @@ def test_the_scene_is_never_overwritten(tmp_path):
     source = tmp_path / "scene.json"
     source.write_text(json.dumps(scene(ball=sphere(0.0, path.name))), encoding="utf-8")
     before = source.read_bytes()
-    with pytest.raises(UsageError, match="would be overwritten"):
+    with pytest.raises(UsageError, match="might be overwritten"):
         budget_workflows.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
     assert source.read_bytes() == before
 

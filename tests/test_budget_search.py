@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manifold.budget import Difference, Tolerance, search
-from manifold.budget_workflows import without_noise
+from manifold.budget_pictures import without_noise
 from manifold.errors import UsageError
 from manifold.representations import FULL, Candidate
 

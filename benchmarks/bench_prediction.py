@@ -76,7 +76,7 @@ def model_path(library: Path, kind: str) -> Path:
 def loaded(library: Path, kind: str) -> tuple[Manifold, Any]:
     """A model with its materials in memory, and a latent between two of them."""
     model = Manifold.load(model_path(library, kind))
-    model.load_materials()
+    model.prepare()
     return model, model.between(model.names[0], model.names[-1], 0.4)
 
 

@@ -186,7 +186,7 @@ def fit_prediction(
     atomic.require_writable(path)
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
-    loaded.load_materials(on_progress)
+    loaded.prepare(on_progress)
     samples = fit_samples.from_brdf(loaded.predict(x))
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),

@@ -135,6 +135,7 @@ class Manifold:
         self.statistics = statistics
         self._materials: dict[str, MeasuredBRDF] = {}
         self._closed: dict[str, MeasuredBRDF] = {}
+        self._thin: list[MeasuredBRDF] | None = None
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -297,18 +298,38 @@ class Manifold:
 
     def load_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         """All measured materials in the order of the latents, holes closed; see `holes`."""
+        return self._read_all(self._closed_material, on_progress)
+
+    def prepare(self, on_progress: Progress | None = None) -> None:
+        """Read ahead what predictions need: the materials, of a monochrome manifold a few of their bands."""
+        if isinstance(self.space, MaterialSpace):
+            self.load_materials(on_progress)
+        else:
+            self._thinned(on_progress)
+
+    def _read_all(
+        self, read: Callable[[str], MeasuredBRDF], on_progress: Progress | None
+    ) -> list[MeasuredBRDF]:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             loaded = []
-            for done, material in enumerate(pool.map(self._closed_material, self.names), start=1):
+            for done, material in enumerate(pool.map(read, self.names), start=1):
                 loaded.append(material)
                 if on_progress is not None:
                     on_progress(done, len(self.names), material.name)
         return loaded
 
-    @cached_property
-    def _thinned(self) -> list[MeasuredBRDF]:
+    def _thinned(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         """All measured materials in the bands that find latents, of a monochrome manifold its samples."""
-        return [material.thinned(self._embedding_bands.tolist()) for material in self.load_materials()]
+        if self._thin is None:
+            self._thin = self._read_all(self._thin_material, on_progress)
+        return self._thin
+
+    def _thin_material(self, name: str) -> MeasuredBRDF:
+        """A measured material, holes closed, in a few of its bands; the others are not kept."""
+        whole = self._closed.get(name)
+        if whole is None:
+            whole = MeasuredBRDF(close_holes(self.library.read(name)))
+        return whole.thinned(self._embedding_bands.tolist())
 
     # -- latents -------------------------------------------------------------------------------------------
 
@@ -507,7 +528,7 @@ class Manifold:
         if owner is not None:
             return self._predict_from_materials(np.eye(len(self.names))[owner])
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
-        return MonochromePrediction(self._thinned, weights, self.mapping, self.bands)
+        return MonochromePrediction(self._thinned(), weights, self.mapping, self.bands)
 
     def _owner(self, x: Array, colours: Array) -> int | None:
         """The material whose structure x (Q,) and colours (B,) these are."""
@@ -580,7 +601,7 @@ class Manifold:
         cosines = pairs.cosines
         rows = []
         located = DirectionPairs(pairs.wi, pairs.wo)
-        for material in self._thinned:
+        for material in self._thinned():
             f = np.empty((len(located), material.bands.count))
             material.eval_into(located, f)
             rows.append(self.mapping.forward(f, cosines).T)  # [B_s, P]

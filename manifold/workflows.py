@@ -177,7 +177,7 @@ def predict(
     if isinstance(model, Path):
         model = Manifold.load(model, library)
     x = model.require_latent(latent)
-    model.load_materials(on_progress)
+    model.prepare(on_progress)
     start = time.perf_counter()
     chosen = choose_colour(model, x, colour)
     brdf = model.predict(x, chosen.colours)
@@ -274,7 +274,7 @@ def locate(
     """
     brdf = MeasuredBRDF(read_bsdf(path))
     loaded = Manifold.load(model, library)
-    loaded.load_materials(on_progress)
+    loaded.prepare(on_progress)
     found = loaded.embed(brdf)
     colours = None if found.colours is None else tuple(float(c) for c in found.colours)
     return Located(

@@ -277,3 +277,15 @@ def test_impossible_parameters_are_refused(rng, parameters, message):
 def test_what_is_no_gram_matrix_is_refused(S, message):
     with pytest.raises(ShapeError, match=message):
         GPLVM().fit_gram(S, 10)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_direct_local_search_is_never_worse_than_the_descent_from_the_same_start(seed):
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(18, 6)) * 2.0 ** -np.arange(6)
+    S = np.tanh(factor) @ np.tanh(factor).T + 1e-3 * np.eye(18)
+    ends = [
+        GPLVM(2, optimizer=optimizer, random_state=0).fit_gram(S, 50).objective_
+        for optimizer in ("dls", "l-bfgs")
+    ]
+    assert ends[0] <= ends[1] + 1e-9 * abs(ends[1])

@@ -15,6 +15,7 @@ from manifold.errors import ManifoldError, UsageError
 
 from . import (
     budget_commands,
+    chart_commands,
     fit_commands,
     library_commands,
     model_commands,
@@ -60,6 +61,7 @@ picture_commands.register(app)
 fit_commands.register(app)
 render_commands.register(app)
 budget_commands.register(app)
+chart_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:

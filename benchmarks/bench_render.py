@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--samples", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--tolerance", type=float, default=0.02)
+    parser.add_argument("--tolerance", type=float, default=0.01)
     parser.add_argument("--library", type=Path, help="of spectral materials; the synthetic corpus if none")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()

@@ -12,7 +12,7 @@ import numpy as np
 from manifold.bsdf_mixture import Mixture
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
-from manifold.plugin_tables import META, MOST_BANDS_AT_ONCE
+from manifold.plugin_tables import META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
 from manifold.plugin_warp import Family, PackedWarps
 
 
@@ -238,14 +238,15 @@ class Evaluation:
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)
-        first = [cells + (s * (grid.rows - 1) + i) * (grid.columns - 1) + j for s in slices]
-        corners = ((1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx)
+        cell = cells + (slices[0] * (grid.rows - 1) + i) * (grid.columns - 1) + j
+        at_one = ((1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx)
+        corners = [weight_t * w for weight_t in (1 - t, t) for w in at_one]
 
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
         if self._n_stored <= MOST_BANDS_AT_ONCE:  # all bands of a cell in one read
-            stored = self._all_bands(first, t, corners, active)
+            stored = self._all_bands(cell, corners, active)
             mapped = [forward(value) for value in stored]
             if self._sample_weights is None:
                 return mi.Spectrum(*mapped[:3]) * weight
@@ -258,26 +259,29 @@ class Evaluation:
             return mi.Spectrum(*rows)
         values = []
         for band, s in bands:
-            a, b = (self._two_bands(cell, band, s, corners, active) for cell in first)
-            values.append(forward(dr.lerp(a, b, t)))
+            index = cell * self._n_stored + band
+            below, above = (self._band(k, corners, active) for k in (index, index + 1))
+            values.append(forward(dr.lerp(below, above, s)))
         return mi.Spectrum(*values) * weight
 
-    def _all_bands(self, cells: list[Any], t: Any, corners: Any, active: Any) -> list[Any]:
-        dr, n = self._dr, self._n_stored
-        shape = (4 * n, dr.width(cells[0]))
-        a, b = (dr.gather(self._mi.ArrayXf, self._spectra, cell, active, shape=shape) for cell in cells)
-        at = [
-            [sum(w * packet[4 * band + c] for c, w in enumerate(corners)) for band in range(n)]
-            for packet in (a, b)
+    def _all_bands(self, cell: Any, corners: list[Any], active: Any) -> list[Any]:
+        """Values of all bands that a cell holds."""
+        n = SPECTRUM_PACKET * self._n_stored
+        packet = self._dr.gather(
+            self._mi.ArrayXf, self._spectra, cell, active, shape=(n, self._dr.width(cell))
+        )
+        return [
+            sum(w * packet[SPECTRUM_PACKET * band + c] for c, w in enumerate(corners))
+            for band in range(self._n_stored)
         ]
-        return [dr.lerp(p, q, t) for p, q in zip(*at, strict=True)]
 
-    def _two_bands(self, cell: Any, band: Any, s: Any, corners: Any, active: Any) -> Any:
+    def _band(self, index: Any, corners: list[Any], active: Any) -> Any:
+        """Value of one band of a cell."""
         dr, mi = self._dr, self._mi
-        index = cell * self._n_stored + band
-        half4 = dr.float16_array_t(mi.Vector4f)
-        below, above = (mi.Vector4f(dr.gather(half4, self._spectra, k, active)) for k in (index, index + 1))
-        return sum(w * dr.lerp(below[c], above[c], s) for c, w in enumerate(corners))
+        half = dr.float16_array_t(mi.ArrayXf)
+        shape = (SPECTRUM_PACKET, dr.width(index))
+        packet = dr.gather(half, self._spectra, index, active, shape=shape)
+        return sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
 
     def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:
         dr, n = self._dr, self._n_stored

@@ -15,11 +15,16 @@ from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile
 from manifold.warp import Warp
 
-WARP_PACKET = 8
-"""Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows."""
+WARP_VALUES = 8
+"""Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows.
+
+A packet holds those of one elevation, then those of the next: 64 bytes."""
 
 MOST_BANDS_AT_ONCE = 8
 """Bands up to which all of a cell are read together; more are read as wavelengths ask for them."""
+
+SPECTRUM_PACKET = 8
+"""Values per cell and band of spectra: four corners at one elevation, then at the next."""
 
 META = 16
 """Integers per material; see `Tables.meta`."""
@@ -35,11 +40,12 @@ class Tables:
             columns; sigma cell, rows, columns; spectra cell; elevations of incidence.
         theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
         n_theta: T, the most that any material has.
-        warps: vndf and luminance cells, float32, shape (cells * 8,).
+        warps: cells of vndf and luminance per two neighbouring elevations, float32, shape (cells * 16,).
         marginals: their cumulative sums of rows, float32.
         grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
-        spectra: four corners per cell and band, shape (cells * bands * 4,): float32 for few bands, float16 for many,
-            where memory is what takes time. Halves are scaled by a power of two, which `ndf` takes back.
+        spectra: per two neighbouring elevations, cell and band the four corners at both, shape
+            (pairs * cells * bands * 8,): float32 for few bands, float16 for many, where memory is what takes time.
+            Halves are scaled by a power of two, which `ndf` takes back.
         n_bands: bands per cell in `spectra`, padded with zeros.
         most_nodes: of a warp's axis.
     """
@@ -74,8 +80,8 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
     n_theta = max(len(file.theta_i_rad) for file in files)
     is_half = len(kept) > MOST_BANDS_AT_ONCE
-    warps, marginals, grids = _Store(WARP_PACKET), _Store(1), _Store(4)
-    spectra = _Store(4 * n_bands, np.float16 if is_half else np.float32)
+    warps, marginals, grids = _Store(2 * WARP_VALUES), _Store(1), _Store(4)
+    spectra = _Store(SPECTRUM_PACKET * n_bands, np.float16 if is_half else np.float32)
     meta = np.zeros((len(files), META), dtype=np.uint32)
     nodes = np.zeros((len(files), n_theta), dtype=np.float32)
     most_nodes = 2
@@ -99,9 +105,9 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
         for grid in (unit * ndf, sigma):
             row += [grids.add(_corners(grid)), *grid.shape]
         cells = _corners(file.spectra[0][:, kept]) / np.float32(unit)  # [T, B, H - 1, W - 1, 4]
-        padded = np.zeros((*cells.shape[:1], *cells.shape[2:4], n_bands, 4), dtype=np.float32)
-        padded[..., : len(kept), :] = np.moveaxis(cells, 1, 3)
-        row += [spectra.add(padded)]
+        cells = np.moveaxis(cells, 1, 3)
+        pairs = _neighbours(cells)  # [T - 1, H - 1, W - 1, B, 2, 4]
+        row += [spectra.add(np.pad(pairs, ((0, 0),) * 3 + ((0, n_bands - len(kept)),) + ((0, 0),) * 2))]
         row += [len(file.theta_i_rad)]
         if file.spectra.shape[3:] != file.luminance.shape[2:]:
             raise UsageError(f"material {file.name}: luminance and spectra have grids of different sizes")
@@ -154,9 +160,16 @@ def _corners(grid: Array) -> Array:
     return np.stack([grid[..., :-1, :-1], grid[..., :-1, 1:], grid[..., 1:, :-1], grid[..., 1:, 1:]], axis=-1)
 
 
+def _neighbours(slices: Array) -> Array:
+    """Each of S slices (S, ..., K) and the next, shape (S - 1, ..., 2, K); a single one with itself."""
+    upper = slices[1:] if len(slices) > 1 else slices
+    return np.stack([slices[: len(upper)], upper], axis=-2)
+
+
 def _warp_cells(warp: Warp) -> Array:
-    """All cells of a warp, shape (S, R - 1, C - 1, 8)."""
+    """All cells of a warp, shape (S - 1, R - 1, C - 1, 2, 8)."""
     before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
     totals = warp.conditional[:, :, -1]
     rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]
-    return np.concatenate([_corners(warp.data), before, np.broadcast_to(rows, before.shape)], axis=-1)
+    cells = [_corners(warp.data), before, np.broadcast_to(rows, before.shape)]
+    return _neighbours(np.concatenate(cells, axis=-1))

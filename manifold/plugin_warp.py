@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from manifold.plugin_tables import WARP_PACKET
+from manifold.plugin_tables import WARP_VALUES
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant, as in `manifold.warp`
 
@@ -40,13 +40,9 @@ class PackedWarps:
         i = dr.minimum(mi.UInt32(scaled), n - 2)
         return i, scaled - mi.Float(i)
 
-    def _index(self, family: Family, slice_: Any, i: Any, j: Any) -> Any:
-        return family.cells + (slice_ * (family.rows - 1) + i) * (family.columns - 1) + j
-
-    def _packet(self, family: Family, slice_: Any, i: Any, j: Any, active: Any) -> Any:
-        index = self._index(family, slice_, i, j)
-        shape = (WARP_PACKET, self._dr.width(index))
-        return self._dr.gather(self._mi.ArrayXf, self._warps, index, active, shape=shape)
+    def _index(self, family: Family, slices: Any, i: Any, j: Any) -> Any:
+        """Number of the packet of a cell, which holds both elevations."""
+        return family.cells + (slices[0] * (family.rows - 1) + i) * (family.columns - 1) + j
 
     def _marginal(self, family: Family, slices: Any, t: Any, i: Any, active: Any) -> Any:
         a, b = (
@@ -56,8 +52,11 @@ class PackedWarps:
         return self._dr.lerp(a, b, t)
 
     def _blended(self, family: Family, slices: Any, t: Any, i: Any, j: Any, active: Any) -> list[Any]:
-        a, b = (self._packet(family, s, i, j, active) for s in slices)
-        return [self._dr.lerp(a[k], b[k], t) for k in range(WARP_PACKET)]
+        """The values of a cell between two elevations; see `plugin_tables.WARP_VALUES`."""
+        index = self._index(family, slices, i, j)
+        shape = (2 * WARP_VALUES, self._dr.width(index))
+        packet = self._dr.gather(self._mi.ArrayXf, self._warps, index, active, shape=shape)
+        return [self._dr.lerp(packet[k], packet[WARP_VALUES + k], t) for k in range(WARP_VALUES)]
 
     def invert(
         self, family: Family, slices: Any, t: Any, x: Any, y: Any, active: Any
@@ -79,8 +78,9 @@ class PackedWarps:
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
-        a, b = (dr.gather(mi.Vector4f, self._warps, 2 * self._index(family, s, i, j), active) for s in slices)
-        d = dr.lerp(a, b, t)  # the first half of a packet
+        first = 2 * WARP_VALUES // 4 * self._index(family, slices, i, j)  # corners are the first of each half
+        a, b = (dr.gather(mi.Vector4f, self._warps, first + k, active) for k in (0, WARP_VALUES // 4))
+        d = dr.lerp(a, b, t)
         value = dr.lerp(dr.lerp(d.x, d.y, tx), dr.lerp(d.z, d.w, tx), ty)
         return value * mi.Float((family.rows - 1) * (family.columns - 1))
 

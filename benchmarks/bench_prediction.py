@@ -24,7 +24,7 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.model import Manifold, Settings
 from manifold.store import Library
 
-GRID_BLOCK = 8192  # direction pairs of the seed's grid evaluated at once
+GRID_BLOCK = 65536  # direction pairs of the seed's grid evaluated at once
 
 
 def embed(library: Path, kind: str) -> dict[str, float]:

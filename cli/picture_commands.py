@@ -84,7 +84,8 @@ def walk(
 
 def slices(
     names: Annotated[
-        list[str] | None, typer.Argument(help=".bsdf files, or materials of the model.", metavar="[NAME ...]")
+        list[str] | None,
+        typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="[NAME ...]"),
     ] = None,
     latent: Annotated[
         list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold import plot, plot_slices
+from manifold import fit_json, plot, plot_slices
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import UsageError
+from manifold.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.model import Manifold
 from manifold.plot_slices import Source
@@ -27,7 +28,7 @@ def sources(
     """BRDFs by file name, by material of the model, and by latent.
 
     Args:
-        names: paths that end in `.bsdf`, or names of materials.
+        names: paths that end in `.bsdf`, fits that end in `.json`, or names of materials.
         latents: (Q,) each.
         model: opened only where a name or a latent needs it.
         library: where the model's library is now, if not where the model remembers it.
@@ -39,6 +40,9 @@ def sources(
         if name.endswith(".bsdf"):
             file = read_bsdf(Path(name))
             found.append(Source(file.name, MeasuredBRDF(file)))
+        elif name.endswith(".json"):
+            content = fit_json.read(Path(name))
+            found.append(Source(f"{content['source']['name']}, fitted", FittedBRDF(content)))
         else:
             loaded = loaded or Manifold.load(model, library)
             found.append(Source(name, loaded.material(name)))

@@ -17,6 +17,8 @@ from manifold.fit_picture_workflows import picture_of_fit, picture_of_prediction
 from manifold.fit_workflows import FitSettings, family_of, fit_files, fit_prediction
 from manifold.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
+from manifold.picture_workflows import sources
+from manifold.plot_slices import angle_slices
 from manifold.render import RenderSettings
 from manifold.render_workflows import compare, file_source
 
@@ -97,3 +99,14 @@ def test_a_fit_is_rendered_and_compared_like_a_file(fitted, tmp_path):
     made = compare(fit, material, tmp_path / "both.png", SETTINGS)
     assert made.ciede2000_ball is not None
     assert made.ciede2000_ball.mean < 4.0
+
+
+def test_slices_show_a_fit_beside_its_material(fitted, tmp_path):
+    material, fit = fitted
+    drawn = sources([str(material), str(fit)], [], tmp_path / "no_model.h5")
+    assert [source.label for source in drawn] == ["satin", "satin, fitted"]
+    measured_line, fitted_line = angle_slices(drawn).axes[1].lines[:2]
+    x = measured_line.get_xdata()
+    shown = np.abs(x) < 60
+    ratio = fitted_line.get_ydata()[shown] / measured_line.get_ydata()[shown]
+    assert np.median(np.abs(ratio - 1.0)) < 0.15

@@ -70,8 +70,12 @@ def test_balls_stand_near_their_latents_and_do_not_cover_each_other(model, balls
     assert np.median(np.linalg.norm(places - true, axis=1)) < 100
     apart = np.linalg.norm(places[:, None] - places[None], axis=2) + 1e9 * np.eye(len(places))
     assert apart.min() > 30
-    names = {text.get_text() for text in axes.texts}
-    assert {"felt green", "gloss red"} <= names
+    labels = {text.get_text(): text.get_window_extent() for text in axes.texts}
+    for place, name in zip(places, NAMES, strict=True):
+        box = labels[name.removeprefix("syn_").replace("_", " ")]
+        middle = np.array([0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1)])
+        nearest = places[np.argmin(np.linalg.norm(places - middle, axis=1))]
+        np.testing.assert_allclose(nearest, place)
 
 
 def test_spread_points_keep_apart_and_inside(rng):

@@ -276,15 +276,15 @@ def locate(
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
         found = workflows.locate(model, path, library=library, on_progress=step)
-    results.rows(
-        f"Located {path}",
-        {
-            "latent": ",".join(f"{v:.4g}" for v in found.latent),
-            "error of what is there": f"{found.relative_error:.3f} (0 is exact, 1 is as wrong as black)",
-            "uncertainty": f"{found.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
-            "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
-        },
-    )
+    rows: dict[str, object] = {
+        "latent": ",".join(f"{v:.4g}" for v in found.latent),
+        "error of what is there": f"{found.relative_error:.3f} (0 is exact, 1 is as wrong as black)",
+        "uncertainty": f"{found.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
+        "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
+    }
+    if found.cautions:
+        rows["caution"] = list(found.cautions)
+    results.rows(f"Located {path}", rows)
     results.document(found.to_json())
 
 

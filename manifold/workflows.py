@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, corpus, gonio, plot, selection
+from manifold import __version__, atomic, cautions, corpus, gonio, plot, selection
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.errors import UsageError
@@ -30,9 +30,6 @@ Progress = Callable[[int, int, str], None]
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""
 
-MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
-MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
-MOST_MISSED = 0.02  # of a reflectance
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -205,28 +202,10 @@ def predict(
         nearest=tuple(model.nearest(x, 3)),
         weights=tuple(model.largest_weights(x, 5)),
         plausibility=found,
-        cautions=_cautions(is_extrapolation, found, chosen),
+        cautions=cautions.of_prediction(is_extrapolation, found, chosen.missed),
         clipped_share=clipped.clipped_share,
         seconds=seconds,
     )
-
-
-def _cautions(is_extrapolation: bool, found: Plausibility, chosen: ChosenColour) -> tuple[str, ...]:
-    """What speaks against a prediction."""
-    cautions = []
-    if is_extrapolation:
-        cautions.append("extrapolated: the data say little here; stay nearer to the materials")
-    if found.negative_share > MOST_NEGATIVE:
-        cautions.append(
-            f"{found.negative_share:.0%} of the values were negative: the data do not support this point"
-        )
-    if found.max_albedo > MOST_ALBEDO:
-        cautions.append(
-            f"returns up to {found.max_albedo:.2f} times the light it gets; --physical scales it down"
-        )
-    if chosen.missed > MOST_MISSED:
-        cautions.append(f"this structure misses the reflectance asked for by up to {chosen.missed:.2f}")
-    return tuple(cautions)
 
 
 def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
@@ -249,6 +228,7 @@ class Located:
         relative_error: of the material that the manifold gives back there.
         std: posterior standard deviation there, as a fraction of the prior's.
         nearest: the three nearest materials with their distances.
+        cautions: what speaks against it.
     """
 
     path: Path
@@ -257,6 +237,7 @@ class Located:
     relative_error: float
     std: float
     nearest: tuple[tuple[str, float], ...]
+    cautions: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
@@ -284,6 +265,7 @@ def locate(
         relative_error=found.relative_error,
         std=float(loaded.std(found.latent, found.colours)),
         nearest=tuple(loaded.nearest(found.latent, 3)),
+        cautions=cautions.of_embedding(found.relative_error),
     )
 
 

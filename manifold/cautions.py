@@ -1,0 +1,44 @@
+"""What speaks against a result, in sentences for a user; an empty tuple where nothing does."""
+
+from __future__ import annotations
+
+from manifold.plausibility import Plausibility
+
+MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
+MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
+MOST_MISSED = 0.02  # of a reflectance
+MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not given back
+
+
+def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0.0) -> tuple[str, ...]:
+    """Of a prediction.
+
+    Args:
+        is_extrapolation: whether the data say little there.
+        found: what was measured on it.
+        missed: largest distance over bands of the reflectance asked for from the one reached.
+    """
+    cautions = []
+    if is_extrapolation:
+        cautions.append("extrapolated: the data say little here; stay nearer to the materials")
+    if found.negative_share > MOST_NEGATIVE:
+        cautions.append(
+            f"{found.negative_share:.0%} of the values were negative: the data do not support this point"
+        )
+    if found.max_albedo > MOST_ALBEDO:
+        cautions.append(
+            f"returns up to {found.max_albedo:.2f} times the light it gets; --physical scales it down"
+        )
+    if missed > MOST_MISSED:
+        cautions.append(f"this structure misses the reflectance asked for by up to {missed:.2f}")
+    return tuple(cautions)
+
+
+def of_embedding(relative_error: float) -> tuple[str, ...]:
+    """Of a material that was given a latent, by the error of what the manifold gives back there."""
+    if relative_error <= MOST_EMBEDDING_ERROR:
+        return ()
+    return (
+        f"the manifold gives this material back with an error of {relative_error:.2f}: it has no place here; "
+        "import materials like it and embed again",
+    )

@@ -1,0 +1,34 @@
+"""What is said against predictions and embeddings."""
+
+from __future__ import annotations
+
+import pytest
+
+from manifold import cautions
+from manifold.plausibility import Plausibility
+
+SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9)
+
+
+def test_nothing_is_said_against_a_sound_result():
+    assert cautions.of_prediction(False, SOUND) == ()
+    assert cautions.of_embedding(0.1) == ()
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ((True, SOUND), "extrapolated"),
+        ((False, Plausibility(0.2, 0.0, 0.9)), "20% of the values were negative"),
+        ((False, Plausibility(0.0, 0.0, 3.0)), "3.00 times the light"),
+        ((False, SOUND, 0.3), "misses the reflectance asked for by up to 0.30"),
+    ],
+)
+def test_each_defect_of_a_prediction_has_its_sentence(arguments, said):
+    (sentence,) = cautions.of_prediction(*arguments)
+    assert said in sentence
+
+
+def test_a_material_that_has_no_place_is_said_so():
+    (sentence,) = cautions.of_embedding(0.8)
+    assert "0.80" in sentence

@@ -11,7 +11,7 @@ from typing import Any
 
 from manifold import __version__, atomic, cautions, corpus, gonio, plot, selection
 from manifold.brdf import MeasuredBRDF
-from manifold.colour_choice import NEAREST, ChosenColour, ColourChoice, choose_colour
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import UsageError
 from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import read_bsdf, write_bsdf

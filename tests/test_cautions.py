@@ -16,7 +16,7 @@ def test_nothing_is_said_against_a_sound_result():
 
 
 @pytest.mark.parametrize(
-    "arguments, said",
+    ("arguments", "said"),
     [
         ((True, SOUND), "extrapolated"),
         ((False, Plausibility(0.2, 0.0, 0.9)), "20% of the values were negative"),

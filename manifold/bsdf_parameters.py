@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -276,3 +276,8 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT) -> BsdfFamily:
     """
     family = BsdfFamily("principled", _PRINCIPLED)
     return BsdfFamily("principled", tuple(family.named(name) for name in names))
+
+
+def diffuse() -> BsdfFamily:
+    """Mitsuba's `diffuse`, its reflectance free."""
+    return BsdfFamily("diffuse", (replace(_COLOUR, name="reflectance"),))

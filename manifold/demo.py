@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from manifold import atomic, backend, ball_workflows, corpus, fit_workflows, plot, render_workflows, workflows
-from manifold.bsdf_parameters import principled
 from manifold.errors import LibraryError
 from manifold.fit_picture_workflows import picture_of_fit
 from manifold.fit_workflows import FitSettings
@@ -77,7 +76,7 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
             plot.save(plot.latent_map(fitted, marked=between), pictures[-1])
     with stage("Fitting game parameters to the prediction") as step:
         fit = folder / "predicted.fit.json"
-        fit_workflows.fit_files([predicted.path], fit, FitSettings(principled()), on_progress=step)
+        fit_workflows.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(fit, predicted.path, pictures[-1])
     with stage("Evaluating the model") as step:

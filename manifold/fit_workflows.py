@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold import atomic, backend, fit_json, fit_samples
-from manifold.bsdf_parameters import BsdfFamily, principled
+from manifold.bsdf_parameters import BsdfFamily, diffuse, principled
 from manifold.errors import ManifoldError, UsageError
 from manifold.fit_json import Source
 from manifold.fit_metrics import METRICS
@@ -30,11 +30,10 @@ class FitSettings:
     """How to fit.
 
     Attributes:
-        family: the BSDF with its free parameters.
-        method, metric, noise: as in `principled.fit`.
+        family, method, metric, noise: as in `principled.fit`.
     """
 
-    family: BsdfFamily
+    family: BsdfFamily | None = None
     method: str = "gauss-newton"
     metric: str = "cube-root"
     noise: float = 0.01
@@ -53,8 +52,9 @@ class FitSettings:
     def made(self, content: dict[str, Any]) -> bool:
         """Whether a written fit was asked for in the same way."""
         wanted = asdict(METHODS[self.method]()) | {"noise": self.noise}
+        families = [principled(), diffuse()] if self.family is None else [self.family]
         return (
-            content["bsdf"] == json.loads(json.dumps(self.family.to_json()))
+            content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]
             and (content["method"], content["metric"]) == (self.method, self.metric)
             and content["hyperparameters"] == wanted
         )
@@ -93,8 +93,10 @@ def read_family(path: Path) -> BsdfFamily:
         raise UsageError(f"{path}: {error}, expected a JSON description of a BSDF") from error
 
 
-def family_of(names: str | None, path: Path | None) -> BsdfFamily:
+def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
     """`principled` with the named parameters (commas between) free, or the family of a file; not both.
+
+    None where neither is given, which `principled.fit` decides.
 
     Raises:
         UsageError: both are given, or one cannot be used.
@@ -105,7 +107,7 @@ def family_of(names: str | None, path: Path | None) -> BsdfFamily:
         )
     if path is not None:
         return read_family(path)
-    return principled() if names is None else principled([name.strip() for name in names.split(",")])
+    return None if names is None else principled([name.strip() for name in names.split(",")])
 
 
 def find_files(sources: Sequence[Path]) -> list[Path]:

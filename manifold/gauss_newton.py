@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from manifold.bsdf_evaluation import Evaluator
+from manifold.bsdf_parameters import Layout
 from manifold.errors import NumericalError
 from manifold.fit_metrics import Metric
 from manifold.fit_samples import FitSamples
@@ -23,7 +25,8 @@ class GaussNewton:
         n_search: parameter vectors of the coarse search, a power of two.
         search_pairs: direction pairs it looks at.
         n_starts: of those vectors, how many are refined; where the samples are no more than `coarse_pairs`, also the
-            best vectors with a low and with a high value of each shared parameter.
+            best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
+            range.
         coarse_pairs: direction pairs of the first refinement.
         coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
         tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
@@ -50,11 +53,14 @@ class Minimum:
         p: parameter values, shape (K,).
         cost: sum of squared residuals over all samples.
         converged: whether the refinement ended by itself, not by its limit.
+        part: of the ranges that it was kept in: lower and upper ends, each (K,). The best there, but perhaps no
+            minimum. None where nothing was confined.
     """
 
     p: Array
     cost: float
     converged: bool
+    part: tuple[Array, Array] | None = None
 
 
 class Residuals:
@@ -91,10 +97,12 @@ class Residuals:
         return residual.ravel(), J.reshape(-1, self.layout.size)
 
 
-def minimize(residuals: Residuals, start: Array, iterations: int, tolerance: float) -> Minimum:
-    """Refine parameter values (K,) within their ranges."""
+def minimize(
+    residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None
+) -> Minimum:  # fmt: skip
+    """Refine parameter values (K,) within their ranges, or within a part of them, lower and upper ends (K,)."""
     layout = residuals.layout
-    lower, upper = layout.inward(layout.minimum), layout.inward(layout.maximum)
+    lower, upper = (layout.inward(end) for end in part or (layout.minimum, layout.maximum))
     margin = 1e-3 * (upper - lower)
     found = least_squares(
         residuals.value,
@@ -107,7 +115,7 @@ def minimize(residuals: Residuals, start: Array, iterations: int, tolerance: flo
         gtol=1e-12,
         max_nfev=iterations,
     )
-    return Minimum(layout.outward(found.x), 2.0 * float(found.cost), found.status > 0)
+    return Minimum(layout.outward(found.x), 2.0 * float(found.cost), found.status > 0, part)
 
 
 def search(
@@ -161,17 +169,41 @@ def search(
 def distinct(scale: Array, minima: list[Minimum], distance: float) -> list[Minimum]:
     """Minima, best first, without those within a distance (largest difference over the range) of a better one."""
     kept: list[Minimum] = []
-    for one in sorted(minima, key=lambda minimum: minimum.cost):
+    for one in sorted(minima, key=_cost):
         if all(np.max(np.abs(one.p - other.p) / scale) > distance for other in kept):
             kept.append(one)
     return kept
 
 
+def _cost(minimum: Minimum) -> float:
+    return minimum.cost
+
+
+def listed(minima: list[Minimum], is_as_good: Callable[[float, float], bool]) -> list[Minimum]:
+    """Minima, best first, and of the rivals those that noise may hide and in whose part no such minimum lies.
+
+    Args:
+        minima: as `find_minima` returns them.
+        is_as_good: of a cost and the best one, whether noise may hide their difference.
+    """
+    best = minima[0].cost
+    kept = [one for one in minima if one.part is None]
+    for one in minima:
+        if one.part is None or not is_as_good(one.cost, best):
+            continue
+        lower, upper = one.part
+        if not any(
+            is_as_good(other.cost, best) and np.all((other.p >= lower) & (other.p <= upper)) for other in kept
+        ):
+            kept.append(one)
+    return sorted(kept, key=lambda minimum: max(minimum.cost, best))
+
+
 def find_minima(
     evaluator: Evaluator, samples: FitSamples, metric: Metric, options: GaussNewton,
-    coarse: Evaluator, starts: list[Array] | None = None,
+    coarse: Evaluator,
 ) -> list[Minimum]:  # fmt: skip
-    """All distinct minima found, best first.
+    """All distinct minima found, best first; of few samples followed by rivals, see `listed`.
 
     Args:
         evaluator: of all samples.
@@ -179,20 +211,21 @@ def find_minima(
         metric: measure of the residuals.
         options: hyperparameters.
         coarse: evaluator of `coarse_rows(samples, options)`.
-        starts: where to begin; those of a coarse search if None.
     """
     layout = evaluator.layout
     scale = layout.maximum - layout.minimum
-    if starts is None:
-        points, _ = search(evaluator, samples, metric, options)
-        starts = _diverse(layout.inward(points), points, layout.is_per_band, options.n_starts)
-        if len(samples) <= options.coarse_pairs:  # few samples leave room for rivals
-            starts += _rivals(layout.inward(points), points, layout.is_per_band)
+    points, _ = search(evaluator, samples, metric, options)
+    starts = _diverse(layout.inward(points), points, layout.is_per_band, options.n_starts)
     few = samples.subset(coarse_rows(samples, options))
     first = Residuals(coarse, few, metric)
-    if len(few) == len(samples):
+    if len(few) == len(samples):  # few samples leave room for rivals
+        parts = _outer_quarters(points, layout)
+        rivals = [
+            minimize(first, start, options.iterations, options.tolerance, part) for start, part in parts
+        ]
+        starts += [start for start, _ in parts] + [min(rivals, key=_cost).p for _ in parts[:1]]
         ends = [minimize(first, start, options.iterations, options.tolerance) for start in starts]
-        return distinct(scale, ends, 0.02)
+        return [*distinct(scale, ends, 0.02), *sorted(rivals, key=_cost)]
     rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in starts]
     candidates = distinct(scale, rough, 0.05)
     best = candidates[0].cost
@@ -281,13 +314,22 @@ def _diverse(inward: Array, points: Array, is_per_band: Array, n: int) -> list[A
     return [points[k] for k in chosen]
 
 
-def _rivals(inward: Array, points: Array, is_per_band: Array) -> list[Array]:
-    """The best points whose value of a shared parameter is in the lower, and in the upper third of its range."""
-    chosen: list[int] = []
-    for k in np.flatnonzero(~is_per_band):
-        low, high = inward[:, k].min(), inward[:, k].max()
-        fraction = (inward[:, k] - low) / max(high - low, 1e-300)
-        for third in (fraction < 1 / 3, fraction > 2 / 3):
-            inside = np.flatnonzero(third)
-            chosen += [int(inside[0])] if inside.size else []
-    return [points[k] for k in dict.fromkeys(chosen)]
+def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:
+    """The lowest and the highest quarter of each shared parameter's range: the best point there, and the part's ends.
+
+    Where samples do not tell two kinds of material apart, the cost may fall all the way from one to the other: the
+    second is then no minimum, and only found where the parameter is kept from leaving.
+    """
+    chosen = []
+    for k in np.flatnonzero(~layout.is_per_band):
+        quarter = 0.25 * (layout.maximum[k] - layout.minimum[k])
+        for low, high in (
+            (layout.minimum[k], layout.minimum[k] + quarter),
+            (layout.maximum[k] - quarter, layout.maximum[k]),
+        ):
+            inside = np.flatnonzero((points[:, k] >= low) & (points[:, k] <= high))
+            if inside.size:
+                lower, upper = layout.minimum.copy(), layout.maximum.copy()
+                lower[k], upper[k] = low, high
+                chosen.append((points[inside[0]], (lower, upper)))
+    return chosen

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from manifold import backend, fit_metrics, fit_samples, gauss_newton, identifiability, seed_fitters
 from manifold.brdf import BRDF
 from manifold.bsdf_evaluation import Evaluator, evaluator
-from manifold.bsdf_parameters import BsdfFamily, Layout, principled
+from manifold.bsdf_parameters import BsdfFamily, Layout, diffuse, principled
 from manifold.errors import UsageError
 from manifold.fit_metrics import Metric
 from manifold.fit_samples import FitSamples
@@ -101,7 +101,8 @@ def fit(
 
     Args:
         target: a file (sampled where it was measured), any BRDF (sampled on a grid), or samples.
-        family: the BSDF with its free parameters; `principled()` if None.
+        family: the BSDF with its free parameters. If None, `principled()`; and from method gauss-newton `diffuse()`
+            where that fits better: no parameters make `principled` Lambertian.
         method: one of `METHODS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared.
         noise: relative standard deviation of the samples that the statements assume at least.
@@ -110,11 +111,27 @@ def fit(
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         ShapeError: the samples have wrong shapes or values that are no numbers.
     """
-    family = principled() if family is None else family
-    samples = _samples_of(target)
     options = _options(method, options)
     if not (np.isfinite(noise) and 0 < noise < 1):
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
+    samples = _samples_of(target)
+    if family is not None:
+        return _fit(samples, family, method, metric, noise, options)
+    found = _fit(samples, principled(), method, metric, noise, options)
+    is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
+    if method != "gauss-newton" or not is_worse:
+        return found
+    plain = _fit(samples, diffuse(), method, metric, noise, options)
+    note = (
+        f"diffuse, because principled fits no better ({found.residuals[metric]:.2%} against "
+        f"{plain.residuals[metric]:.2%}); ask for principled by naming its free parameters"
+    )
+    return replace(plain, notes=(note, *plain.notes), seconds=found.seconds + plain.seconds)
+
+
+def _fit(
+    samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any
+) -> FitResult:
     if not samples.bands.is_rgb:
         _require_independent_bands(family)
     rgb = samples.as_rgb()
@@ -201,7 +218,12 @@ def _result(
     best = minima[0]
     residual, J = Residuals(whole, rgb, metric).by_parameter(best.p)
     variance = identifiability.residual_variance(residual, layout.size, _noise_variance(rgb, metric, noise))
-    as_good = [identifiability.is_as_good(one.cost, best.cost, variance, layout.size) for one in minima]
+
+    def is_as_good(cost: float, best: float) -> bool:
+        return identifiability.is_as_good(cost, best, variance, layout.size)
+
+    minima = gauss_newton.listed(minima, is_as_good)
+    as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
     statements = identifiability.state_parameters(layout, best.p, J, variance, others)
     norm = fit_metrics.norm(rgb, metric)
@@ -244,6 +266,10 @@ def _notes(
     unknown = [s.name for s in statements if s.state == identifiability.UNSEEN]
     if unknown:
         notes.append(f"the samples do not show: {', '.join(unknown)}")
-    if residual > diffuse:
+    if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     return notes
+
+
+def _is_worse_than_diffuse(residual: float, diffuse: float) -> bool:
+    return residual > diffuse * (1.0 + 1e-6)  # both are found by iteration

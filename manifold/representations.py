@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from manifold import backend, fit_samples, image_metrics, principled, reduced_file, spectra
+from manifold import backend, fit_samples, image_metrics, reduced_file, spectra
 from manifold.backend import Backend
 from manifold.brdf import MeasuredBRDF
 from manifold.bsdf_evaluation import evaluator
+from manifold.bsdf_parameters import principled
 from manifold.errors import UsageError
 from manifold.fit_samples import FitSamples
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.principled import FitResult
+from manifold.principled import FitResult, fit
 from manifold.records import Array, Bands, BsdfFile
 from manifold.scene_survey import Asked, Survey
 
@@ -225,7 +226,7 @@ def _fit(file: BsdfFile, asked: Asked) -> FitResult:
         )
         bands = Bands.from_array(nodes)
     samples = FitSamples.from_arrays(wi[steep], wo[steep], f[steep], bands=bands, weight=weight[steep])
-    return principled.fit(samples)
+    return fit(samples, principled())
 
 
 def _diffuse_albedo(builder: _Builder) -> Array:

@@ -12,13 +12,15 @@ import pytest
 from small_library import measured, small_model
 from typer.testing import CliRunner
 
-from manifold import backend, fit_json, fit_workflows
+from manifold import backend, fit_json, fit_workflows, gonio
+from manifold.analytic import Lambert
 from manifold.bsdf_evaluation import evaluator
 from manifold.bsdf_parameters import principled
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, UsageError
 from manifold.fit_samples import FitSamples, from_file
 from manifold.fit_workflows import FitSettings
+from manifold.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
 from manifold.principled import fit
 from manifold.records import Bands
@@ -95,6 +97,18 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
     assert content["minima"][0]["values"] == content["values"]
     assert set(fit_json.schema()["required"]) == set(content)
     assert not list(fitted.parent.glob(".*"))
+
+
+def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
+    path = tmp_path / "white.bsdf"
+    write_bsdf(path, gonio.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
+    target = tmp_path / "white.fit.json"
+    (made,) = fit_workflows.fit_files([path], target, FitSettings())
+    assert made.content is not None
+    assert made.content["mitsuba"]["type"] == "diffuse"
+    assert fit_workflows.fit_files([path], target, FitSettings())[0].was_there
+    wi = np.array([[0.0, 0.6, 0.8]])
+    assert FittedBRDF.read(target).eval(wi, wi) == pytest.approx(0.9 / np.pi, rel=0.01)
 
 
 def test_a_prediction_names_its_model_and_latent(tmp_path):

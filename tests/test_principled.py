@@ -15,7 +15,7 @@ from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, NumericalError, ShapeError, UsageError
 from manifold.fit_metrics import METRICS, Metric, best_diffuse, relative_residual
 from manifold.fit_samples import FitSamples
-from manifold.gauss_newton import GaussNewton, search
+from manifold.gauss_newton import GaussNewton, Minimum, listed, search
 from manifold.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
@@ -160,22 +160,45 @@ def test_dense_directions_tell_rough_black_from_smooth_grey(rng):
         assert result.values["roughness"] == pytest.approx(values["roughness"], abs=0.03)
 
 
-def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are_listed():
+@pytest.mark.parametrize(("colour", "roughness"), [(0.01, 0.95), (0.02, 0.1)])
+def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are_listed(colour, roughness):
     rng = np.random.default_rng(3)
-    truth = {
-        "base_color": [0.01] * 3,
-        "roughness": 0.95,
-        "metallic": 0,
-        "specular": 0.5,
-        "clearcoat": 0,
-        "sheen": 0,
-    }
-    result = fit(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
-    good = [m.values["roughness"] for m in result.minima if m.as_good]
-    assert max(good) > 0.5
-    assert min(good) < 0.3
-    assert next(s.state for s in result.statements if s.name == "roughness") in (AMBIGUOUS, UNSEEN)
-    assert any("cannot tell" in note for note in result.notes)
+    truth = {"base_color": [colour] * 3, "roughness": roughness}
+    truth |= {"metallic": 0, "specular": 0.5, "clearcoat": 0, "sheen": 0}
+    for _ in range(4):
+        result = fit(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
+        good = [m.values["roughness"] for m in result.minima if m.as_good]
+        assert max(good) > 0.5
+        assert min(good) < 0.3
+        assert next(s.state for s in result.statements if s.name == "roughness") in (AMBIGUOUS, UNSEEN)
+        assert any("cannot tell" in note for note in result.notes)
+
+
+def test_a_rival_is_listed_only_where_no_minimum_as_good_lies_in_its_part():
+    part = np.array([0.0]), np.array([0.25])
+    best = Minimum(np.array([0.9]), 1.0, True)
+    rival, bad_rival = Minimum(np.array([0.25]), 1.5, True, part), Minimum(np.array([0.25]), 9.0, True, part)
+    inside = Minimum(np.array([0.1]), 1.2, True)
+
+    def is_as_good(cost, least):
+        return cost < 2.0 * least
+
+    assert listed([best, rival], is_as_good) == [best, rival]
+    assert listed([best, bad_rival], is_as_good) == [best]
+    assert listed([best, inside, rival], is_as_good) == [best, inside]
+
+
+def test_a_lambertian_surface_becomes_diffuse_unless_principled_is_asked_for(rng):
+    wi, wo = grid_pairs()
+    samples = FitSamples.from_arrays(wi, wo, np.full((len(wi), 3), 0.9 / np.pi))
+    result = fit(samples)
+    assert result.family.type == "diffuse"
+    assert result.values["reflectance"] == pytest.approx([0.9] * 3, abs=1e-5)
+    assert result.residuals["cube-root"] <= result.diffuse_residual + 1e-6
+    assert "principled fits no better" in result.notes[0]
+    asked = fit(samples, principled())
+    assert asked.family.type == "principled"
+    assert any("no better than a diffuse surface" in note for note in asked.notes)
 
 
 def test_what_the_samples_do_not_show_is_said():

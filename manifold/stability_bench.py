@@ -96,9 +96,9 @@ class Bench:
         """A manifold of a new library of files."""
         return Manifold.fit(Library.open(self.library(files)), Settings(kind=kind, **settings))
 
-    def model(self, kind: str) -> Manifold:
+    def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
         """The manifold of the family; do not change it."""
-        return self.once(("model", kind), lambda: self.fit(self.family, kind))
+        return self.once(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
 
     @cached_property
     def data(self) -> Data:

@@ -1,0 +1,8 @@
+"""The catalogue of failure modes, from its chapters. A new mode is one more entry of one of these."""
+
+from __future__ import annotations
+
+from manifold import model_failures, search_failures
+from manifold.stability import Mode
+
+MODES: tuple[Mode, ...] = (*model_failures.MODES, *search_failures.MODES)

@@ -62,8 +62,12 @@ def budget(
         int, typer.Option(help="Light paths per pixel, in the analysis.", metavar="N", min=1, max=1 << 16)
     ] = 128,
     seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", help="Also draw both renders and what every representation costs.", metavar="FILE"),
+    ] = None,
     json: JsonOption = None,
-) -> None:
+) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that keeps the rendered picture.
 
     The scene's BSDFs of the types measured and manifold become a few numbers, fewer bands, fewer angles, or stay whole.
@@ -80,9 +84,9 @@ def budget(
     settings = budget_workflows.BudgetSettings(size, samples, seed)
     with terminal.progress("Budget") as step:
         if scene is not None:
-            made = budget_workflows.budget_scene(scene, tolerance, settings, output, step)
+            made = budget_workflows.budget_scene(scene, tolerance, settings, output, step, picture)
         else:
-            made = budget_workflows.example(str(example), tolerance, settings, output, step)
+            made = budget_workflows.example(str(example), tolerance, settings, output, step, picture)
     _show(results, made)
 
 

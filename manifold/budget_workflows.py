@@ -14,6 +14,8 @@ from manifold import (
     backend,
     budget,
     budget_scenes,
+    image_metrics,
+    plot,
     render,
     representations,
     scene_survey,
@@ -24,6 +26,8 @@ from manifold.budget_pictures import Pictures, Times, only_errors
 from manifold.colour_choice import ColourChoice
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.plot_budget import budget_figure
+from manifold.records import Array
 from manifold.representations import Candidate
 from manifold.scene_document import SceneDocument, SceneMaterial
 from manifold.scene_survey import Asked
@@ -142,13 +146,13 @@ def _text(path: Path | None) -> str | None:
 
 
 def example(
-    name: str, tolerance: Tolerance, settings: BudgetSettings, output: Path | None = None,
-    on_progress: Progress | None = None,
+    name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
+    output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
     """Budget one of the package's own scenes. Raises: as `budget_scenes.write` and `budget_scene`."""
     with tempfile.TemporaryDirectory() as folder:
         scene = budget_scenes.write(name, Path(folder))
-        return budget_scene(scene, tolerance, settings, output, on_progress)
+        return budget_scene(scene, tolerance, settings, output, on_progress, picture)
 
 
 def budget_scene(
@@ -157,6 +161,7 @@ def budget_scene(
     settings: BudgetSettings = _SETTINGS,
     output: Path | None = None,
     on_progress: Progress | None = None,
+    picture: Path | None = None,
 ) -> Budget:
     """Find the cheapest representation of each measured material of a scene that keeps its picture.
 
@@ -166,11 +171,14 @@ def budget_scene(
         settings: how the scene is analysed.
         output: folder for the chosen files and a scene that uses them; made if missing.
         on_progress: called with (done, total, what).
+        picture: also draw both renders, and what every representation costs.
     Raises:
         UsageError: see `SceneDocument`, `scene_survey.survey` and `budget.search`; or bands are mixed.
         FileFormatError: the scene or a measured file is damaged.
     """
     document = SceneDocument.read(scene)
+    if picture is not None:
+        plot.require_writable(picture)
     if output is not None:
         _make_folder(output)
         _require_apart(document, output)
@@ -196,6 +204,8 @@ def budget_scene(
             _chosen(material_name(files[key]), survey.asked[key], ladders[key], answer, key, noise, times)
             for key in ladders
         )
+        if picture is not None:
+            _draw(picture, pictures.beside(answer.choice), chosen, tolerance)
         written: Path | None = None
         assets: list[Path | None] = [None] * len(chosen)
         if output is not None:
@@ -212,6 +222,12 @@ def budget_scene(
         backend=backend.choose().kind,
         settings=settings,
     )
+
+
+def _draw(path: Path, both: tuple[Array, Array], chosen: tuple[Chosen, ...], tolerance: Tolerance) -> None:
+    delta_e = image_metrics.ciede2000_map(*both)
+    figure = budget_figure(*both, delta_e, [vars(one) for one in chosen], tolerance.delta_e)
+    plot.save(figure, path)
 
 
 def _make_folder(folder: Path) -> None:

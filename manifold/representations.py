@@ -24,7 +24,7 @@ from manifold.records import Array, Bands, BsdfFile
 from manifold.scene_survey import Asked, Survey
 
 BANDS = (3, 5, 9, 17, 33)
-ANGLES = ((16, 4, 32), (32, 8, 64))
+ANGLES = ((16, 4, 32), (24, 6, 48), (32, 8, 64))
 """Coarser directions: nodes of the outgoing grid, incident elevations, nodes of the visible normals; per axis."""
 FULL = "the whole file"
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.image import imread
 
 from manifold import (
     backend,
@@ -27,6 +29,7 @@ from manifold.budget_workflows import BudgetSettings
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.plot_budget import budget_figure
 from manifold.records import Bands
 from manifold.scene_document import SceneDocument
 
@@ -67,7 +70,9 @@ def examples(tmp_path_factory):
     """The package's three scenes, answered."""
     folder = tmp_path_factory.mktemp("examples")
     return {
-        name: budget_workflows.example(name, Tolerance(1.0), SMALL, folder / name)
+        name: budget_workflows.example(
+            name, Tolerance(1.0), SMALL, folder / name, picture=folder / f"{name}.png"
+        )
         for name in budget_scenes.EXAMPLES
     }
 
@@ -87,7 +92,7 @@ def test_written_scenes_load_by_themselves_and_look_like_the_answer(examples):
     made = examples["chrome"]
     mi = backend.mitsuba("spectral")
     loaded = mi.load_file(str(made.output))
-    assert "32, 32" in str(loaded.shapes()[0].bsdf())
+    assert "24, 24" in str(loaded.shapes()[0].bsdf())
     again = SceneDocument.read(made.output)
     assert Path(again.materials[0].properties["filename"]) == made.chosen[0].asset
 
@@ -101,6 +106,26 @@ def test_a_tighter_tolerance_among_the_rendered_candidates_is_not_cheaper(exampl
         ]
         assert passing == sorted(passing)
         assert passing[1] == made.size
+
+
+def test_the_picture_shows_the_felt_green_twice(examples):
+    folder = examples["felt"].output.parent.parent
+    picture = imread(folder / "felt.png")[..., :3]
+    ball = picture[int(0.27 * picture.shape[0])]
+    for column in (0.155, 0.465):  # the centres of the two renders
+        red, green, blue = ball[int(column * picture.shape[1])]
+        assert green > 1.4 * max(red, blue)
+
+
+def test_the_star_of_the_figure_stands_below_the_tolerance(examples):
+    made = examples["chrome"]
+    blank = np.zeros((8, 16, 3))
+    figure = budget_figure(blank, blank, blank[..., 0], [vars(one) for one in made.chosen], 1.0)
+    axis = next(a for a in figure.findobj(Axes) if a.get_xscale() == "log")
+    (star,) = (line for line in axis.lines if line.get_label() == "chosen")
+    assert star.get_xdata()[0] == made.size
+    assert star.get_ydata()[0] < 1.0
+    assert "24x24x6" in " ".join(text.get_text() for text in axis.texts)
 
 
 def test_answers_are_plain_json(examples):

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from . import terminal
 from .library_commands import JsonOption
+
+if TYPE_CHECKING:
+    from manifold.chart import Chart
+
+_LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
 
 def register(app: typer.Typer) -> None:
@@ -16,42 +21,63 @@ def register(app: typer.Typer) -> None:
     app.command(
         "chart",
         short_help="Speed against accuracy of many settings on one library.",
-        epilog="Example: manifold chart --library library.zarr --json chart.json",
+        epilog="Example: manifold chart --library library.zarr -o chart.png --json chart.json",
     )(chart)
 
 
 def chart(
-    library: Annotated[Path, typer.Option(help="Library of materials.", metavar="DIR")] = Path(
-        "library.zarr"
-    ),
+    library: Annotated[
+        Path | None,
+        typer.Option(help="Library of materials; by default library.zarr, or the model's.", metavar="DIR"),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="A fitted model: chart its materials.", metavar="FILE")
+    ] = None,
     only: Annotated[
         list[str] | None, typer.Option(help="A setting's key; may be repeated.", metavar="KEY")
     ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="A picture: .png, .pdf or .svg.", metavar="FILE")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Leave materials out in ten folds with every setting: error beside time to fit, time to predict, and bytes.
+    """Leave materials out in ten folds with every setting: errors beside time to predict, bytes, and time to fit.
 
-    Times are in those of one evaluation of a material at the same direction pairs. P, B, F: on the Pareto front of
-    error against time to predict, bytes, or time to fit.
+    Times are in those of one evaluation of a synthetic material, in the same run. P, B, F: on the Pareto front of an
+    error against time to predict, bytes, or time to fit. Fits represent materials that they have seen, and are on none.
     """
-    from manifold.brdf import MeasuredBRDF
-    from manifold.chart import make_chart
-    from manifold.store import Library
+    from manifold import chart_workflows, plot, plot_chart
 
     results = terminal.Results(json)
-    opened = Library.open(library)
+    if output is not None:
+        plot.require_writable(output)
     with terminal.progress("Chart") as step:
-        made = make_chart([MeasuredBRDF(opened.read(name)) for name in opened.names], only or (), step)
-    rows = [
-        [
-            r.title,
-            f"{r.relative_error:.3f}",
-            f"{r.fit_ratio:.2g}",
-            f"{r.predict_ratio:.2g}",
-            f"{r.bytes / 1e6:.3g}",
-            "".join(axis[0].upper() for axis in r.on_front),
-        ]
-        for r in made.charted
-    ]
-    results.table(["setting", "error", "fit", "predict", "MB", "front"], rows)
+        made = chart_workflows.chart(library, model, only or (), step)
+    results.table(
+        ["setting", "RMSE", "front", "CIEDE2000", "front", "relative", "predict", "MB", "fit"], _rows(made)
+    )
+    for key, reason in made.skipped.items():
+        results.text(f"{key} was left out: {reason}\n")
+    if output is not None:
+        plot.save(plot_chart.chart(made), output)
     results.document(made.to_json())
+
+
+def _rows(made: Chart) -> list[list[str]]:
+    def letters(error: str, key: str) -> str:
+        return "".join(_LETTERS[cost] for cost, keys in made.fronts[error].items() if key in keys)
+
+    return [
+        [
+            row.title,
+            f"{row.rmse:.3g}",
+            letters("rmse", row.key),
+            f"{row.delta_e:.2f}",
+            letters("delta_e", row.key),
+            f"{row.relative_error:.3f}",
+            f"{row.predict.median:.3g}",
+            f"{row.bytes / 1e6:.3g}",
+            f"{row.fit.median:.3g}",
+        ]
+        for row in made.charted
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -10,26 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, pareto
+from manifold import __version__, chart_bench, chart_fits, pareto
 from manifold.brdf import MeasuredBRDF
+from manifold.chart_bench import REFERENCE, REFERENCE_PAIRS, Kept, Stopwatch, Target, Timed
 from manifold.chart_settings import Setting, settings
-from manifold.combination import Combination, Values
-from manifold.encoding import EncodingPairs
+from manifold.chart_storage import Storage
+from manifold.combination import Combination
 from manifold.errors import UsageError
-from manifold.gplvm import blas_threads
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import evenly_spaced
 from manifold.pairs import DirectionPairs
-from manifold.records import Array
+from manifold.prediction import MonochromePrediction, PredictedBRDF
+from manifold.records import Array, BsdfFile
 from manifold.tabulated import MAX_BANDS, Data
 
 Progress = Callable[[int, int, str], None]
 
-AXES = ("predict_ratio", "bytes", "fit_ratio")
+ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relative_error": "relative error"}
+COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
+
 _FOLDS = 10
-_TIMED, _REPEATS = 3, 3
+_TIMED, _REPEATS = 3, 5
+_BLOCK_PAIRS = 512
 _DENSE_PAIRS = RusinkiewiczGrid.named("seed").n_pairs
 _BYTES_PER_NUMBER = 8
+_STREAMED_BYTES = 1 << 26  # far more than caches hold
+_ALIKE = 0.01  # errors and bytes that differ by less do not push each other off a front
 
 
 @dataclass(frozen=True)
@@ -37,26 +43,24 @@ class Charted:
     """One setting, measured.
 
     Attributes:
-        key, title: of the setting.
-        relative_error: median over materials left out, cosine-weighted, in the bands that methods learn from.
-        rmse: eq. 22 of Hikichi & Iwasaki, median, in 1/sr, these bands standing for all.
-        fit_ratio, fit_spread: median and interquartile range of the time of a fit to tabulated values, per reference
-            time; for the dense grid with the resampling, scaled from one block.
-        predict_ratio, predict_spread: the same of a prediction, the evaluation of its materials included.
-        bytes: measured values that predictions read, and the numbers of all materials.
-        on_front: the axes, of `AXES`, where no other setting has both less error and less cost.
+        key, title, family: of the setting.
+        is_held_out: False where a material is represented by a fit to itself.
+        relative_error, rmse, delta_e: medians over materials; see `chart_bench.Target`.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them.
+        predict: time to predict a whole material, at all direction pairs that it is kept at.
+        bytes: of what predictions read: files, and the numbers of all materials.
     """
 
     key: str
     title: str
+    family: str
+    is_held_out: bool
     relative_error: float
     rmse: float
-    fit_ratio: float
-    fit_spread: float
-    predict_ratio: float
-    predict_spread: float
+    delta_e: float
+    fit: Timed
+    predict: Timed
     bytes: int
-    on_front: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,129 +68,220 @@ class Chart:
     """All settings, measured in one run.
 
     Attributes:
-        charted: setting by setting.
-        n_materials, folds: of the cross-validation.
-        reference_seconds: median time of one evaluation of the first material at the timed direction pairs.
+        charted: setting by setting; held-out ones first.
+        fronts: by error, then by cost, the keys of held-out settings that no other beats, cheapest first.
+        n_materials, n_bands, folds: of the cross-validation.
+        reference_seconds: median time of the reference, in which all times are.
+        scaled: what was measured in part, and how it was scaled to the whole.
+        skipped: settings that this machine cannot run, and why.
     """
 
     charted: tuple[Charted, ...]
+    fronts: dict[str, dict[str, list[str]]]
     n_materials: int
+    n_bands: int
     folds: int
     reference_seconds: float
+    scaled: dict[str, float]
+    skipped: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values, with the program's version."""
-        return {"program": f"manifold {__version__}", **asdict(self)}
+        reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
+        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self)}
+
+    def front(self, error: str, cost: str) -> list[Charted]:
+        """The settings on a front, cheapest first."""
+        by_key = {row.key: row for row in self.charted}
+        return [by_key[key] for key in self.fronts[error][cost]]
+
+
+def cost_of(row: Charted, cost: str) -> float:
+    """A cost, one of `COSTS`: reference times, or bytes."""
+    value = getattr(row, cost)
+    return value.median if isinstance(value, Timed) else float(value)
 
 
 def make_chart(
-    materials: Sequence[MeasuredBRDF],
+    files: Sequence[BsdfFile],
     only: Sequence[str] = (),
     on_progress: Progress | None = None,
     grid: RusinkiewiczGrid | None = None,
+    fitted: int = 3,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
     Args:
-        materials: at least four, of the same bands.
+        files: at least four, of the same bands.
         only: keys of settings; all by default.
         on_progress: called with (done, total, title).
         grid: direction pairs of the errors; by default 45 x 23 x 12.
+        fitted: how many materials the fits of `chart_fits` represent.
     Raises:
         UsageError: a key is unknown, or there are fewer than four materials.
     """
-    known = {s.key: s for s in settings()}
+    if len(files) < 4:
+        raise UsageError(f"{len(files)} materials, expected at least 4 to leave some out; import more files")
+    known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
+    known |= {f"fit_{method}": method for method in chart_fits.METHODS}
     unknown = [key for key in only if key not in known]
     if unknown:
         raise UsageError(f"no setting is called {unknown[0]!r}, expected one of {', '.join(known)}")
-    if len(materials) < 4:
-        raise UsageError(
-            f"{len(materials)} materials, expected at least 4 to leave some out; import more files"
+    chosen = [known[key] for key in only or known]
+    held_out = [s for s in chosen if isinstance(s, Setting)]
+    rows: dict[str, Charted] = {}
+    skipped: dict[str, str] = {}
+    with chart_bench.one_core():
+        bench = _Bench(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
+        # Settings that keep files alike stand together: only one set of kept files is in memory.
+        in_order = sorted(held_out, key=lambda s: s.storage.key)
+        for setting in in_order:
+            rows[setting.key] = bench.measure(setting)
+            if on_progress is not None:
+                on_progress(len(rows), len(chosen), setting.title)
+    for method in (s for s in chosen if isinstance(s, str)):
+        try:
+            found = chart_fits.measure(method, files, fitted, bench.target, bench.watch)
+        except UsageError as error:
+            skipped[f"fit_{method}"] = str(error)
+            continue
+        rows[f"fit_{method}"] = Charted(
+            f"fit_{method}", f"principled, {method}", "fit of the seen material", False, *found
         )
-    chosen = [known[key] for key in only] or list(known.values())
-    n_bands = materials[0].bands.count
-    bands = evenly_spaced(n_bands, MAX_BANDS)
-    for count in {s.sample_bands for s in chosen} - {None}:
-        bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
-    grid = RusinkiewiczGrid.named("default") if grid is None else grid
-    bench = _Bench(materials, Data.evaluate(materials, grid, bands), EncodingPairs.of_grid(grid))
-    rows = []
-    for done, setting in enumerate(chosen, start=1):
-        rows.append(bench.measure(setting))
         if on_progress is not None:
-            on_progress(done, len(chosen), setting.title)
-    return Chart(_with_fronts(rows), len(materials), bench.folds, bench.reference)
+            on_progress(len(rows), len(chosen), rows[f"fit_{method}"].title)
+    charted = tuple(rows[key] for key in known if key in rows)
+    return Chart(
+        charted, fronts(charted), len(files), files[0].bands.count, bench.folds,
+        bench.watch.reference_seconds, bench.scaled, skipped,
+    )  # fmt: skip
 
 
-def _with_fronts(rows: Sequence[Charted]) -> tuple[Charted, ...]:
-    on = {a: pareto.front(np.array([[r.relative_error, getattr(r, a)] for r in rows])) for a in AXES}
-    return tuple(replace(r, on_front=tuple(a for a in AXES if on[a][i])) for i, r in enumerate(rows))
+def fronts(rows: Sequence[Charted]) -> dict[str, dict[str, list[str]]]:
+    """Keys of the held-out settings on each front of an error and a cost, cheapest first.
+
+    Neither errors and bytes that differ by 1 %, nor times that differ by less than their spreads, count as different.
+    """
+    rows = [row for row in rows if row.is_held_out]
+    return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
+
+
+def _front(rows: Sequence[Charted], error: str, cost: str) -> list[str]:
+    if not rows:
+        return []
+    values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])
+    tolerance = 0.5 * _ALIKE * values
+    if cost != "bytes":
+        tolerance[:, 1] = np.maximum(tolerance[:, 1], [0.5 * getattr(row, cost).spread for row in rows])
+    on = np.flatnonzero(pareto.front(values, tolerance)).tolist()
+    return [rows[k].key for k in sorted(on, key=lambda k: values[k, 1])]
 
 
 class _Bench:
-    def __init__(self, materials: Sequence[MeasuredBRDF], data: Data, pairs: EncodingPairs) -> None:
-        self.data, self.pairs = data, DirectionPairs(pairs.wi, pairs.wo)
-        self.cosines = pairs.cosines
-        self.whole = materials[0]
-        self.thin = [m.thinned(data.bands.tolist()) for m in materials]
-        self.folds = min(_FOLDS, len(materials))
-        self.n_values = [m._spectra.size for m in materials]
-        self.reference = float(np.median(_times(lambda: _evaluated(self.thin[0], self.pairs), 9)))
+    def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Setting]) -> None:
+        self.files, self.watch = files, Stopwatch()
+        self.folds = min(_FOLDS, len(files))
+        n_bands = files[0].bands.count
+        bands = evenly_spaced(n_bands, MAX_BANDS)
+        for count in {s.sample_bands for s in chosen} - {None}:
+            bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
+        materials = [MeasuredBRDF(file) for file in files]
+        self.data, self.tabulating = self.watch.lap(partial(Data.evaluate, materials, grid, bands))
+        wi, wo, above = grid.directions()
+        self.target = Target(self.data, materials, DirectionPairs(wi[above], wo[above]))
+        self.block = chart_bench.some_pairs(_BLOCK_PAIRS, grid)
+        self._fits: dict[str, tuple[list[Combination], Timed]] = {}
+        self._kept: tuple[Storage, Kept] | None = None
+        once = [
+            ratio
+            for material in materials[:: max(len(files) // _TIMED, 1)]
+            for ratio in self.watch.laps(partial(chart_bench.evaluated, material, self.block), _REPEATS)
+        ]
+        self.resampling = float(np.median(once)) * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
+        self.scaled = {
+            "timed_pairs": _BLOCK_PAIRS, "dense_pairs": _DENSE_PAIRS, "resampling": self.resampling,
+            "tabulating": self.tabulating,
+        }  # fmt: skip
 
     def measure(self, setting: Setting) -> Charted:
-        data, N = self.data, self.data.n_materials
-        predictions: dict[int, Combination] = {}
-        fits = []
-        resampling = self._resampling_seconds() if setting.is_dense else 0.0
-        with blas_threads(0):
-            for fold in range(self.folds):
-                out = np.arange(fold, N, self.folds)
-                start = time.perf_counter()
-                encode = setting.fit(data, np.setdiff1d(np.arange(N), out))
-                fits.append(time.perf_counter() - start + resampling)
-                predictions |= {int(i): _sparse(encode(int(i)), setting.threshold) for i in out}
-        here = [predictions[i].in_bands(data.bands) for i in range(N)]
-        kept = Values(_halved(data.f), data.cosines) if setting.is_half else data
-        relative, rmse = [], []
-        for i, combination in enumerate(here):
-            f = combination.evaluate(kept)
-            relative.append(data.relative_error(i, f))
-            rmse.append(float(np.sqrt(np.sum((f - data.f[i]) ** 2) / f.shape[0] * data.n_bands / f.shape[1])))
-        seconds = [
-            t for c in here[:: max(N // _TIMED, 1)] for t in _times(partial(self._predict, c), _REPEATS)
+        combinations, fit = self._fitted(setting)
+        if setting.is_dense:
+            fit = Timed(fit.median - self.tabulating + self.resampling, fit.spread)
+        combinations = [_sparse(c, setting.threshold) for c in combinations]
+        kept = self._kept_as(setting.storage)
+        relative, rmse, delta_e = np.median(self.target.errors_of(kept, combinations), axis=0)
+        cells = _DENSE_PAIRS if setting.is_dense else kept.cells
+        predict = [
+            ratio * cells / _BLOCK_PAIRS
+            for c in combinations[:: max(len(combinations) // _TIMED, 1)]
+            for ratio in self.watch.laps(_predictor(kept, c, self.block, is_dense=setting.is_dense), _REPEATS)
         ]
-        fit, predict = np.array(fits) / self.reference, np.array(seconds) / self.reference
         return Charted(
-            setting.key, setting.title, float(np.median(relative)), float(np.median(rmse)),
-            float(np.median(fit)), _spread(fit), float(np.median(predict)), _spread(predict),
-            self._bytes(setting),
+            setting.key, setting.title, setting.family, True, float(relative), float(rmse), float(delta_e),
+            fit, Timed.of(predict), self._bytes(setting, kept),
         )  # fmt: skip
 
-    def _resampling_seconds(self) -> float:
-        """Of all materials to the dense grid in all bands: one block of one material, measured and scaled."""
-        block = np.median(_times(lambda: _evaluated(self.whole, self.pairs), _REPEATS))
-        return float(block) * _DENSE_PAIRS / len(self.pairs) * len(self.thin)
+    def _fitted(self, setting: Setting) -> tuple[list[Combination], Timed]:
+        """A prediction of every material by a fit without it, and the time of a fit."""
+        if setting.method not in self._fits:
+            # What methods share, values in a mapped domain and their products, counts for each.
+            data = Data(
+                self.data.f, self.data.cosines, self.data.bands, self.data.n_bands, self.data.full_values
+            )
+            N = data.n_materials
+            found: dict[int, Combination] = {}
+            times = []
+            for fold in range(self.folds):
+                out = np.arange(fold, N, self.folds)
+                others = np.setdiff1d(np.arange(N), out)
+                encode, ratio = self.watch.lap(partial(setting.fit, data, others))
+                times.append(ratio)
+                found |= {int(i): encode(int(i)) for i in out}
+            warm = Timed.of(times[1:])
+            first = max(times[0] - warm.median, 0.0)
+            self._fits[setting.method] = (
+                [found[i] for i in range(N)], replace(warm, median=self.tabulating + first + warm.median)
+            )  # fmt: skip
+        return self._fits[setting.method]
 
-    def _predict(self, combination: Combination) -> None:
-        """Evaluate the materials that weigh anything, and combine."""
-        per = 1 if combination.sample_bands is None else len(combination.sample_bands)
-        weighs = np.abs(combination.weights).reshape(-1, self.data.n_materials, per).max(axis=(0, 2)) > 0
-        used = np.flatnonzero(weighs)
-        f = np.stack([_evaluated(self.thin[n], self.pairs) for n in used])
-        columns = np.repeat(weighs, per)
-        replace(combination, weights=combination.weights[..., columns]).evaluate(Values(f, self.cosines))
+    def _kept_as(self, storage: Storage) -> Kept:
+        if self._kept is None or self._kept[0].key != storage.key:
+            self._kept = None
+            self._kept = storage, Kept(storage, self.files, self.target)
+        return self._kept[1]
 
-    def _bytes(self, setting: Setting) -> int:
-        B = self.data.n_bands
-        share = min(setting.sample_bands or B, B) / B
-        size = 2 if setting.is_half else 4
-        values = [_DENSE_PAIRS * B] * len(self.thin) if setting.is_dense else self.n_values
-        return int(sum(values) * share * size) + _BYTES_PER_NUMBER * setting.numbers(B) * len(self.thin)
+    def _bytes(self, setting: Setting, kept: Kept) -> int:
+        B, N = self.data.n_bands, len(self.files)
+        numbers = _BYTES_PER_NUMBER * setting.numbers(B) * N
+        if setting.is_dense:
+            return N * _DENSE_PAIRS * B * 4 + numbers
+        return kept.file_bytes(min(setting.sample_bands or B, B) / B) + numbers
 
 
-def _halved(f: Array) -> Array:
-    """Values as float16 holds them; what is too large becomes its largest number."""
-    return np.minimum(f, np.finfo(np.float16).max).astype(np.float16).astype(float)
+def _predictor(kept: Kept, combination: Combination, block: Any, *, is_dense: bool) -> Callable[[], object]:
+    """What predicts values at the direction pairs of a block, in all bands, as the package does."""
+    mapping, weights = combination.mapping, combination.weights
+    if is_dense:
+        return _from_table(np.stack([chart_bench.evaluated(m, block) for m in kept.brdfs]), weights)
+    if combination.sample_bands is not None:
+        bands = combination.sample_bands.tolist()
+        samples = [m.thinned(bands) for m in kept.brdfs]
+        curve = MonochromePrediction(samples, weights, mapping, kept.brdfs[0].bands)
+        return lambda: curve.eval(block.wi, block.wo)
+    whole = PredictedBRDF(kept.brdfs, weights, mapping)
+    if kept.back is not None:
+        back = kept.back.T
+        return lambda: whole.eval(block.wi, block.wo) @ back
+    return lambda: whole.eval(block.wi, block.wo)
+
+
+def _from_table(f: Array, weights: Array) -> Callable[[], object]:
+    """Sums of tabulated values (N, P, B), streamed from memory as those of the whole table are."""
+    copies = max(_STREAMED_BYTES // (4 * f.size), 1)
+    tables = np.repeat(f.astype(np.float32)[None], copies, axis=0)
+    turn = itertools.count()
+    share = weights.astype(np.float32)
+    return lambda: np.tensordot(share, tables[next(turn) % copies], axes=1)
 
 
 def _sparse(combination: Combination, threshold: float) -> Combination:
@@ -197,24 +292,3 @@ def _sparse(combination: Combination, threshold: float) -> Combination:
     kept = np.where(np.abs(w) >= threshold * np.abs(w).max(), w, 0.0)
     scale = w.sum() / kept.sum() if kept.sum() > 0.5 * abs(w.sum()) else 1.0
     return replace(combination, weights=kept * scale)
-
-
-def _evaluated(material: MeasuredBRDF, pairs: DirectionPairs) -> Array:
-    """Values (P, B) on one core, whose time depends least on what else runs."""
-    out = np.empty((len(pairs), material.bands.count))
-    material.eval_into(pairs, out)
-    return out
-
-
-def _times(work: Callable[[], object], count: int) -> list[float]:
-    work()
-    seconds = []
-    for _ in range(count):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return seconds
-
-
-def _spread(values: Array) -> float:
-    return float(np.subtract(*np.percentile(values, [75, 25])))

@@ -7,17 +7,22 @@ import numpy as np
 from manifold.records import Array
 
 
-def dominators(costs: Array) -> list[list[int]]:
-    """Per row, the rows that are no worse in every column and better in one.
+def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
+    """Per row, the rows that are better in one column and worse in none.
+
+    Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
 
     Args:
         costs: less is better, shape (M, C).
+        tolerance: broadcasts against the costs.
     """
-    no_worse = np.all(costs[:, None] <= costs[None], axis=2)
-    better = np.any(costs[:, None] < costs[None], axis=2)
-    return [[int(j) for j in np.flatnonzero(column)] for column in (no_worse & better).T]
+    low, high = costs - tolerance, costs + tolerance
+    better = high[:, None] < low[None]  # [row, than row, C]
+    wins = np.asarray(better.any(axis=2))
+    beaten_by = (wins & ~wins.T).T
+    return [np.flatnonzero(row).tolist() for row in beaten_by]
 
 
-def front(costs: Array) -> Array:
+def front(costs: Array, tolerance: Array | float = 0.0) -> Array:
     """Whether no other row dominates a row, bool, shape (M,)."""
-    return np.array([not beaten for beaten in dominators(costs)], dtype=bool)
+    return np.array([not beaten for beaten in dominators(costs, tolerance)], dtype=bool)

@@ -1,0 +1,58 @@
+"""Fits of a BSDF as representations of materials that were seen: a few numbers each, beside held-out predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from manifold import principled
+from manifold.bsdf_evaluation import evaluator
+from manifold.chart_bench import Stopwatch, Target, Timed
+from manifold.model import evenly_spaced
+from manifold.pairs import DirectionPairs
+from manifold.principled import FitResult
+from manifold.records import Array, BsdfFile
+
+METHODS = tuple(principled.METHODS)
+_REPEATS = 3
+_BYTES_PER_NUMBER = 8
+
+
+def measure(
+    method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch
+) -> tuple[float, float, float, Timed, Timed, int]:
+    """Fit evenly spaced materials by one of `METHODS`.
+
+    Returns:
+        Medians of relative error, RMSE and CIEDE2000; time to fit all materials and to evaluate one at as many
+        direction pairs as its file has; bytes of all.
+    Raises:
+        UsageError: the method does not run here.
+    """
+    errors, fits, predicts, numbers = [], [], [], []
+    for i in evenly_spaced(len(files), count):
+        file = files[i]
+        result, seconds = watch.lap(partial(principled.fit, file, method=method))
+        fits.append(seconds)
+        evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.ball_pairs)]
+        on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
+        errors.append(target.errors(int(i), on_grid, on_ball))
+        numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
+        scale = file.luminance.size / len(target.pairs)
+        predicts += [scale * ratio for ratio in watch.laps(evaluators[0], _REPEATS)]
+    relative, rmse, delta_e = np.median(errors, axis=0)
+    fit = Timed.of(np.array(fits) * len(files))
+    size = int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files)
+    return float(relative), float(rmse), float(delta_e), fit, Timed.of(predicts), size
+
+
+def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
+    """What evaluates a fit in the bands of its samples, f in 1/sr (P, B)."""
+    made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
+    p = np.empty((1, made.layout.size))
+    values = dict(result.values) | result.spectra
+    for name, place in made.layout.slices.items():
+        p[0, place] = values[name]
+    return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

@@ -1,0 +1,185 @@
+"""The chart of speed against accuracy as a picture: two errors against three costs, Pareto fronts drawn and named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
+
+from manifold.chart import COSTS, Chart, Charted, cost_of
+from manifold.chart_settings import SEED
+from manifold.plot import Box, new_figure
+from manifold.records import Array
+
+_ERRORS = {"delta_e": "CIEDE2000 of the ball", "rmse": "RMSE of eq. 22, 1/sr"}
+_COSTS = {
+    "predict": "time to predict a material (reference times)",
+    "bytes": "bytes kept",
+    "fit": "time to fit the library (reference times)",
+}
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How a family is drawn: colours of Okabe and Ito, which all kinds of colour vision tell apart, and shapes."""
+
+    marker: str
+    colour: str
+
+
+_LOOKS = {
+    "one or two materials": _Look("D", "#cc79a7"),
+    "PCA": _Look("o", "#0072b2"),
+    "GPLVM, whole materials": _Look("s", "#e69f00"),
+    "GPLVM, monochrome samples": _Look("^", "#009e73"),
+    "seed": _Look("*", "#d55e00"),
+    "fit of the seen material": _Look("x", "#555555"),
+}
+_FRONT_POINTS, _OTHER_POINTS, _SEED_POINTS = 8.5, 5.0, 15.0
+_LABEL = 8.8
+
+
+def chart(made: Chart) -> Figure:
+    """Errors against costs. Filled and joined: on the front; pale and small: beaten; crosses saw the material."""
+    figure = new_figure(10.4, 12.4)
+    kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
+    figure.suptitle(
+        f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
+        fontsize=12.5,
+    )
+    grid = figure.subplots(len(COSTS), len(_ERRORS), sharex="row", sharey="col", squeeze=False)
+    for axis_row, cost in zip(grid, COSTS, strict=True):
+        for axes, error in zip(axis_row, _ERRORS, strict=True):
+            _points(axes, made, error, cost)
+        axis_row[0].set_xlabel(_COSTS[cost])
+        axis_row[1].set_xlabel(_COSTS[cost])
+    for axes, (error, title) in zip(grid[0], _ERRORS.items(), strict=True):
+        axes.set_title(f"{title}, median", fontsize=11)
+        _error_ticks(axes, [getattr(row, error) for row in made.charted])
+    figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
+    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    figure.set_layout_engine("none")
+    for axis_row, cost in zip(grid, COSTS, strict=True):
+        for axes, error in zip(axis_row, _ERRORS, strict=True):
+            _name(figure, axes, made, error, cost)
+    return figure
+
+
+def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(True, color="0.92", linewidth=0.8)
+    axes.set_axisbelow(True)
+    front = made.front(error, cost)
+    on = {row.key for row in front}
+    if front:
+        x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
+        axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
+    for row in made.charted:
+        look = _LOOKS[row.family]
+        size = _SEED_POINTS if row.key == SEED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
+        is_plain = row.key in on or row.key == SEED
+        style = {"color": look.colour} if look.marker == "x" else {
+            "markerfacecolor": look.colour if is_plain else "white",
+            "markeredgecolor": "black" if is_plain else look.colour,
+        }  # fmt: skip
+        axes.plot(
+            cost_of(row, cost), getattr(row, error), look.marker, markersize=size, markeredgewidth=0.9 if is_plain else 1.1,
+            alpha=1.0 if is_plain or not row.is_held_out else 0.6, zorder=4 if is_plain else 3, gid=row.key, **style,
+        )  # fmt: skip
+
+
+def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
+    """The edge of what a front beats, from the cheapest to the dearest corner; within tolerance it may rise."""
+    x, y = np.array(corners).T
+    return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
+
+
+def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Numbers at 1, 2 and 5 where the errors span less than two decades."""
+    if max(values) / min(values) < 1e3:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+    else:
+        axes.yaxis.set_major_formatter(LogFormatterSciNotation())
+        axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _legend(made: Chart) -> list[Line2D]:
+    present = {row.family for row in made.charted}
+    handles = [
+        Line2D([], [], linestyle="", marker=look.marker, color=look.colour, markersize=8, label=family)
+        for family, look in _LOOKS.items()
+        if family in present
+    ]
+    return [
+        *handles,
+        Line2D([], [], color="0.25", marker="s", markerfacecolor="0.6", label="Pareto front, named"),
+        Line2D(
+            [], [], color="0.6", linestyle="", marker="s", markerfacecolor="white", label="beaten by others"
+        ),
+    ]
+
+
+def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> None:
+    """Write the names of the front, of the seed, and of fits, where they cover least."""
+    named = [*made.front(error, cost)]
+    named += [r for r in made.charted if (r.key == SEED or not r.is_held_out) and r not in named]
+    everything = axes.transData.transform([(cost_of(r, cost), getattr(r, error)) for r in made.charted])
+    dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
+    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in everything]
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    frame = axes.get_window_extent(renderer)
+    for row in named:
+        at = (cost_of(row, cost), getattr(row, error))
+        pixel = axes.transData.transform(at)
+        text = axes.annotate(
+            _short(row), at, xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center", va="center",
+            style="normal" if row.is_held_out else "italic", color="black" if row.is_held_out else "0.35",
+            path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], zorder=6,
+        )  # fmt: skip
+        extent = text.get_window_extent(renderer)
+        offset, box = _place(pixel, extent.width, extent.height, dot, taken, frame.extents)
+        text.set_position(offset)
+        taken.append(box)
+        near = np.clip(pixel, box[:2], box[2:])
+        if np.hypot(*(near - pixel)) > 2.0 * dot:
+            end = axes.transData.inverted().transform(near)
+            axes.plot(*zip(at, end, strict=True), color="0.4", linewidth=0.7, zorder=2.5)
+
+
+def _short(row: Charted) -> str:
+    return "seed, as published" if row.key == SEED else row.title
+
+
+def _place(
+    point: Array, width: float, height: float, dot: float, taken: Sequence[Box], frame: Box
+) -> tuple[tuple[float, float], Box]:
+    """Offset in pixels of the centre of a name, and its box: near, inside the frame, over few points and names."""
+    best: tuple[float, tuple[float, float], Box] | None = None
+    for gap in dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]):
+        for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+            x = point[0] + np.cos(angle) * (gap + 0.5 * width)
+            y = point[1] + np.sin(angle) * (gap + 0.5 * height)
+            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
+            if box[0] < frame[0] or box[2] > frame[2] or box[1] < frame[1] or box[3] > frame[3]:
+                continue
+            cost = gap * height + 4.0 * sum(_common(box, other) for other in taken)
+            if best is None or cost < best[0]:
+                best = (cost, (x - point[0], y - point[1]), box)
+    if best is None:  # no room inside: right above
+        box = (point[0] - width, point[1], point[0], point[1] + height)
+        return (-0.5 * width, height), box
+    return best[1], best[2]
+
+
+def _common(a: Box, b: Box) -> float:
+    """Common area of two boxes (left, bottom, right, top)."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

@@ -7,6 +7,7 @@ from manifold.plausibility import Plausibility
 MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_MISSED = 0.02  # of a reflectance
+MOST_HOLES = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not given back
 
 
@@ -32,6 +33,16 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
     if missed > MOST_MISSED:
         cautions.append(f"this structure misses the reflectance asked for by up to {missed:.2f}")
     return tuple(cautions)
+
+
+def of_holes(share: float) -> tuple[str, ...]:
+    """Of values that were not measured: holes as a share of the cells that should hold something."""
+    if share <= MOST_HOLES:
+        return ()
+    return (
+        f"{share:.0%} of the cells were not measured: they are dark in the file itself and guessed from their "
+        "neighbours elsewhere; measure the materials with holes again (`manifold info FILE`)",
+    )
 
 
 def of_embedding(relative_error: float) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Holes of measured files: cells above the horizon that hold nothing, closed before materials are combined.
 
-A file marks what it could not measure by zeros in all bands. Below the horizon that is right; above it, a prediction
-would show the holes of all its materials as dark spots, magnified where weights are large. What a file *is* stays as it
-is: a prediction at a training latent is the file, holes included.
+A file marks what it could not measure by zeros in all bands, or in `valid`. Below the horizon that is right; above it,
+a prediction would show the holes of all its materials as dark spots, magnified where weights are large. What a file
+*is* stays as it is: a prediction at a training latent is the file, holes included.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def find_holes(file: BsdfFile) -> Array:
-    """Cells that are zero in all bands though their direction is above the horizon, bool, shape (P, T, H, W)."""
-    zero = np.all(file.spectra == 0, axis=2)
-    suspects = np.any(zero, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
+    """Cells above the horizon that are zero in all bands or marked as not measured, bool, shape (P, T, H, W)."""
+    holes = np.all(file.spectra == 0, axis=2) | ~file.measured_mask
+    suspects = np.any(holes, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
-        return np.zeros_like(zero)
-    rows, columns = (np.linspace(0.0, 1.0, n) for n in zero.shape[2:])
+        return np.zeros_like(holes)
+    rows, columns = (np.linspace(0.0, 1.0, n) for n in holes.shape[2:])
     variates = np.stack(np.meshgrid(columns, rows), axis=-1)
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     for p, t in np.argwhere(suspects):
@@ -40,23 +40,33 @@ def find_holes(file: BsdfFile) -> Array:
         m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
         wi = from_spherical(theta_i, phi_i)
         cos_im = m @ wi
-        zero[p, t] &= (cos_im > 0) & (2.0 * cos_im * m[..., 2] - wi[2] > _LEAST_COSINE)
-    zero[~suspects] = False
-    return zero
+        holes[p, t] &= (cos_im > 0) & (2.0 * cos_im * m[..., 2] - wi[2] > _LEAST_COSINE)
+    holes[~suspects] = False
+    return holes
 
 
-def close_holes(file: BsdfFile) -> BsdfFile:
+def share_of_holes(file: BsdfFile, holes: Array) -> float:
+    """Holes (P, T, H, W) as a share of the cells that should hold something."""
+    expected = np.any(file.spectra != 0, axis=2) | holes
+    return float(np.sum(holes) / max(int(np.sum(expected)), 1))
+
+
+def close_holes(file: BsdfFile, holes: Array | None = None) -> BsdfFile:
     """The same file with its holes filled from their rims inwards; the file itself where it has none.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
     without any known cell stays as it is.
+
+    Args:
+        file: with holes.
+        holes: what `find_holes` found, if that was asked already.
     """
-    holes = find_holes(file)
+    holes = find_holes(file) if holes is None else holes
     if not np.any(holes):
         return file
     spectra = file.spectra.copy()
     for p, t in np.argwhere(np.any(holes, axis=(2, 3))):
-        _fill(spectra[p, t], holes[p, t], np.any(spectra[p, t] != 0, axis=0))
+        _fill(spectra[p, t], holes[p, t], np.any(spectra[p, t] != 0, axis=0) & ~holes[p, t])
     return replace(file, spectra=spectra)
 
 

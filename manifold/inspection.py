@@ -11,6 +11,7 @@ import numpy as np
 
 from manifold import backend
 from manifold.errors import UsageError
+from manifold.holes import find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
 from manifold.model import Manifold
 from manifold.records import BsdfFile
@@ -106,6 +107,7 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
     P, T, B, H, W = file.spectra.shape
     mask = file.measured_mask
+    hole_share = share_of_holes(file, find_holes(file))
     rows: dict[str, object] = {
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
@@ -117,6 +119,7 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "pipeline version": ".".join(str(v) for v in file.version),
         "measured cells": f"{mask.mean():.1%}",
         "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
+        "holes above the horizon": f"{hole_share:.1%}",
         "values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}",
         "size": f"{path.stat().st_size / 1e6:.1f} MB",
     }
@@ -131,6 +134,7 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "version": list(file.version),
         "measured_share": float(mask.mean()),
         "zero_share": float(np.mean(file.spectra == 0)),
+        "hole_share": hole_share,
     }
     return Inspection(f"{path.name}: RGL material", rows, document)
 

@@ -22,7 +22,7 @@ from manifold.encoding import Decoder, EncodingPairs
 from manifold.errors import LatentError, LibraryError, ShapeError, UsageError
 from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import GPWeights
-from manifold.holes import close_holes
+from manifold.holes import close_holes, find_holes, share_of_holes
 from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model_file import ModelRecord, damaged, read_model, write_model
@@ -30,7 +30,7 @@ from manifold.monochrome import MonochromeGPLVM
 from manifold.pairs import DirectionPairs
 from manifold.plausibility import mirrored_quadrature
 from manifold.prediction import Mixture, MonochromePrediction, PredictedBRDF
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, BsdfFile
 from manifold.spaces import KINDS, CurveSpace, MaterialSpace
 from manifold.store import Library
 
@@ -136,6 +136,7 @@ class Manifold:
         self._materials: dict[str, MeasuredBRDF] = {}
         self._closed: dict[str, MeasuredBRDF] = {}
         self._thin: list[MeasuredBRDF] | None = None
+        self._hole_shares: dict[str, float] = {}
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -284,7 +285,7 @@ class Manifold:
         """A measured material with its holes closed, as predictions combine it."""
         if name not in self._closed:
             file = self.library.read(name)
-            closed = close_holes(file)
+            closed = self._without_holes(file)
             self._closed[name] = MeasuredBRDF(closed)
             if closed is file:
                 self._materials[name] = self._closed[name]
@@ -328,8 +329,13 @@ class Manifold:
         """A measured material, holes closed, in a few of its bands; the others are not kept."""
         whole = self._closed.get(name)
         if whole is None:
-            whole = MeasuredBRDF(close_holes(self.library.read(name)))
+            whole = MeasuredBRDF(self._without_holes(self.library.read(name)))
         return whole.thinned(self._embedding_bands.tolist())
+
+    def _without_holes(self, file: BsdfFile) -> BsdfFile:
+        holes = find_holes(file)
+        self._hole_shares[file.name] = share_of_holes(file, holes)
+        return close_holes(file, holes)
 
     # -- latents -------------------------------------------------------------------------------------------
 
@@ -396,6 +402,15 @@ class Manifold:
         weights = self.weights(self.require_latent(x))
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
+
+    def hole_share(self, x: Array) -> float:
+        """Share of the cells around a latent x (Q,) that are holes: of the materials', by magnitudes of weights."""
+        weights = np.abs(self.weights(self.require_latent(x)))
+        used = [(self.names[k], weights[k]) for k in np.flatnonzero(weights)]
+        for name, _ in used:
+            if name not in self._hole_shares:
+                self._without_holes(self.library.read(name))
+        return float(sum(w * self._hole_shares[name] for name, w in used) / weights.sum())
 
     def latent(self, name: str) -> Array:
         """The latent of a material, shape (Q,).

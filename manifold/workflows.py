@@ -13,6 +13,7 @@ from manifold import __version__, atomic, cautions, corpus, gonio, plot, selecti
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import UsageError
+from manifold.holes import close_holes, find_holes, share_of_holes
 from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.model import Manifold, Settings
@@ -202,7 +203,8 @@ def predict(
         nearest=tuple(model.nearest(x, 3)),
         weights=tuple(model.largest_weights(x, 5)),
         plausibility=found,
-        cautions=cautions.of_prediction(is_extrapolation, found, chosen.missed),
+        cautions=cautions.of_prediction(is_extrapolation, found, chosen.missed)
+        + cautions.of_holes(model.hole_share(x)),
         clipped_share=clipped.clipped_share,
         seconds=seconds,
     )
@@ -247,13 +249,15 @@ class Located:
 def locate(
     model: Path, path: Path, *, library: Path | None = None, on_progress: Progress | None = None
 ) -> Located:
-    """Embed a measured file in a manifold that has not seen it.
+    """Embed a measured file, its holes closed, in a manifold that has not seen it.
 
     Raises:
         FileFormatError: it is no RGL file.
         BandMismatchError: its bands are not the library's.
     """
-    brdf = MeasuredBRDF(read_bsdf(path))
+    file = read_bsdf(path)
+    holes = find_holes(file)
+    brdf = MeasuredBRDF(close_holes(file, holes))
     loaded = Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = loaded.embed(brdf)
@@ -265,7 +269,7 @@ def locate(
         relative_error=found.relative_error,
         std=float(loaded.std(found.latent, found.colours)),
         nearest=tuple(loaded.nearest(found.latent, 3)),
-        cautions=cautions.of_embedding(found.relative_error),
+        cautions=cautions.of_embedding(found.relative_error) + cautions.of_holes(share_of_holes(file, holes)),
     )
 
 

@@ -32,3 +32,9 @@ def test_each_defect_of_a_prediction_has_its_sentence(arguments, said):
 def test_a_material_that_has_no_place_is_said_so():
     (sentence,) = cautions.of_embedding(0.8)
     assert "0.80" in sentence
+
+
+def test_holes_are_said_from_one_percent_on():
+    assert cautions.of_holes(0.005) == ()
+    (sentence,) = cautions.of_holes(0.12)
+    assert "12%" in sentence

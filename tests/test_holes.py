@@ -11,7 +11,7 @@ from conftest import real_rgl_files
 from manifold import gonio
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.holes import close_holes, find_holes
+from manifold.holes import close_holes, find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
 from manifold.microfacet import GGX, Plastic
 from manifold.records import Bands
@@ -73,3 +73,14 @@ def test_an_empty_slice_stays_empty(whole):
 def test_real_files_have_no_holes_at_measured_elevations(path):
     file = read_bsdf(path)
     assert close_holes(file) is file
+
+
+def test_cells_marked_as_not_measured_are_holes_whatever_they_hold(whole):
+    marked = np.zeros_like(whole.measured_mask)
+    marked[:, :5, 8:14, 8:14] = True
+    wrong = np.where(marked[:, :, None], 7.0, whole.spectra).astype(np.float32)
+    file = replace(whole, spectra=wrong, valid=gonio.pack_valid(whole.measured_mask & ~marked, whole.version))
+    holes = find_holes(file)
+    np.testing.assert_array_equal(holes, marked & whole.measured_mask)
+    assert close_holes(file).spectra.max() <= whole.spectra.max()
+    assert share_of_holes(file, holes) == pytest.approx(holes.sum() / np.any(file.spectra != 0, axis=2).sum())

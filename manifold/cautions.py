@@ -6,6 +6,7 @@ from manifold.plausibility import Plausibility
 
 MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
+MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_MISSED = 0.02  # of a reflectance
 MOST_HOLES = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not given back
@@ -29,6 +30,10 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
     if found.max_albedo > MOST_ALBEDO:
         cautions.append(
             f"returns up to {found.max_albedo:.2f} times the light it gets; --physical scales it down"
+        )
+    if found.reciprocity_error > MOST_NON_RECIPROCAL:
+        cautions.append(
+            f"differs by {found.reciprocity_error:.0%} when light and eye change places; --physical mends that"
         )
     if missed > MOST_MISSED:
         cautions.append(f"this structure misses the reflectance asked for by up to {missed:.2f}")

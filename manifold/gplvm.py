@@ -186,6 +186,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         if objective_end > objective_start:  # by rounding only: the start was optimal
             X, objective_end = start, objective_start
         self._set_fitted(X, S, n_outputs)
+        self.gp_.warn_if_flat(S)
         self.objective_, self.objective_start_ = objective_end, objective_start
         self.n_iter_, self.n_evaluations_ = max(n_iter, 1), n_evaluations
 

@@ -22,6 +22,7 @@ from manifold.errors import NumericalError, ShapeError
 from manifold.kernels import SquaredExponentialDelta, first_equal_row
 from manifold.records import Array
 
+LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is said to be flat
 _FIRST_JITTER = 1e-12
 _LAST_JITTER = 1e-2
 _COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
@@ -29,6 +30,10 @@ _COINCIDE = 1e-6  # latents closer than this many length scales are named as coi
 
 class JitterWarning(UserWarning):
     """K was not positive definite: its diagonal was raised, and predictions are smoother than asked for."""
+
+
+class FlatModelWarning(UserWarning):
+    """A fitted process tells samples apart by less than half of what does: it predicts their mean, or nearly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +149,35 @@ class GPWeights:
         """
         S = centre_gram(_require_square(S, self.n_samples, "S"))
         return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
+
+    def explained(self, S: Array) -> float:
+        """Share of the variance between the training samples that the smooth mean gives back at their latents.
+
+        The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
+        diagonal less 1; 1 interpolates, 0 is the mean everywhere.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+        """
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
+        return 1.0 - residual / float(np.trace(S))
+
+    def warn_if_flat(self, S: Array) -> None:
+        """Warn of a fit to samples with Gram matrix S (N, N) that explains too little of them.
+
+        Warns:
+            FlatModelWarning: `explained` is below one half.
+        """
+        share = self.explained(S)
+        if share < LEAST_EXPLAINED:
+            warnings.warn(
+                f"the fit gives back {share:.0%} of what tells the samples apart (N = {self.n_samples}, length scale "
+                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), expected {LEAST_EXPLAINED:.0%}; "
+                "lower the length scale, the prior or mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
 
     def leave_one_out_weights(self) -> Array:
         """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).

@@ -92,7 +92,9 @@ class MonochromeGPLVM:
         assert best is not None
         self.objective_start_, self.objective_, structure, colour = best
         colour = _towards_brighter(colour - colour.mean(axis=0), np.diag(S))
-        return self.adopt(fix_gauge(structure), colour.reshape(n_materials, n_bands, -1))
+        self.adopt(fix_gauge(structure), colour.reshape(n_materials, n_bands, -1))
+        self.gp_.warn_if_flat(centred)
+        return self
 
     def adopt(self, structure: Array, colour: Array) -> MonochromeGPLVM:
         """Take latents (N, Q_s) and (N, B, Q_c) as they are: a model that was fitted before and stored."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,10 @@ class Plausibility:
     """How physical a BRDF is.
 
     Attributes:
-        negative_share: share of values below zero, over direction pairs and bands.
-        reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted. Measured materials
-            have one too.
+        negative_share: share of values below zero, over direction pairs and bands; the larger of that over
+            the hemisphere and that around the mirror direction, where a narrow lobe can be negative unseen.
+        reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
+            of both. Measured materials have one too.
         max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees.
     """
 
@@ -46,30 +47,60 @@ def plausibilities(evaluate: Evaluate) -> list[Plausibility]:
         evaluate: called with a few thousand direction pairs in all, in blocks.
     """
     wo, _ = hemisphere_quadrature(12, 16)
-    negative, squared, difference = [], [], []
+    wide, narrow = [], []
     for wi in from_spherical(np.deg2rad(_INCIDENCES_DEG), 0.0):
-        wi = np.broadcast_to(wi, wo.shape)
-        f, swapped = evaluate(wi, wo), evaluate(wo, wi)  # [M, P, B]
-        weight = (wi[:, 2] * wo[:, 2])[:, None]
-        negative.append(np.mean(f < 0, axis=(1, 2)))
-        squared.append(np.sum((weight * f) ** 2, axis=(1, 2)))
-        difference.append(np.sum((weight * (f - swapped)) ** 2, axis=(1, 2)))
-    norm = np.sqrt(np.sum(squared, axis=0))
-    apart = np.sqrt(np.sum(difference, axis=0))
-    reciprocity = np.divide(apart, norm, out=np.zeros_like(norm), where=norm > 0)
-    albedo = np.max([_max_albedo(evaluate, np.deg2rad(t)) for t in _ALBEDO_INCIDENCES_DEG], axis=0)
+        wide.append(_Seen.of(evaluate, wi, wo, np.ones(len(wo))))
+    for wi in from_spherical(np.deg2rad(_ALBEDO_INCIDENCES_DEG), 0.0):
+        mirrored, measure = mirrored_quadrature(wi)
+        narrow.append(_Seen.of(evaluate, wi, mirrored, measure))
+    negative = np.maximum(_negative(wide), _negative(narrow))
+    reciprocity = np.maximum(_reciprocity(wide), _reciprocity(narrow))
+    albedo = np.max([seen.albedo for seen in narrow], axis=0)
     return [
         Plausibility(float(n), float(r), float(a))
-        for n, r, a in zip(np.mean(negative, axis=0), reciprocity, albedo, strict=True)
+        for n, r, a in zip(negative, reciprocity, albedo, strict=True)
     ]
 
 
-def _max_albedo(evaluate: Evaluate, theta_i: float) -> Array:
-    """Largest albedo over bands of M BRDFs at one incidence, shape (M,)."""
-    wi = from_spherical(theta_i, 0.0)
-    wo, measure = mirrored_quadrature(wi)
-    f = evaluate(np.broadcast_to(wi, wo.shape), wo)
-    return np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What M BRDFs showed at one incidence, shape (M,) each.
+
+    Attributes:
+        negative: share of values below zero.
+        squared, difference: squared norms of f and of f(wi, wo) - f(wo, wi), cosine-weighted.
+        albedo: the largest over bands.
+    """
+
+    negative: Array
+    squared: Array
+    difference: Array
+    albedo: Array
+
+    @classmethod
+    def of(cls, evaluate: Evaluate, wi: Array, wo: Array, measure: Array) -> _Seen:
+        """At wi (3,) and wo (P, 3), whose weights in sr are `measure` (P,)."""
+        wi = np.broadcast_to(wi, wo.shape)
+        f, swapped = evaluate(wi, wo), evaluate(wo, wi)  # [M, P, B]
+        squared_weight = measure * (wi[:, 2] * wo[:, 2]) ** 2
+        return cls(
+            np.mean(f < 0, axis=(1, 2)),
+            np.einsum("mpb,p->m", f**2, squared_weight),
+            np.einsum("mpb,p->m", (f - swapped) ** 2, squared_weight),
+            np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1),
+        )
+
+
+def _negative(seen: Sequence[_Seen]) -> Array:
+    """Share of values below zero over incidences, shape (M,)."""
+    return np.mean([one.negative for one in seen], axis=0)
+
+
+def _reciprocity(seen: Sequence[_Seen]) -> Array:
+    """Reciprocity error over incidences, shape (M,)."""
+    norm = np.sqrt(np.sum([one.squared for one in seen], axis=0))
+    apart = np.sqrt(np.sum([one.difference for one in seen], axis=0))
+    return np.divide(apart, norm, out=np.zeros_like(norm), where=norm > 0)
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:

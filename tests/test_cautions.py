@@ -21,6 +21,7 @@ def test_nothing_is_said_against_a_sound_result():
         ((True, SOUND), "extrapolated"),
         ((False, Plausibility(0.2, 0.0, 0.9)), "20% of the values were negative"),
         ((False, Plausibility(0.0, 0.0, 3.0)), "3.00 times the light"),
+        ((False, Plausibility(0.0, 0.6, 0.9)), "60% when light and eye change places"),
         ((False, SOUND, 0.3), "misses the reflectance asked for by up to 0.30"),
     ],
 )

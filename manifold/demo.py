@@ -6,7 +6,19 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import atomic, backend, ball_workflows, corpus, fit_workflows, plot, render_workflows, workflows
+from manifold import (
+    atomic,
+    backend,
+    ball_workflows,
+    budget_scenes,
+    budget_workflows,
+    corpus,
+    fit_workflows,
+    plot,
+    render_workflows,
+    workflows,
+)
+from manifold.budget_workflows import BudgetSettings
 from manifold.errors import LibraryError
 from manifold.fit_picture_workflows import picture_of_fit
 from manifold.fit_workflows import FitSettings
@@ -79,6 +91,13 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
         fit_workflows.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(fit, predicted.path, pictures[-1])
+    with stage("Budgeting three scenes"):
+        settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
+        for name in budget_scenes.EXAMPLES:
+            pictures.append(folder / f"budget_{name}.png")
+            budget_workflows.example(
+                name, settings=settings, output=folder / "budget" / name, picture=pictures[-1]
+            )
     with stage("Evaluating the model") as step:
         made = make_report(fitted, "default", step)
     text, document = folder / "report.txt", folder / "report.json"

@@ -10,7 +10,7 @@ from conftest import real_rgl_folder
 from mitsuba_reference import measured
 from small_library import small_model
 
-from manifold import corpus, workflows
+from manifold import budget_scenes, corpus, workflows
 from manifold import demo as demo_module
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
@@ -18,7 +18,13 @@ from manifold.io_rgl import read_bsdf
 from manifold.model import Manifold, Settings
 from manifold.store import Library
 
-FEW = ("syn_satin_gold", "syn_chrome_mint", "syn_felt_green", "syn_paper_white", "syn_gloss_red")
+FEW = {
+    "syn_satin_gold",
+    "syn_chrome_mint",
+    "syn_paper_white",
+    "syn_gloss_red",
+    *(example.material for example in budget_scenes.EXAMPLES.values()),
+}
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +86,20 @@ def test_the_predicted_file_says_what_it_is(demo):
 
 
 def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
-    monkeypatch.setattr(workflows, "make_corpus", lambda *_, **__: pytest.fail("measured again"))
-    again = demo_module.run(demo.model.parent)
-    assert again.predicted.latent == demo.predicted.latent
+    class Stopped(Exception):
+        pass
+
+    def stop(*_, **__):
+        raise Stopped
+
+    monkeypatch.setattr(corpus, "measure", lambda *_, **__: pytest.fail("measured again"))
+    monkeypatch.setattr(workflows, "predict", stop)  # what follows is made anew
+    before = Manifold.load(demo.model)
+    with pytest.raises(Stopped):
+        demo_module.run(demo.model.parent)
+    np.testing.assert_array_equal(
+        Manifold.load(demo.model).latent("syn_satin_gold"), before.latent("syn_satin_gold")
+    )
 
 
 def test_a_prediction_at_a_material_is_that_material(tmp_path):

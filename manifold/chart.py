@@ -71,7 +71,7 @@ class Chart:
         charted: setting by setting; held-out ones first.
         fronts: by error, then by cost, the keys of held-out settings that no other beats, cheapest first.
         n_materials, n_bands, folds: of the cross-validation.
-        reference_seconds: median time of the reference, in which all times are.
+        reference_seconds: median processor time of the reference, in which all times are.
         scaled: what was measured in part, and how it was scaled to the whole.
         skipped: settings that this machine cannot run, and why.
     """
@@ -146,7 +146,7 @@ def make_chart(
             skipped[f"fit_{method}"] = str(error)
             continue
         rows[f"fit_{method}"] = Charted(
-            f"fit_{method}", f"principled, {method}", "fit of the seen material", False, *found
+            f"fit_{method}", f"fit, {chart_fits.METHODS[method]}", "fit of the seen material", False, *found
         )
         if on_progress is not None:
             on_progress(len(rows), len(chosen), rows[f"fit_{method}"].title)
@@ -193,11 +193,10 @@ class _Bench:
         self._fits: dict[str, tuple[list[Combination], Timed]] = {}
         self._kept: tuple[Storage, Kept] | None = None
         once = [
-            ratio
+            self.watch.laps(partial(chart_bench.evaluated, material, self.block), _REPEATS)
             for material in materials[:: max(len(files) // _TIMED, 1)]
-            for ratio in self.watch.laps(partial(chart_bench.evaluated, material, self.block), _REPEATS)
         ]
-        self.resampling = float(np.median(once)) * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
+        self.resampling = Timed.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
         self.scaled = {
             "timed_pairs": _BLOCK_PAIRS, "dense_pairs": _DENSE_PAIRS, "resampling": self.resampling,
             "tabulating": self.tabulating,
@@ -210,39 +209,37 @@ class _Bench:
         combinations = [_sparse(c, setting.threshold) for c in combinations]
         kept = self._kept_as(setting.storage)
         relative, rmse, delta_e = np.median(self.target.errors_of(kept, combinations), axis=0)
-        cells = _DENSE_PAIRS if setting.is_dense else kept.cells
+        scale = (_DENSE_PAIRS if setting.is_dense else kept.cells) / _BLOCK_PAIRS
         predict = [
-            ratio * cells / _BLOCK_PAIRS
+            scale * self.watch.laps(_predictor(kept, c, self.block, is_dense=setting.is_dense), _REPEATS)
             for c in combinations[:: max(len(combinations) // _TIMED, 1)]
-            for ratio in self.watch.laps(_predictor(kept, c, self.block, is_dense=setting.is_dense), _REPEATS)
         ]
         return Charted(
             setting.key, setting.title, setting.family, True, float(relative), float(rmse), float(delta_e),
-            fit, Timed.of(predict), self._bytes(setting, kept),
+            fit, Timed.of_several(predict), self._bytes(setting, kept),
         )  # fmt: skip
 
     def _fitted(self, setting: Setting) -> tuple[list[Combination], Timed]:
         """A prediction of every material by a fit without it, and the time of a fit."""
         if setting.method not in self._fits:
-            # What methods share, values in a mapped domain and their products, counts for each.
-            data = Data(
-                self.data.f, self.data.cosines, self.data.bands, self.data.n_bands, self.data.full_values
-            )
-            N = data.n_materials
+            everything = np.arange(self.data.n_materials)
             found: dict[int, Combination] = {}
             times = []
             for fold in range(self.folds):
-                out = np.arange(fold, N, self.folds)
-                others = np.setdiff1d(np.arange(N), out)
-                encode, ratio = self.watch.lap(partial(setting.fit, data, others))
-                times.append(ratio)
+                if fold < _REPEATS:
+                    data = self._unmapped()
+                out = everything[fold :: self.folds]
+                encode, ratio = self.watch.lap(partial(setting.fit, data, np.setdiff1d(everything, out)))
                 found |= {int(i): encode(int(i)) for i in out}
-            warm = Timed.of(times[1:])
-            first = max(times[0] - warm.median, 0.0)
-            self._fits[setting.method] = (
-                [found[i] for i in range(N)], replace(warm, median=self.tabulating + first + warm.median)
-            )  # fmt: skip
+                if fold < _REPEATS:
+                    times.append(self.tabulating + ratio)
+            self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times)
         return self._fits[setting.method]
+
+    def _unmapped(self) -> Data:
+        """The data without what methods share, values in a mapped domain and their products: each pays for its own."""
+        data = self.data
+        return Data(data.f, data.cosines, data.bands, data.n_bands, data.full_values)
 
     def _kept_as(self, storage: Storage) -> Kept:
         if self._kept is None or self._kept[0].key != storage.key:

@@ -15,7 +15,9 @@ from manifold.pairs import DirectionPairs
 from manifold.principled import FitResult
 from manifold.records import Array, BsdfFile
 
-METHODS = tuple(principled.METHODS)
+METHODS = {"gauss-newton": "Gauss-Newton", "adam": "Adam", "swarm": "swarm"}
+"""Of `principled.METHODS`, with titles for people."""
+
 _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
@@ -41,11 +43,11 @@ def measure(
         errors.append(target.errors(int(i), on_grid, on_ball))
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
         scale = file.luminance.size / len(target.pairs)
-        predicts += [scale * ratio for ratio in watch.laps(evaluators[0], _REPEATS)]
+        predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
     relative, rmse, delta_e = np.median(errors, axis=0)
     fit = Timed.of(np.array(fits) * len(files))
     size = int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files)
-    return float(relative), float(rmse), float(delta_e), fit, Timed.of(predicts), size
+    return float(relative), float(rmse), float(delta_e), fit, Timed.of_several(predicts), size
 
 
 def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:

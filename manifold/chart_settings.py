@@ -75,8 +75,10 @@ def settings(n_bands: int) -> list[Setting]:
             _kept(gplvm, chart_storage.few_angles(outgoing=o, incident=i))
             for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))
         ),
-        _kept(monochrome, chart_storage.few_angles(outgoing=2)),
-        _kept(monochrome, chart_storage.few_angles(outgoing=2, incident=2)),
+        *(
+            _kept(monochrome, chart_storage.few_angles(outgoing=o, incident=i))
+            for o, i in ((2, 1), (2, 2), (4, 1))
+        ),
     ]
 
 

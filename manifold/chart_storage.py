@@ -67,10 +67,10 @@ def few_angles(*, outgoing: int = 1, incident: int = 1) -> Storage:
         warp = -(-file.vndf.shape[2] // outgoing)
         return reduced_file.with_angles(file, kept, resolution=resolution, warp_nodes=warp)
 
-    what = {(False, True): "incidences", (True, False): "rows, columns"}.get(
-        (outgoing > 1, incident > 1), "all angles"
+    what = {(True, False): "outgoing grid", (False, True): "incidences"}.get(
+        (outgoing > 1, incident > 1), "both grids"
     )
-    return Storage(f"angles_{outgoing}_{incident}", f"1/{max(outgoing, incident)} of {what}", reduce)
+    return Storage(f"angles_{outgoing}_{incident}", f"1/{max(outgoing, incident)} {what}", reduce)
 
 
 def interpolation(bands: Bands, count: int) -> Array:

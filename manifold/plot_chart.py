@@ -74,6 +74,7 @@ def chart(made: Chart) -> Figure:
 def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.margins(0.07, 0.09)
     axes.grid(True, color="0.92", linewidth=0.8)
     axes.set_axisbelow(True)
     front = made.front(error, cost)
@@ -85,13 +86,12 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
         look = _LOOKS[row.family]
         size = _SEED_POINTS if row.key == SEED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
         is_plain = row.key in on or row.key == SEED
-        style = {"color": look.colour} if look.marker == "x" else {
-            "markerfacecolor": look.colour if is_plain else "white",
-            "markeredgecolor": "black" if is_plain else look.colour,
-        }  # fmt: skip
+        is_cross = look.marker == "x"
         axes.plot(
-            cost_of(row, cost), getattr(row, error), look.marker, markersize=size, markeredgewidth=0.9 if is_plain else 1.1,
-            alpha=1.0 if is_plain or not row.is_held_out else 0.6, zorder=4 if is_plain else 3, gid=row.key, **style,
+            cost_of(row, cost), getattr(row, error), look.marker, markersize=size, color=look.colour,
+            markerfacecolor=look.colour if is_plain else "white",
+            markeredgecolor="black" if is_plain and not is_cross else look.colour,
+            alpha=1.0 if is_plain or is_cross else 0.6, zorder=4 if is_plain else 3, gid=row.key,
         )  # fmt: skip
 
 
@@ -130,33 +130,71 @@ def _legend(made: Chart) -> list[Line2D]:
 
 def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> None:
     """Write the names of the front, of the seed, and of fits, where they cover least."""
-    named = [*made.front(error, cost)]
-    named += [r for r in made.charted if (r.key == SEED or not r.is_held_out) and r not in named]
-    everything = axes.transData.transform([(cost_of(r, cost), getattr(r, error)) for r in made.charted])
+
+    def at(row: Charted) -> tuple[float, float]:
+        return cost_of(row, cost), getattr(row, error)
+
+    on = made.fronts[error][cost]
     dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
-    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in everything]
+    taken = [
+        (x - dot, y - dot, x + dot, y + dot) for x, y in axes.transData.transform([*map(at, made.charted)])
+    ]
+    taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer)
-    for row in named:
-        at = (cost_of(row, cost), getattr(row, error))
-        pixel = axes.transData.transform(at)
+    named = [row for row in made.charted if row.key in on or row.key == SEED or not row.is_held_out]
+    groups: list[list[Charted]] = []
+    for row in named:  # those that are drawn on each other share a name
+        pixel = axes.transData.transform(at(row))
+        near = [
+            group
+            for group in groups
+            if group[0].family == row.family
+            and np.hypot(*(axes.transData.transform(at(group[0])) - pixel)) < 1.5 * dot
+        ]
+        if near:
+            near[0].append(row)
+        else:
+            groups.append([row])
+    for group in groups:
+        place = at(group[0])
+        pixel = axes.transData.transform(place)
         text = axes.annotate(
-            _short(row), at, xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center", va="center",
-            style="normal" if row.is_held_out else "italic", color="black" if row.is_held_out else "0.35",
+            _title(group), place, xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center",
+            va="center", style="normal" if group[0].is_held_out else "italic",
+            color="black" if group[0].is_held_out else "0.35",
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], zorder=6,
         )  # fmt: skip
         extent = text.get_window_extent(renderer)
         offset, box = _place(pixel, extent.width, extent.height, dot, taken, frame.extents)
         text.set_position(offset)
         taken.append(box)
-        near = np.clip(pixel, box[:2], box[2:])
-        if np.hypot(*(near - pixel)) > 2.0 * dot:
-            end = axes.transData.inverted().transform(near)
-            axes.plot(*zip(at, end, strict=True), color="0.4", linewidth=0.7, zorder=2.5)
+        edge = np.clip(pixel, box[:2], box[2:])
+        if np.hypot(*(edge - pixel)) > 2.0 * dot:
+            end = axes.transData.inverted().transform(edge)
+            axes.plot(*zip(place, end, strict=True), color="0.4", linewidth=0.7, zorder=2.5)
 
 
-def _short(row: Charted) -> str:
-    return "seed, as published" if row.key == SEED else row.title
+def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> list[Box]:
+    """Small boxes along the line of a front, in pixels."""
+    if not corners:
+        return []
+    ends = axes.transData.transform(np.column_stack(_stairs(corners)))
+    steps = [
+        np.linspace(a, b, max(int(np.hypot(*(b - a)) / (2.0 * half)), 2))
+        for a, b in zip(ends[:-1], ends[1:], strict=True)
+    ]
+    return [(x - half, y - half, x + half, y + half) for step in steps for x, y in step]
+
+
+def _title(group: Sequence[Charted]) -> str:
+    """One name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
+    first = group[0]
+    if first.key == SEED:
+        return "seed, as published"
+    if not first.is_held_out:
+        return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
+    return first.title + (f" (+{len(group) - 1})" if len(group) > 1 else "")
 
 
 def _place(

@@ -14,6 +14,7 @@ COMMANDS = {
     "prediction": ["bench_prediction.py"],
     "render": ["bench_render.py"],
     "fluorescent": ["fluorescent_light.py"],
+    "fit": ["bench_fit.py", "--cases", "20", "--baseline-cases", "3"],
     "gplvm": ["bench_gplvm.py", "--figure", "results/scaling.png"],
 }
 

@@ -4,7 +4,8 @@
 
 All methods see the same samples in the same run. FOLDER holds .bsdf files; without it they are the built-in corpus. The
 directions of the first file serve for the known truths. The older methods take about a quarter of a minute per case on
-two quiet cores; --baseline-cases runs them on the first N only. Residuals are compared in the metric of the default fit and in the squared linear error that Adam sees.
+two quiet cores; --baseline-cases runs them on the first N only. Residuals are compared in the metric of the default fit
+and in the squared linear error that Adam sees.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ import numpy as np
 
 from manifold import atomic
 from manifold.errors import ManifoldError, ModelError
+from manifold.identity import hash_arrays
 from manifold.records import Array
 
 FORMAT = "manifold-model"
@@ -60,6 +61,7 @@ def write_model(path: Path, record: ModelRecord) -> None:
         space = file.create_group("space")
         for name, array in record.arrays.items():
             space.create_dataset(name, data=array)
+        space.attrs["sha256"] = _digest(record.arrays)
 
 
 def read_model(path: Path) -> ModelRecord:
@@ -82,13 +84,17 @@ def read_model(path: Path) -> ModelRecord:
                 raise ModelError(
                     f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
                 )
+            arrays = {name: _finite(name, dataset[...]) for name, dataset in file["space"].items()}
+            # Models written before there was a hash have none.
+            if file["space"].attrs.get("sha256", _digest(arrays)) != _digest(arrays):
+                raise ValueError("its arrays do not have the hash that they were written with")
             return ModelRecord(
                 library=Path(os.path.normpath(path.resolve().parent / str(file.attrs["library"]))),
                 library_hash=str(file.attrs["library_hash"]),
                 names=tuple(file["names"].asstr()[...].tolist()),
                 settings={name: _plain(value) for name, value in file["settings"].attrs.items()},
                 statistics={name: float(value) for name, value in file["statistics"].attrs.items()},
-                arrays={name: _finite(name, dataset[...]) for name, dataset in file["space"].items()},
+                arrays=arrays,
             )
     except ManifoldError:
         raise
@@ -100,6 +106,11 @@ def damaged(path: Path, error: Exception) -> ModelError:
     """What to raise where a model's content cannot be used."""
     reason = str(error).partition("\n")[0]
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
+
+
+def _digest(arrays: dict[str, Array]) -> str:
+    """Hash of arrays as `read_model` gives them back."""
+    return hash_arrays({name: np.asarray(arrays[name], dtype=np.float64) for name in sorted(arrays)})
 
 
 def _plain(value: Any) -> Any:

@@ -144,7 +144,7 @@ class Library:
         return isinstance(name, str) and is_material_name(name) and (self.path / "materials" / name).is_dir()
 
     def read(self, name: str) -> BsdfFile:
-        """One whole material, equal to the imported file in every value, shape and dtype.
+        """One whole material, equal to the imported file in every value, shape and dtype, which its hash proves.
 
         Returns:
             A record whose `spectra` (P, T, B, H, W) is a view: `np.moveaxis(spectra, 2, -1)` is C-contiguous.
@@ -152,6 +152,16 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
+        info, file = self.attributes(name), self._read(name)
+        found = content_sha256(file, info.source_file, info.sha256)
+        if found != info.content_sha256:
+            raise LibraryError(
+                f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
+                f"{self._repair(name)}"
+            )
+        return file
+
+    def _read(self, name: str) -> BsdfFile:
         with self._material(name) as group:
             attributes = _attributes(group)
             arrays = {
@@ -177,7 +187,7 @@ class Library:
         phi_index: int | None = None,
         bands: slice | None = None,
     ) -> Array:
-        """A part of one material's spectra; only the chunks that hold it are read.
+        """A part of one material's spectra; only the chunks that hold it are read, so no hash proves it.
 
         Args:
             name: the material.
@@ -242,13 +252,7 @@ class Library:
         names = self.names
         for done, name in enumerate(names, start=1):
             try:
-                info = self.attributes(name)
-                found = content_sha256(self.read(name), info.source_file, info.sha256)
-                if found != info.content_sha256:
-                    raise LibraryError(
-                        f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
-                        f"{self._repair(name)}"
-                    )
+                self.read(name)
             except ManifoldError as error:
                 problems.append(str(error))
             if callback:

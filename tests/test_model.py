@@ -173,15 +173,26 @@ def test_a_model_whose_parts_do_not_fit_is_refused(model, tmp_path):
         if array.ndim == 2:
             model.save(path)
             with h5py.File(path, "a") as file:
-                del file[f"space/{name}"]
+                del file["space"].attrs["sha256"], file[f"space/{name}"]
                 file[f"space/{name}"] = array[:-1]
             with pytest.raises(ModelError, match="embed again"):
                 Manifold.load(path)
         model.save(path)
         with h5py.File(path, "a") as file:
+            del file["space"].attrs["sha256"]
             file[f"space/{name}"][...] = np.nan if array.dtype.kind == "f" else -7
         with pytest.raises(ModelError, match="embed again"):
             Manifold.load(path)
+
+
+def test_a_model_with_a_changed_latent_is_refused_by_its_hash(model, tmp_path):
+    path = tmp_path / "changed.h5"
+    model.save(path)
+    np.testing.assert_array_equal(Manifold.load(path).X, model.X)
+    with h5py.File(path, "a") as file:
+        file["space/X"][0, 0] = np.nextafter(model.X[0, 0], np.inf)
+    with pytest.raises(ModelError, match="hash"):
+        Manifold.load(path)
 
 
 def test_a_model_of_another_version_is_refused(model, tmp_path):

@@ -572,7 +572,7 @@ def test_verify_finds_damage_and_names_the_material(
     assert problems[0].startswith("m01: ")
     assert problems[0].endswith("materials/m01 and import its file again")
     assert seen == [(1, 3, "m00"), (2, 3, "m01"), (3, 3, "m02")]
-    with pytest.raises(LibraryError, match="^m01: .*import its file again$"):
+    with pytest.raises(LibraryError, match=r"^m01: .*import its file again$"):
         library.read("m01")
 
 

@@ -122,10 +122,7 @@ def fit(
     if method != "gauss-newton" or not is_worse:
         return found
     plain = _fit(samples, diffuse(), method, metric, noise, options)
-    note = (
-        f"diffuse, because principled fits no better ({found.residuals[metric]:.2%} against "
-        f"{plain.residuals[metric]:.2%}); ask for principled by naming its free parameters"
-    )
+    note = f"diffuse: principled fits worse ({found.residuals[metric]:.2%} against {plain.residuals[metric]:.2%})"
     return replace(plain, notes=(note, *plain.notes), seconds=found.seconds + plain.seconds)
 
 

@@ -195,7 +195,7 @@ def test_a_lambertian_surface_becomes_diffuse_unless_principled_is_asked_for(rng
     assert result.family.type == "diffuse"
     assert result.values["reflectance"] == pytest.approx([0.9] * 3, abs=1e-5)
     assert result.residuals["cube-root"] <= result.diffuse_residual + 1e-6
-    assert "principled fits no better" in result.notes[0]
+    assert "principled fits worse" in result.notes[0]
     asked = fit(samples, principled())
     assert asked.family.type == "principled"
     assert any("no better than a diffuse surface" in note for note in asked.notes)

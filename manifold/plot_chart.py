@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,7 +34,7 @@ class _Look:
     colour: str
 
 
-_LOOKS = {
+LOOKS = {
     "one or two materials": _Look("D", "#cc79a7"),
     "PCA": _Look("o", "#0072b2"),
     "GPLVM, whole materials": _Look("s", "#e69f00"),
@@ -83,7 +84,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
         x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
     for row in made.charted:
-        look = _LOOKS[row.family]
+        look = LOOKS[row.family]
         size = _SEED_POINTS if row.key == SEED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
         is_plain = row.key in on or row.key == SEED
         is_cross = look.marker == "x"
@@ -116,7 +117,7 @@ def _legend(made: Chart) -> list[Line2D]:
     present = {row.family for row in made.charted}
     handles = [
         Line2D([], [], linestyle="", marker=look.marker, color=look.colour, markersize=8, label=family)
-        for family, look in _LOOKS.items()
+        for family, look in LOOKS.items()
         if family in present
     ]
     return [
@@ -166,7 +167,8 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], zorder=6,
         )  # fmt: skip
         extent = text.get_window_extent(renderer)
-        offset, box = _place(pixel, extent.width, extent.height, dot, taken, frame.extents)
+        rivals = axes.transData.transform([at(row) for row in named if row not in group] or [place])
+        offset, box = _place(pixel, rivals, extent.width, extent.height, dot, taken, frame.extents)
         text.set_position(offset)
         taken.append(box)
         edge = np.clip(pixel, box[:2], box[2:])
@@ -181,8 +183,7 @@ def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> l
         return []
     ends = axes.transData.transform(np.column_stack(_stairs(corners)))
     steps = [
-        np.linspace(a, b, max(int(np.hypot(*(b - a)) / (2.0 * half)), 2))
-        for a, b in zip(ends[:-1], ends[1:], strict=True)
+        np.linspace(a, b, max(int(np.hypot(*(b - a)) / (2.0 * half)), 2)) for a, b in itertools.pairwise(ends)
     ]
     return [(x - half, y - half, x + half, y + half) for step in steps for x, y in step]
 
@@ -198,24 +199,31 @@ def _title(group: Sequence[Charted]) -> str:
 
 
 def _place(
-    point: Array, width: float, height: float, dot: float, taken: Sequence[Box], frame: Box
+    point: Array, rivals: Array, width: float, height: float, dot: float, taken: Sequence[Box], frame: Box
 ) -> tuple[tuple[float, float], Box]:
-    """Offset in pixels of the centre of a name, and its box: near, inside the frame, over few points and names."""
+    """Offset in pixels of the centre of a name, and its box: near its point, inside the frame, over little.
+
+    It should be no nearer to other points that have names, `rivals` (K, 2), than to its own.
+    """
     best: tuple[float, tuple[float, float], Box] | None = None
     for gap in dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]):
         for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
-            x = point[0] + np.cos(angle) * (gap + 0.5 * width)
-            y = point[1] + np.sin(angle) * (gap + 0.5 * height)
+            dx, dy = np.cos(angle) * (gap + 0.5 * width), np.sin(angle) * (gap + 0.5 * height)
+            x, y = point[0] + dx, point[1] + dy
             box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
-            if box[0] < frame[0] or box[2] > frame[2] or box[1] < frame[1] or box[3] > frame[3]:
-                continue
-            cost = gap * height + 4.0 * sum(_common(box, other) for other in taken)
+            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
+            cost = gap * height + 4.0 * sum(_common(box, other) for other in taken) + 1e4 * outside
+            own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
+            cost += 4.0 * height * max(own - theirs, 0.0)
             if best is None or cost < best[0]:
-                best = (cost, (x - point[0], y - point[1]), box)
-    if best is None:  # no room inside: right above
-        box = (point[0] - width, point[1], point[0], point[1] + height)
-        return (-0.5 * width, height), box
+                best = (cost, (dx, dy), box)
+    assert best is not None
     return best[1], best[2]
+
+
+def _distances(box: Box, points: Array) -> Array:
+    """From a box to points (K, 2), shape (K,)."""
+    return np.linalg.norm(points - np.clip(points, box[:2], box[2:]), axis=1)
 
 
 def _common(a: Box, b: Box) -> float:

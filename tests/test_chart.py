@@ -1,44 +1,185 @@
-"""The chart of settings on a small library."""
+"""The chart of settings on a small library: complete, consistent, and drawn so that a person sees it."""
+
+import json
 
 import numpy as np
 import pytest
 import small_library
+from matplotlib.colors import to_rgb
+from typer.testing import CliRunner
 
+from manifold import chart_storage, plot_chart
 from manifold.brdf import MeasuredBRDF
-from manifold.chart import make_chart
+from manifold.chart import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
+from manifold.chart_bench import Timed, some_pairs
 from manifold.chart_settings import SEED, settings
+from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.metrics import RusinkiewiczGrid
 
-MATERIALS = [MeasuredBRDF(small_library.measured(name)) for name in small_library.NAMES]
+FILES = [small_library.measured(n) for n in (*small_library.NAMES, "syn_metallic_gold", "syn_chrome_mint")]
+HELD_OUT = [s.key for s in settings(3)]
+GRID = RusinkiewiczGrid(18, 9, 6)
 
 
 @pytest.fixture(scope="module")
-def chart():
-    return make_chart(MATERIALS, grid=RusinkiewiczGrid(18, 9, 6)).to_json()
+def made():
+    return make_chart(FILES, [*HELD_OUT, "fit_gauss-newton"], grid=GRID, fitted=1)
 
 
-def test_every_setting_has_finite_measures(chart):
-    assert len(chart["charted"]) == len({s.key for s in settings()}) >= 25
-    for row in chart["charted"]:
-        numbers = [row[k] for k in ("relative_error", "rmse", "fit_ratio", "predict_ratio", "bytes")]
-        assert np.isfinite(numbers).all(), row["key"]
+@pytest.fixture(scope="module")
+def rows(made):
+    return {row.key: row for row in made.charted}
+
+
+def test_there_are_at_least_25_settings_of_rgb_and_more_of_spectra():
+    assert len(HELD_OUT) == len(set(HELD_OUT)) >= 25
+    assert {s.key for s in settings(195)} > set(HELD_OUT)
+
+
+def test_the_json_has_every_setting_with_finite_measures(made):
+    document = json.loads(json.dumps(made.to_json(), allow_nan=False))
+    assert [row["key"] for row in document["charted"]] == [*HELD_OUT, "fit_gauss-newton"]
+    for row in document["charted"]:
+        numbers = [row[k] for k in (*ERRORS, "bytes")] + [row[k]["median"] for k in ("fit", "predict")]
         assert min(numbers) > 0, row["key"]
+        assert min(row[k]["spread"] for k in ("fit", "predict")) >= 0, row["key"]
 
 
-def test_the_seed_keeps_far_more_bytes_than_its_files_and_is_on_no_front_of_bytes(chart):
-    rows = {row["key"]: row for row in chart["charted"]}
-    assert rows[SEED]["bytes"] > 10 * rows["gplvm_2_identity"]["bytes"]
-    assert "bytes" not in rows[SEED]["on_front"]
+@pytest.mark.parametrize("cost", COSTS)
+def test_the_seed_costs_more_than_its_own_method_without_the_dense_grid(rows, cost):
+    assert cost_of(rows[SEED], cost) > cost_of(rows["gplvm_2_identity"], cost)
 
 
-def test_halves_keep_half_of_the_measured_bytes_at_nearly_the_same_error(chart):
-    rows = {row["key"]: row for row in chart["charted"]}
-    whole, half = rows["pca_6_cube-root"], rows["pca_6_cube-root_half"]
-    assert 0.49 < half["bytes"] / whole["bytes"] < 0.52
-    assert half["relative_error"] == pytest.approx(whole["relative_error"], rel=0.01)  # float16 keeps 11 bits
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("cost", COSTS)
+def test_the_seed_is_on_no_front(made, error, cost):
+    assert made.fronts[error][cost]
+    assert SEED not in made.fronts[error][cost]
+
+
+def test_a_fit_of_the_seen_material_is_on_no_front(made, rows):
+    assert not rows["fit_gauss-newton"].is_held_out
+    assert all(
+        "fit_gauss-newton" not in keys for by_cost in made.fronts.values() for keys in by_cost.values()
+    )
+
+
+def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):
+    whole, half = rows["gplvm_6_cube-root"], rows["gplvm_6_cube-root_half"]
+    assert 0.49 < half.bytes / whole.bytes < 0.51
+    assert half.relative_error == pytest.approx(whole.relative_error, rel=0.01)  # float16 keeps 11 bits
+    assert half.delta_e == pytest.approx(whole.delta_e, rel=0.05)
+
+
+def test_weights_dropped_leave_the_others_their_sum(rows):
+    assert rows["pca_6_cube-root_over_0.1"].relative_error != rows["pca_6_cube-root"].relative_error
+
+
+def test_every_second_row_and_column_leaves_a_quarter_of_the_bytes(rows):
+    whole, coarse = rows["gplvm_6_cube-root"], rows["gplvm_6_cube-root_angles_2_1"]
+    assert 0.24 < coarse.bytes / whole.bytes < 0.3  # sigma and ndf are few and stay
+    assert coarse.relative_error != whole.relative_error
+
+
+def test_the_more_bands_are_kept_the_nearer_a_spectral_file_is_to_all_of_them():
+    nm = np.linspace(400.0, 700.0, 16)
+    rgb = FILES[0]
+    spectra = np.repeat(rgb.spectra[:, :, 1:2], 16, axis=2) * (1.0 + 0.5 * np.sin(nm / 60.0))[:, None, None]
+    file = type(rgb)(
+        **{f: getattr(rgb, f) for f in rgb.__dataclass_fields__}
+        | {"spectra": spectra.astype(np.float32), "wavelengths_nm": nm.astype(np.float32), "version": (3, 1)}
+    )
+    pairs = some_pairs(50)
+    f = MeasuredBRDF(file).eval(pairs.wi, pairs.wo)
+    errors = []
+    for count in (3, 6, 12):
+        kept = MeasuredBRDF(chart_storage.few_bands(count).reduce(file)).eval(pairs.wi, pairs.wo)
+        assert kept.shape[1] == count
+        back = kept @ chart_storage.interpolation(file.bands, count).T
+        errors.append(np.linalg.norm(back - f) / np.linalg.norm(f))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[2] < 0.05  # linear between twelve nodes, constant beyond them
+
+
+def _row(key, error, cost, spread=0.0, *, held_out=True):
+    time = Timed(cost, spread)
+    return Charted(key, key, "PCA", held_out, error, error, error, time, time, round(100 * cost))
+
+
+def test_times_within_their_spread_and_errors_within_a_percent_do_not_push_each_other_off():
+    steady = [_row("a", 1.0, 10.0), _row("b", 1.0, 11.0), _row("c", 1.005, 10.05), _row("d", 1.5, 12.0)]
+    assert fronts(steady)["rmse"]["predict"] == ["a", "c"]
+    noisy = [_row("a", 1.0, 10.0, 1.2), _row("b", 1.0, 11.0, 1.2), _row("d", 1.5, 12.0, 1.2)]
+    assert fronts(noisy)["rmse"] == {"predict": ["a", "b"], "bytes": ["a"], "fit": ["a", "b"]}
 
 
 def test_an_unknown_setting_is_one_clear_error():
     with pytest.raises(UsageError, match="no setting is called 'pca'"):
-        make_chart(MATERIALS, ["pca"])
+        make_chart(FILES, ["pca"])
+
+
+def test_too_few_materials_are_one_clear_error():
+    with pytest.raises(UsageError, match="3 materials, expected at least 4"):
+        make_chart(FILES[:3])
+
+
+# -- the picture -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def figure(made):
+    return plot_chart.chart(made)
+
+
+def _texts(axes):
+    return [text.get_text() for text in axes.texts]
+
+
+def test_every_panel_shows_every_setting_and_names_the_seed_and_the_front(figure, made):
+    for k, axes in enumerate(figure.axes):
+        error, cost = ("delta_e", "rmse")[k % 2], list(COSTS)[k // 2]
+        drawn = {line.get_gid(): line for line in axes.lines if line.get_gid()}
+        assert set(drawn) == {row.key for row in made.charted}
+        names = _texts(axes)
+        assert "seed, as published" in names
+        front = made.front(error, cost)
+        assert any(front[0].title in name or "(+" in name for name in names)
+        for row in front:  # on the front: filled, in the colour of the family; beaten: white inside
+            assert to_rgb(drawn[row.key].get_markerfacecolor()) != (1.0, 1.0, 1.0)
+        beaten = [r.key for r in made.charted if r not in front and r.key != SEED]
+        assert all(drawn[key].get_markersize() < drawn[front[0].key].get_markersize() for key in beaten)
+
+
+def test_no_two_names_of_a_panel_cover_each_other_and_none_is_cut(figure):
+    renderer = figure.canvas.get_renderer()
+    for axes in figure.axes:
+        boxes = [text.get_window_extent(renderer) for text in axes.texts]
+        frame = axes.get_window_extent(renderer)
+        for k, box in enumerate(boxes):
+            assert box.x0 > frame.x0 - 1 and box.x1 < frame.x1 + 1  # noqa: PT018
+            for other in boxes[:k]:
+                width = min(box.x1, other.x1) - max(box.x0, other.x0)
+                height = min(box.y1, other.y1) - max(box.y0, other.y0)
+                assert width <= 0 or height <= 0.25 * box.height
+
+
+def test_families_differ_in_shape_and_in_lightness_or_hue_for_all_kinds_of_colour_vision(figure):
+    looks = plot_chart.LOOKS.values()
+    assert len({look.marker for look in looks}) == len(looks)
+    assert len({look.colour for look in looks}) == len(looks)
+
+
+def test_the_command_writes_table_picture_and_json(tmp_path):
+    library = small_library.small_library(tmp_path)
+    picture, document = tmp_path / "chart.png", tmp_path / "chart.json"
+    only = [part for key in ("nearest", "pca_6_cube-root", SEED) for part in ("--only", key)]
+    result = CliRunner().invoke(
+        app, ["chart", "--library", str(library), *only, "-o", str(picture), "--json", str(document)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "PCA 6, cube-root" in result.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert [row["key"] for row in json.loads(document.read_text())["charted"]] == [
+        "nearest", SEED, "pca_6_cube-root",
+    ]  # fmt: skip

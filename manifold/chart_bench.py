@@ -50,6 +50,27 @@ class Timed:
         return cls(median, median * cls.of(apart).spread)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What a setting costs, and how far off it is: medians over materials.
+
+    Attributes:
+        relative_error: cosine-weighted, over a grid, in some of the bands.
+        rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
+        delta_e: mean CIEDE2000 of the ball; see `ball_colours`.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them.
+        predict: time to predict a whole material, at all direction pairs that it is kept at.
+        bytes: of what predictions read: files, and the numbers of all materials.
+    """
+
+    relative_error: float
+    rmse: float
+    delta_e: float
+    fit: Timed
+    predict: Timed
+    bytes: int
+
+
 class Stopwatch:
     """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold import principled
 from manifold.bsdf_evaluation import evaluator
-from manifold.chart_bench import Stopwatch, Target, Timed
+from manifold.chart_bench import Measured, Stopwatch, Target, Timed
 from manifold.model import evenly_spaced
 from manifold.pairs import DirectionPairs
 from manifold.principled import FitResult
@@ -18,18 +18,16 @@ from manifold.records import Array, BsdfFile
 METHODS = {"gauss-newton": "Gauss-Newton", "adam": "Adam", "swarm": "swarm"}
 """Of `principled.METHODS`, with titles for people."""
 
+FAMILY = "fit of the seen material"
 _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
 
-def measure(
-    method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch
-) -> tuple[float, float, float, Timed, Timed, int]:
+def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch) -> Measured:
     """Fit evenly spaced materials by one of `METHODS`.
 
-    Returns:
-        Medians of relative error, RMSE and CIEDE2000; time to fit all materials and to evaluate one at as many
-        direction pairs as its file has; bytes of all.
+    Predictions are evaluations at as many direction pairs as the material's file has.
+
     Raises:
         UsageError: the method does not run here.
     """
@@ -45,9 +43,14 @@ def measure(
         scale = file.luminance.size / len(target.pairs)
         predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
     relative, rmse, delta_e = np.median(errors, axis=0)
-    fit = Timed.of(np.array(fits) * len(files))
-    size = int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files)
-    return float(relative), float(rmse), float(delta_e), fit, Timed.of_several(predicts), size
+    return Measured(
+        relative_error=float(relative),
+        rmse=float(rmse),
+        delta_e=float(delta_e),
+        fit=Timed.of(np.array(fits) * len(files)),
+        predict=Timed.of_several(predicts),
+        bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),
+    )
 
 
 def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:

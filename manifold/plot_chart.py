@@ -14,6 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
 from manifold.chart import COSTS, Chart, Charted, cost_of
+from manifold.chart_fits import FAMILY
 from manifold.chart_settings import SEED
 from manifold.plot import Box, new_figure
 from manifold.records import Array
@@ -40,7 +41,7 @@ LOOKS = {
     "GPLVM, whole materials": _Look("s", "#e69f00"),
     "GPLVM, monochrome samples": _Look("^", "#009e73"),
     "seed": _Look("*", "#d55e00"),
-    "fit of the seen material": _Look("x", "#555555"),
+    FAMILY: _Look("x", "#555555"),
 }
 _FRONT_POINTS, _OTHER_POINTS, _SEED_POINTS = 8.5, 5.0, 15.0
 _LABEL = 8.8

@@ -104,7 +104,10 @@ def test_the_more_bands_are_kept_the_nearer_a_spectral_file_is_to_all_of_them():
 
 def _row(key, error, cost, spread=0.0, *, held_out=True):
     time = Timed(cost, spread)
-    return Charted(key, key, "PCA", held_out, error, error, error, time, time, round(100 * cost))
+    return Charted(
+        key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error, rmse=error, delta_e=error,
+        fit=time, predict=time, bytes=round(100 * cost),
+    )  # fmt: skip
 
 
 def test_times_within_their_spread_and_errors_within_a_percent_do_not_push_each_other_off():

@@ -8,7 +8,7 @@ import small_library
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
-from manifold import chart_storage, plot_chart
+from manifold import chart_storage, chart_workflows, plot_chart
 from manifold.brdf import MeasuredBRDF
 from manifold.chart import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
 from manifold.chart_bench import Timed, some_pairs
@@ -186,3 +186,21 @@ def test_the_command_writes_table_picture_and_json(tmp_path):
     assert [row["key"] for row in json.loads(document.read_text())["charted"]] == [
         "nearest", SEED, "pca_6_cube-root",
     ]  # fmt: skip
+
+
+def test_the_chart_of_a_model_is_that_of_its_materials(tmp_path):
+    model = small_library.small_model(tmp_path)
+    by_model = chart_workflows.chart(model=model, only=["nearest"]).charted[0]
+    by_library = chart_workflows.chart(tmp_path / "library.zarr", only=["nearest"]).charted[0]
+    assert (by_model.rmse, by_model.delta_e, by_model.bytes) == (
+        by_library.rmse, by_library.delta_e, by_library.bytes,
+    )  # fmt: skip
+
+
+def test_the_spread_of_several_works_is_that_of_their_runs_not_that_between_them():
+    steady = [np.full(5, 1.0), np.full(5, 10.0), np.full(5, 3.0)]
+    assert Timed.of_several(steady) == Timed(3.0, 0.0)
+    noisy = [np.array([0.8, 0.9, 1.0, 1.1, 1.2]) * scale for scale in (1.0, 3.0, 10.0)]
+    found = Timed.of_several(noisy)
+    assert found.median == pytest.approx(3.0)
+    assert found.spread == pytest.approx(0.6)

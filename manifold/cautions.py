@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from manifold.plausibility import Plausibility
 
-MOST_NEGATIVE = 0.01  # share of values, above which a prediction carries a caution
+MOST_NEGATIVE = 0.005  # share of values, above which a prediction carries a caution; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_MISSED = 0.02  # of a reflectance
@@ -25,7 +25,7 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
         cautions.append("extrapolated: the data say little here; stay nearer to the materials")
     if found.negative_share > MOST_NEGATIVE:
         cautions.append(
-            f"{found.negative_share:.0%} of the values were negative: the data do not support this point"
+            f"{100.0 * found.negative_share:.2g}% of the values were negative: the data do not support this point"
         )
     if found.max_albedo > MOST_ALBEDO:
         cautions.append(

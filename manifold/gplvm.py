@@ -42,6 +42,7 @@ _RELOCATIONS, _RELOCATED, _RELOCATION_SPREAD = 30, 0.25, 0.3  # tries, share of 
 _RELOCATION_ITERATIONS = 60  # of L-BFGS after each: enough to tell a better basin from a worse one
 _RELOCATION_TOLERANCE = 1e-5
 _PERTURBATION = 0.3  # of random starts, in standard deviations of the start
+_SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
 
 FitCallback = Callable[[int, float], Any]
@@ -51,7 +52,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     """Gaussian-process latent variable model with the SE + delta kernel.
 
     Starts from principal components and refines the latents by direct local search or L-BFGS. The latents
-    are centred, and each axis has its largest-magnitude entry positive.
+    are centred, and each axis has its longer tail positive.
 
     Args:
         n_components: Q, the number of latent dimensions.
@@ -186,7 +187,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         if objective_end > objective_start:  # by rounding only: the start was optimal
             X, objective_end = start, objective_start
         self._set_fitted(X, S, n_outputs)
-        self.gp_.warn_if_flat(S)
+        self.gp_.warn_of_fit(S)
         self.objective_, self.objective_start_ = objective_end, objective_start
         self.n_iter_, self.n_evaluations_ = max(n_iter, 1), n_evaluations
 
@@ -704,7 +705,7 @@ _STAGES: dict[str, list[Callable[[_Run, Array], Array]]] = {
 def pca_start(S: Array, n_components: int) -> Array:
     """Principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
 
-    Axes the data do not span are 0. Each axis has its largest-magnitude entry positive.
+    Axes the data do not span are 0. Each axis has its longer tail positive.
     """
     N = S.shape[0]
     Q = min(n_components, N)
@@ -716,13 +717,16 @@ def pca_start(S: Array, n_components: int) -> Array:
 
 
 def fix_gauge(X: Array) -> Array:
-    """Latents (N, Q) centred, each axis with its largest-magnitude entry positive.
+    """Latents (N, Q) centred, each axis with its longer tail positive, by the sum of cubes.
 
-    The likelihood is blind to both: the kernel sees distances only.
+    The likelihood is blind to both: the kernel sees distances only. A sum over all latents keeps its sign where
+    the largest of them would change with the last digit; it decides where an axis is as good as symmetric.
     """
     X = X - X.mean(axis=0)
+    tail = np.sum(X**3, axis=0)
     largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
-    return X * np.where(largest < 0, -1.0, 1.0)
+    is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)
+    return X * np.where(np.where(is_symmetric, largest, tail) < 0, -1.0, 1.0)
 
 
 def blas_threads(N: int) -> AbstractContextManager[Any]:

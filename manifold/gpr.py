@@ -23,6 +23,8 @@ from manifold.kernels import SquaredExponentialDelta, first_equal_row
 from manifold.records import Array
 
 LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is said to be flat
+_ALONE = 0.5  # share of the prior variance above which a sample is out of reach of the others
+_MOST_ALONE = 0.25  # share of such samples
 _FIRST_JITTER = 1e-12
 _LAST_JITTER = 1e-2
 _COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
@@ -34,6 +36,10 @@ class JitterWarning(UserWarning):
 
 class FlatModelWarning(UserWarning):
     """A fitted process tells samples apart by less than half of what does: it predicts their mean, or nearly."""
+
+
+class IsolatedLatentsWarning(UserWarning):
+    """Many fitted latents are out of reach of all others: between them a process predicts the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,11 +169,13 @@ class GPWeights:
         residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
         return 1.0 - residual / float(np.trace(S))
 
-    def warn_if_flat(self, S: Array) -> None:
-        """Warn of a fit to samples with Gram matrix S (N, N) that explains too little of them.
+    def warn_of_fit(self, S: Array) -> None:
+        """Warn of latents that were fitted to samples with Gram matrix S (N, N) and predict little of them.
 
         Warns:
             FlatModelWarning: `explained` is below one half.
+            IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
+                half of the prior's.
         """
         share = self.explained(S)
         if share < LEAST_EXPLAINED:
@@ -176,6 +184,15 @@ class GPWeights:
                 f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), expected {LEAST_EXPLAINED:.0%}; "
                 "lower the length scale, the prior or mu",
                 FlatModelWarning,
+                stacklevel=3,
+            )
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * self.prior_variance)
+        if alone >= _MOST_ALONE * self.n_samples:
+            warnings.warn(
+                f"{alone} of {self.n_samples} latents are out of reach of all others (length scale "
+                f"{self.kernel.length_scale:g}): between them the mean is predicted; take more materials, fewer "
+                "dimensions, a longer length scale or a nearer start",
+                IsolatedLatentsWarning,
                 stacklevel=3,
             )
 

@@ -93,7 +93,7 @@ class MonochromeGPLVM:
         self.objective_start_, self.objective_, structure, colour = best
         colour = _towards_brighter(colour - colour.mean(axis=0), np.diag(S))
         self.adopt(fix_gauge(structure), colour.reshape(n_materials, n_bands, -1))
-        self.gp_.warn_if_flat(centred)
+        self.gp_.warn_of_fit(centred)
         return self
 
     def adopt(self, structure: Array, colour: Array) -> MonochromeGPLVM:

@@ -143,7 +143,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         tol: relative gain of an iteration below which it ends.
 
     Attributes:
-        embedding_: latents X, shape (N, Q), centred, the largest-magnitude entry of each axis positive.
+        embedding_: latents X, shape (N, Q), centred, each axis with its longer tail positive.
         inducing_: inducing points Z, shape (M, Q).
         objective_, objective_start_: the bound F at the end and at the start.
         n_iter_, n_evaluations_: iterations, and evaluations of F.

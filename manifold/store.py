@@ -17,6 +17,7 @@ import json
 import math
 import os
 import re
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -414,9 +415,19 @@ def _first_line(error: Exception) -> str:
 # Reading: through zarr, so that whatever zarr can decode can be read.
 
 
-def _open_group(folder: Path) -> zarr.Group:
-    with warnings.catch_warnings():
+_SILENCE = threading.Lock()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """No warnings of zarr, one thread at a time: filters belong to the process, and restores that cross lose them."""
+    with _SILENCE, warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        yield
+
+
+def _open_group(folder: Path) -> zarr.Group:
+    with _silence():
         return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
 
 
@@ -603,8 +614,7 @@ def _create_in_memory(
     dims: tuple[str, ...] | None = None,
     attributes: dict[str, Any] | None = None,
 ) -> zarr.Array:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _silence():
         return zarr.create_array(
             MemoryStore(memory),
             shape=shape,

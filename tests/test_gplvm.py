@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import reference
@@ -11,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, fix_gauge, pca_start
-from manifold.gpr import centre_gram
+from manifold.gpr import FlatModelWarning, GPWeights, IsolatedLatentsWarning, centre_gram
 
 
 # A few rounds exercise every path; hundreds would only cost time.
@@ -157,10 +159,35 @@ def test_both_optimizers_in_turn_are_never_worse_than_the_gradient_alone(rng):
         assert both.objective_ <= gradient.objective_ + 1e-9
 
 
-def test_gauge_is_centred_with_positive_largest_entries(rng):
+def test_gauge_is_centred_with_longer_tails_positive(rng):
     X = fix_gauge(rng.normal(size=(9, 3)) + 5.0)
     np.testing.assert_allclose(X.mean(axis=0), 0.0, atol=1e-14)
-    assert np.all(X.max(axis=0) >= -X.min(axis=0))
+    assert np.all(np.sum(X**3, axis=0) > 0)
+
+
+def test_gauge_of_symmetric_latents_has_the_largest_entry_positive():
+    X = fix_gauge(np.array([[-2.0], [-1.0], [1.0], [2.0]]))
+    assert X[0] == 2.0  # the first of the largest
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_gauge_keeps_its_sense_where_the_largest_entries_are_as_good_as_equal(sense):
+    X = np.array([[1.0], [-1.0 - 1e-9], [0.7], [-0.3], [-0.4 + 1e-9]])
+    np.testing.assert_allclose(fix_gauge(sense * X), fix_gauge(X + 1e-8 * np.sign(X)), atol=1e-7)
+
+
+@pytest.mark.parametrize(("scale", "warning"), [(1e-4, FlatModelWarning), (1e4, IsolatedLatentsWarning)])
+def test_latents_that_predict_little_of_each_other_are_warned_of(rng, scale, warning):
+    Y = curved(rng, 10)
+    gp = GPWeights(scale * rng.normal(size=(10, 2)), 1e-3)
+    with pytest.warns(warning):
+        gp.warn_of_fit(Y @ Y.T)
+
+
+def test_a_usual_fit_is_not_warned_of(rng):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        GPLVM(optimizer="l-bfgs").fit(curved(rng, 20))
 
 
 def test_data_and_their_gram_matrix_give_the_same_latents(rng):

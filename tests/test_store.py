@@ -13,7 +13,9 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -613,3 +615,20 @@ def test_the_cache_waits_for_nobody(library: Library, arrays: dict) -> None:
 def test_a_cache_key_is_a_plain_word(library: Library, key: str) -> None:
     with pytest.raises(UsageError, match="cannot be a cache key"):
         library.cache_get(key)
+
+
+def test_reading_in_threads_leaves_the_filters_of_warnings_as_they_were(tmp_path, monkeypatch):
+    open_group, calls = zarr.open_group, count()
+
+    def slow(*arguments, **options):
+        time.sleep(0.002 * (next(calls) * 5 % 8))  # so that threads leave in another order
+        return open_group(*arguments, **options)
+
+    zarr.open_group(tmp_path / "group", mode="w", zarr_format=3)
+    monkeypatch.setattr(store_module.zarr, "open_group", slow)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        before = list(warnings.filters)
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(store_module._open_group, [tmp_path / "group"] * 40))
+        assert warnings.filters == before

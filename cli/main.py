@@ -21,6 +21,7 @@ from . import (
     model_commands,
     picture_commands,
     render_commands,
+    stability_commands,
 )
 
 app = typer.Typer(
@@ -62,6 +63,7 @@ fit_commands.register(app)
 render_commands.register(app)
 budget_commands.register(app)
 chart_commands.register(app)
+stability_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:

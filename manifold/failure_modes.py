@@ -2,7 +2,21 @@
 
 from __future__ import annotations
 
-from manifold import model_failures, search_failures
+from manifold import (
+    data_failures,
+    extrapolation_failures,
+    fit_failures,
+    library_failures,
+    model_failures,
+    search_failures,
+)
 from manifold.stability import Mode
 
-MODES: tuple[Mode, ...] = (*model_failures.MODES, *search_failures.MODES)
+MODES: tuple[Mode, ...] = (
+    *model_failures.MODES,
+    *extrapolation_failures.MODES,
+    *search_failures.MODES,
+    *data_failures.MODES,
+    *library_failures.MODES,
+    *fit_failures.MODES,
+)

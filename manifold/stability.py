@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
@@ -168,7 +169,10 @@ def try_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Sta
     """
     rows: list[Row] = []
     total = sum(len(mode.methods) for mode in modes)
-    with Bench() as bench:
+    with (
+        Bench() as bench,
+        threadpool_limits(1, "blas"),
+    ):  # a dozen materials: sharing out costs more than it gains
         for mode in modes:
             for method, trial in mode.methods.items():
                 tried = tuple(try_once(trial, bench, s, mode.threshold) for s in mode.severities)

@@ -24,7 +24,9 @@ from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.microfacet import GGX, Lambert, Plastic
 from manifold.model import Manifold, Settings
 from manifold.plausibility import plausibility
+from manifold.prediction import Mixture
 from manifold.records import Array, Bands, BsdfFile
+from manifold.spaces import CurveSpace, MaterialSpace
 from manifold.store import Library
 from manifold.tabulated import Data
 
@@ -117,21 +119,29 @@ class Bench:
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
 
-def embed(model: Manifold, material: BRDF) -> tuple[BRDF, tuple[str, ...]]:
+def embed(model: Manifold, material: BRDF) -> tuple[Mixture, tuple[str, ...]]:
     """What a manifold makes of a material it has not seen, and what it says about that."""
     found = model.embed(material)
     said = cautions.of_embedding(found.relative_error)
     return _predict(model, found.latent, found.colours, said)
 
 
-def predict(model: Manifold, x: Array, colours: Array | None = None) -> tuple[BRDF, tuple[str, ...]]:
-    """What a manifold predicts at a latent, and what it says about that."""
-    return _predict(model, x, colours, ())
+def in_space(model: Manifold, space: MaterialSpace | CurveSpace) -> Manifold:
+    """A manifold of the same materials with other latents, or another kernel on them."""
+    settings = replace(model.settings, length_scale=space.length_scale, mu=space.mu)
+    return Manifold(model.library, model.names, space, settings, {})
+
+
+def predict(
+    model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
+) -> tuple[Mixture, tuple[str, ...]]:
+    """What a manifold predicts at a latent, and what it says about that; `missed` as in `cautions`."""
+    return _predict(model, x, colours, (), missed)
 
 
 def _predict(
-    model: Manifold, x: Array, colours: Array | None, said: tuple[str, ...]
-) -> tuple[BRDF, tuple[str, ...]]:
+    model: Manifold, x: Array, colours: Array | None, said: tuple[str, ...], missed: float = 0.0
+) -> tuple[Mixture, tuple[str, ...]]:
     brdf = model.predict(x, colours)
-    known = cautions.of_prediction(bool(model.is_extrapolation(x, colours)), plausibility(brdf))
+    known = cautions.of_prediction(bool(model.is_extrapolation(x, colours)), plausibility(brdf), missed)
     return brdf, said + known

@@ -21,7 +21,7 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
     "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report",
-    "render", "compare", "map", "walk", "slices", "fit", "chart", "budget",
+    "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget",
 )  # fmt: skip
 
 

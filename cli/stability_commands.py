@@ -1,0 +1,51 @@
+"""The command stability."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import terminal
+from .library_commands import JsonOption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        "stability",
+        short_help="Where methods fail, and whether they say so.",
+        epilog="Example: manifold stability --only duplicates --picture stability.png",
+    )(stability)
+
+
+def stability(
+    only: Annotated[
+        list[str] | None, typer.Option(help="A failure mode's name; may be repeated.", metavar="NAME")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", "-o", help="Draw error against severity here.", metavar="FILE.png"),
+    ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write what happened and what to do here.", metavar="FILE.md")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Try a catalogue of failure modes on built-in plastics whose truth is known: minutes in all.
+
+    Unsaid: the largest error about which nothing was said; above its limit it is silently wrong, a defect of this
+    program, and the exit status is 1. Fine, warned and refused are in order of severity.
+    """
+    from manifold import stability_text, stability_workflows
+    from manifold.failure_modes import MODES
+
+    results = terminal.Results(json)
+    with terminal.progress("Failure modes") as step:
+        made = stability_workflows.stability(only or (), picture, markdown, step)
+    results.table(stability_text.COLUMNS, stability_text.table(made))
+    results.text(stability_text.summary(made) + "\n")
+    results.document(made.to_json(MODES))
+    if made.wrong:
+        raise typer.Exit(1)

@@ -61,9 +61,9 @@ def _brighter(bench: Bench, distance: float) -> Iterator[tuple[Mixture, tuple[st
 
 _OUTSIDE: dict[str, Places] = {
     "material": _on_rays("material"),
-    "material, raw values": _on_rays("material", "identity"),
+    "raw values": _on_rays("material", "identity"),
     "monochrome": _on_rays("monochrome"),
-    "monochrome, brighter": _brighter,
+    "brighter": _brighter,
 }
 
 

@@ -186,7 +186,7 @@ MODES: tuple[Mode, ...] = (
         "Ask for fewer dimensions than materials; 2 or 3 suffice for most libraries.",
     ),
     Mode(
-        "sharper_than_the_library", "embedding of a lobe sharper than any measured", "times sharper",
+        "sharper_than_library", "embedding of a lobe sharper than any measured", "times sharper",
         (1.0, 1.5, 2.0, 10.0), "relative error", HALF_OF_MATERIAL, _of_kinds(_sharper),
         "Import materials as sharp as that one: lobes of the library cannot be added up to a sharper one.",
     ),

@@ -69,10 +69,12 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
 
 
 def _height(error: float | None, threshold: float) -> float:
-    """Where an error is drawn; NaN where there is none, an infinite one at the top of what is shown."""
+    """Error over its limit, within what is drawn; NaN where there is no error. Of a limit of 0, all or nothing."""
     if error is None:
         return float("nan")
-    return max(error / threshold, _LEAST) if np.isfinite(error) else 1.0 / _LEAST
+    if threshold == 0.0:
+        return _LEAST if error == 0.0 else 1.0 / _LEAST
+    return float(np.clip(error / threshold, _LEAST, 1.0 / _LEAST)) if np.isfinite(error) else 1.0 / _LEAST
 
 
 def _broken(text: str) -> str:

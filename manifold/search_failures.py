@@ -22,6 +22,7 @@ _STARTS = 2
 _SEARCHES = ("dls", "l-bfgs", "both")
 _ELSEWHERE = 0.25  # of the width of the map: a material is found in another quarter of it
 _SEEN_IN_A_FIT = 1e-3  # nats per material: what one fit is preferred to another by
+_CLOSE = 0.2  # of principal components of unit variance: K has a condition number of 1e10 and more
 _HALFWAY = 0.5  # of the way from the start to the minimum
 
 
@@ -111,9 +112,12 @@ def _drift(bench: Bench, moves: float) -> Found:
     """F after many moves of one coordinate each, by updates and afresh, under the least noise filter."""
     S, rng = centre_gram(_gram(bench)), np.random.default_rng(0)
     objective = LatentObjective(S, bench.data.n_outputs, 1e-10, 1.0)
-    updated = IncrementalObjective(objective, pca_start(S, 2))
-    for _ in range(int(moves)):
-        updated.try_move(int(rng.integers(updated.x.size)), 0.1 * float(rng.normal()))
+    start = _CLOSE * pca_start(S, 2)
+    updated = IncrementalObjective(objective, start)
+    for _ in range(int(moves)):  # each to near where it started, so that latents stay close
+        index = int(rng.integers(start.size))
+        target = start.reshape(-1)[index] + 0.1 * _CLOSE * float(rng.normal())
+        updated.try_move(index, target - updated.x[index])
         updated.commit()
     afresh = objective(updated.x.reshape(len(S), -1))[0]
     return Found(abs(updated.value - afresh) / len(S))
@@ -176,7 +180,7 @@ MODES: tuple[Mode, ...] = (
     ),
     Mode(
         "drift_of_updates", "the objective by rank-two updates, without noise to speak of", "moves",
-        (10.0, 100.0, 1000.0, 10000.0), "error of the objective, nats per material", _SEEN_IN_A_FIT,
+        (10.0, 100.0, 1000.0), "error of the objective, nats per material", _SEEN_IN_A_FIT,
         {"dls": _drift},
         "Nothing needs doing: the factorisation is renewed whenever its error shows.",
     ),

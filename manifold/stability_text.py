@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from manifold.stability import OUTCOMES, WRONG, Mode, Row, Stability
 
 COLUMNS = ("failure mode", "method", "unsaid", "limit", "outcome")
-_MODE_WIDTH, _METHOD_WIDTH = 23, 20
+_MODE_WIDTH, _METHOD_WIDTH = 23, 16
 
 
 def table(made: Stability) -> list[list[str]]:

@@ -13,10 +13,12 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.records import Array
 
-TRANSFORMS = ("identity", "log", "square")
-"""How the optimiser sees a parameter p: as p, log p, or the square root of its distance from the minimum."""
+TRANSFORMS = ("identity", "log", "square", "gloss")
+"""How the optimiser sees a parameter p: as p, log p, the square root of its distance from the minimum, or the logarithm
+of its distance from the maximum (and a hundredth of the range more), as a gloss from 0 to 1 makes a lobe's width."""
 
 _LOG_FLOOR = 1e-6  # what log takes a minimum of 0 for
+_GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gloss 1
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class FreeParameter:
             return np.log(np.maximum(p, _LOG_FLOOR))
         if self.transform == "square":
             return np.sqrt(np.maximum(p - self.minimum, 0.0))
+        if self.transform == "gloss":
+            return -np.log(self.maximum + _GLOSS_FLOOR * self.range - p)
         return p
 
     def outward(self, t: Array | float) -> Array:
@@ -81,6 +85,8 @@ class FreeParameter:
             return np.clip(np.exp(t), self.minimum, self.maximum)
         if self.transform == "square":
             return self.minimum + t * t
+        if self.transform == "gloss":
+            return np.clip(self.maximum + _GLOSS_FLOOR * self.range - np.exp(-t), self.minimum, self.maximum)
         return t
 
     def slope(self, t: Array | float) -> Array:
@@ -90,6 +96,8 @@ class FreeParameter:
             return np.exp(t)
         if self.transform == "square":
             return 2.0 * t
+        if self.transform == "gloss":
+            return np.exp(-t)
         return np.ones_like(t)
 
 
@@ -252,7 +260,7 @@ _PRINCIPLED = (
     FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log"),
     FreeParameter("specular", 0.0, 1.0, 0.5, transform="square"),  # of which the index is a smooth function
     FreeParameter("clearcoat", 0.0, 1.0, 0.2),
-    FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8),
+    FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8, transform="gloss"),
     FreeParameter("sheen", 0.0, 1.0, 0.1),
     FreeParameter("spec_tint", 0.0, 1.0, 0.1),
     FreeParameter("sheen_tint", 0.0, 1.0, 0.1),

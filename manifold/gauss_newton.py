@@ -16,6 +16,8 @@ from manifold.fit_metrics import Metric
 from manifold.fit_samples import FitSamples
 from manifold.records import Array
 
+_VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
+
 
 @dataclass(frozen=True)
 class GaussNewton:
@@ -31,6 +33,7 @@ class GaussNewton:
         coarse_iterations, iterations: evaluations allowed per start, coarse and fine.
         tolerance: relative change of the cost, and of the parameters, at which a refinement ends.
         n_fine: how many distinct minima of the coarse refinement are refined on all pairs.
+        n_walks, n_scan: how often, and at how many points, the valley around the best minimum is searched for others.
         seed: of the quasi-random search.
     """
 
@@ -42,6 +45,8 @@ class GaussNewton:
     iterations: int = 60
     tolerance: float = 1e-7
     n_fine: int = 3
+    n_walks: int = 4
+    n_scan: int = 96
     seed: int = 0
 
 
@@ -231,9 +236,16 @@ def find_minima(
     best = candidates[0].cost
     chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
     full = Residuals(evaluator, samples, metric)
-    return distinct(
-        scale, [minimize(full, one.p, options.iterations, options.tolerance) for one in chosen], 0.02
-    )
+    ends = [minimize(full, one.p, options.iterations, options.tolerance) for one in chosen]
+    best_end = min(ends, key=_cost)
+    for _ in range(options.n_walks):
+        starts = _along_the_valley(full, samples, best_end, options)
+        beside = [minimize(full, start, options.iterations, options.tolerance) for start in starts]
+        ends += beside
+        if not beside or min(map(_cost, beside)) >= best_end.cost * (1.0 - 1e-6):
+            break
+        best_end = min(beside, key=_cost)
+    return distinct(scale, ends, 0.02)
 
 
 def refine_bands(
@@ -312,6 +324,31 @@ def _diverse(inward: Array, points: Array, is_per_band: Array, n: int) -> list[A
             if len(chosen) == n:
                 break
     return [points[k] for k in chosen]
+
+
+def _along_the_valley(
+    full: Residuals, samples: FitSamples, best: Minimum, options: GaussNewton
+) -> list[Array]:
+    """Starts in the dips of the cost along its flattest direction through a minimum, lowest first.
+
+    Few samples see a sharp lobe: along the valley in which a stronger and blunter lobe is nearly as good, the cost has
+    a dip wherever the lobe meets one of them.
+    """
+    layout = full.layout
+    lower, upper, at = (layout.inward(p) for p in (layout.minimum, layout.maximum, best.p))
+    J = full.jacobian(at) * (upper - lower)
+    direction = np.linalg.eigh(J.T @ J)[1][:, 0] * (upper - lower)
+    steps = np.linspace(-_VALLEY, _VALLEY, options.n_scan)
+    points = at + steps[:, None] * direction
+    inside = np.all((points >= lower) & (points <= upper), axis=1)
+    if np.count_nonzero(inside) < 3:
+        return []
+    points = layout.outward(points[inside])
+    residual = full.metric(full.evaluator.values(points)) - full.metric(samples.f_cos)
+    costs = np.einsum("m,pmb,pmb->p", samples.weight, residual, residual)
+    dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
+    dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
+    return [points[i] for i in dips[np.argsort(costs[dips])] if costs[i] <= 4.0 * best.cost][: options.n_fine]
 
 
 def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:

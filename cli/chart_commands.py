@@ -56,6 +56,9 @@ def chart(
     results.table(
         ["setting", "RMSE", "front", "CIEDE2000", "front", "relative", "predict", "MB", "fit"], _rows(made)
     )
+    for row in made.charted:
+        if row.warnings:
+            results.text(f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}\n")
     for key, reason in made.skipped.items():
         results.text(f"{key} was left out: {reason}\n")
     if output is not None:

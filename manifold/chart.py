@@ -22,6 +22,7 @@ ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relativ
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
 _ALIKE = 0.01  # errors and bytes that differ by less do not push each other off a front
+_ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whole chart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +137,7 @@ def make_chart(
 def fronts(rows: Sequence[Charted]) -> dict[str, dict[str, list[str]]]:
     """Keys of the held-out settings on each front of an error and a cost, cheapest first.
 
-    Neither errors and bytes that differ by 1 %, nor times that differ by less than their spreads, count as different.
+    Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
     """
     rows = [row for row in rows if row.is_held_out]
     return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
@@ -148,6 +149,7 @@ def _front(rows: Sequence[Charted], error: str, cost: str) -> list[str]:
     values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])
     tolerance = 0.5 * _ALIKE * values
     if cost != "bytes":
-        tolerance[:, 1] = np.maximum(tolerance[:, 1], [0.5 * getattr(row, cost).spread for row in rows])
+        spreads = [getattr(row, cost).spread for row in rows]
+        tolerance[:, 1] = 0.5 * np.maximum(_ALIKE_TIMES * values[:, 1], spreads)
     on = np.flatnonzero(pareto.front(values, tolerance)).tolist()
     return [rows[k].key for k in sorted(on, key=lambda k: values[k, 1])]

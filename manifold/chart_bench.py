@@ -61,6 +61,7 @@ class Measured:
         fit: time to learn from the library, tabulating its materials included; of fits, all of them.
         predict: time to predict a whole material, at all direction pairs that it is kept at.
         bytes: of what predictions read: files, and the numbers of all materials.
+        warnings: what fits warned of, once per fold.
     """
 
     relative_error: float
@@ -69,6 +70,7 @@ class Measured:
     fit: Timed
     predict: Timed
     bytes: int
+    warnings: tuple[str, ...] = ()
 
 
 class Stopwatch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -29,6 +30,8 @@ _DENSE_PAIRS = RusinkiewiczGrid.named("seed").n_pairs
 _BYTES_PER_NUMBER = 8
 _STREAMED_BYTES = 1 << 26  # far more than caches hold
 
+_Fitted = tuple[list[Combination], Timed, tuple[str, ...]]
+
 
 class HeldOut:
     """Measures settings one after the other; what they share, tables and fits, is made once.
@@ -53,7 +56,7 @@ class HeldOut:
         wi, wo, above = grid.directions()
         self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
         self._block = chart_bench.some_pairs(_BLOCK_PAIRS, grid)
-        self._fits: dict[str, tuple[list[Combination], Timed]] = {}
+        self._fits: dict[str, _Fitted] = {}
         self._kept: tuple[Storage, Kept] | None = None
         once = [
             self.watch.laps(partial(chart_bench.evaluated, material, self._block), _REPEATS)
@@ -67,7 +70,7 @@ class HeldOut:
 
     def measure(self, setting: Setting) -> Measured:
         """Errors of all materials, each left out once, and costs."""
-        combinations, fit = self._fitted(setting)
+        combinations, fit, warned = self._fitted(setting)
         if setting.is_dense:
             fit = Timed(fit.median - self._tabulating + self._resampling, fit.spread)
         combinations = [_sparse(c, setting.threshold) for c in combinations]
@@ -85,23 +88,27 @@ class HeldOut:
             fit=fit,
             predict=Timed.of_several(predict),
             bytes=self._bytes(setting, kept),
+            warnings=warned,
         )
 
-    def _fitted(self, setting: Setting) -> tuple[list[Combination], Timed]:
-        """A prediction of every material by a fit without it, and the time of a fit."""
+    def _fitted(self, setting: Setting) -> _Fitted:
+        """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
         if setting.method not in self._fits:
             everything = np.arange(self._data.n_materials)
             found: dict[int, Combination] = {}
-            times = []
+            times, warned = [], []
             for fold in range(self.folds):
                 if fold < _REPEATS:
                     data = self._unmapped()
                 out = everything[fold :: self.folds]
-                encode, ratio = self.watch.lap(partial(setting.fit, data, np.setdiff1d(everything, out)))
-                found |= {int(i): encode(int(i)) for i in out}
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always", UserWarning)
+                    encode, ratio = self.watch.lap(partial(setting.fit, data, np.setdiff1d(everything, out)))
+                    found |= {int(i): encode(int(i)) for i in out}
+                warned += [str(caught[0].message)] if caught else []
                 if fold < _REPEATS:
                     times.append(self._tabulating + ratio)
-            self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times)
+            self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times), tuple(warned)
         return self._fits[setting.method]
 
     def _unmapped(self) -> Data:

@@ -1,6 +1,7 @@
 """The chart of settings on a small library: complete, consistent, and drawn so that a person sees it."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ import small_library
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
-from manifold import chart_storage, chart_workflows, plot_chart
+from manifold import chart_settings, chart_storage, chart_workflows, plot_chart
 from manifold.brdf import MeasuredBRDF
 from manifold.chart import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
 from manifold.chart_bench import Timed, some_pairs
 from manifold.chart_settings import SEED, settings
 from manifold.cli.main import app
 from manifold.errors import UsageError
+from manifold.methods import fit_nearest
 from manifold.metrics import RusinkiewiczGrid
 
 FILES = [small_library.measured(n) for n in (*small_library.NAMES, "syn_metallic_gold", "syn_chrome_mint")]
@@ -111,10 +113,23 @@ def _row(key, error, cost, spread=0.0, *, held_out=True):
 
 
 def test_times_within_their_spread_and_errors_within_a_percent_do_not_push_each_other_off():
-    steady = [_row("a", 1.0, 10.0), _row("b", 1.0, 11.0), _row("c", 1.005, 10.05), _row("d", 1.5, 12.0)]
+    steady = [_row("a", 1.0, 10.0), _row("b", 1.0, 12.0), _row("c", 1.005, 10.05), _row("d", 1.5, 13.0)]
     assert fronts(steady)["rmse"]["predict"] == ["a", "c"]
-    noisy = [_row("a", 1.0, 10.0, 1.2), _row("b", 1.0, 11.0, 1.2), _row("d", 1.5, 12.0, 1.2)]
+    noisy = [_row("a", 1.0, 10.0, 2.2), _row("b", 1.0, 12.0, 2.2), _row("d", 1.5, 13.0, 2.2)]
     assert fronts(noisy)["rmse"] == {"predict": ["a", "b"], "bytes": ["a"], "fit": ["a", "b"]}
+
+
+def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
+    def warning_fit(data, training):
+        warnings.warn("not sure", UserWarning, stacklevel=1)
+        return fit_nearest(data, training)
+
+    monkeypatch.setattr(chart_settings, "fit_nearest", warning_fit)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        nearest, linear = make_chart(FILES, ["nearest", "linear"], grid=GRID).charted
+    assert nearest.warnings == ("not sure",) * min(10, len(FILES))
+    assert linear.warnings == ()
 
 
 def test_an_unknown_setting_is_one_clear_error():

@@ -6,6 +6,7 @@ virtual goniometer. Between two measured members lies a third one, of which ever
 
 from __future__ import annotations
 
+import operator
 import tempfile
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
@@ -95,8 +96,12 @@ class Bench:
         return folder / "library.zarr"
 
     def fit(self, files: Sequence[BsdfFile], kind: str, **settings: Any) -> Manifold:
-        """A manifold of a new library of files."""
-        return Manifold.fit(Library.open(self.library(files)), Settings(kind=kind, **settings))
+        """A manifold of a new library of files; of one library for all where they are the family."""
+        is_family = len(files) == len(self.family) and all(map(operator.is_, files, self.family))
+        path = (
+            self.once("family's library", lambda: self.library(files)) if is_family else self.library(files)
+        )
+        return Manifold.fit(Library.open(path), Settings(kind=kind, **settings))
 
     def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
         """The manifold of the family; do not change it."""

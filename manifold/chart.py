@@ -65,7 +65,8 @@ class Chart:
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values, with the program's version."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
-        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self)}
+        rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.charted]
+        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self), "charted": rows}
 
     def front(self, error: str, cost: str) -> list[Charted]:
         """The settings on a front, cheapest first."""

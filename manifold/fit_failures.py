@@ -92,7 +92,7 @@ def _minima(method: str) -> Trial:
         names = PRINCIPLED_DEFAULT[: int(n_free)]
         truth = {name: _TRUTH[name] for name in names}
         found = fit(_samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method))
-        return Found(_error(found, truth), _said(found, "cannot tell", "diffuse"))
+        return Found(_error(found, truth), _said(found, "cannot tell", "diffuse", "no minimum"))
 
     return trial
 
@@ -154,7 +154,8 @@ def _mirror(alpha: float) -> BRDF:
     return _metal(alpha, alpha)
 
 
-def _brushed(ratio: float) -> BRDF:
+def brushed(ratio: float) -> BRDF:
+    """A metal of roughness 0.05 across, and that many times as rough along."""
     return _metal(0.05 * ratio, 0.05)
 
 
@@ -175,7 +176,7 @@ def _colour(method: str) -> Trial:
             options=_OPTIONS.get(method),
         )
         error = np.abs(np.array(found.values["base_color"]) - spectra.to_srgb(green, bands)).max()
-        return Found(float(error), _said(found, "Rec. 709"))
+        return Found(float(error), _said(found, "Rec. 709", "no minimum"))
 
     return trial
 
@@ -233,7 +234,7 @@ MODES: tuple[Mode, ...] = (
         severities=(1.0, 5.0, 10.0),
         number="relative residual of the fit",
         threshold=_AS_MEASURED,
-        methods={"gauss-newton": _unreached(_brushed)},
+        methods={"gauss-newton": _unreached(brushed)},
         advice="Free `anisotropic` too (`--free`), or keep the measured file.",
     ),
     Mode(

@@ -11,6 +11,7 @@ from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical, normalize, require_directions
 from manifold.errors import ShapeError, UsageError
 from manifold.gonio import u_to_phi, u_to_theta
+from manifold.holes import find_holes
 from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
 from manifold.records import Array, Bands, BsdfFile
 from manifold.warp import Warp
@@ -122,10 +123,10 @@ def _require_values(f: Array) -> None:
 def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
     """The direction pairs at which a file was measured: wi and wo, each (M, 3).
 
-    Left out are cells that the file marks as unmeasured, and elevations above 87 degrees.
+    Left out are cells that the file marks as unmeasured or that hold nothing, and elevations above 87 degrees.
     """
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
-    mask = file.measured_mask
+    mask = file.measured_mask & ~find_holes(file)
     rows, columns = mask.shape[2:]
     axes = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows), indexing="xy")
     variates = np.stack(axes, axis=-1)  # (rows, columns, (x, y))

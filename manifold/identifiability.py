@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from manifold.bsdf_parameters import Layout
@@ -18,6 +19,7 @@ AMBIGUOUS = "ambiguous"
 _CONFIDENCE = 0.99  # at which a second minimum counts as worse than the best
 _BOUND = 2e-3  # of the range: nearer to an end is at the end
 _CORRELATED = 0.9
+_STEP = 0.1  # of every range: how far a linear model is trusted
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,22 @@ def residual_variance(residual: Array, n_parameters: int, floor: float) -> float
 def is_as_good(cost: float, best: float, variance: float, n_parameters: int) -> bool:
     """Whether noise of this variance may hide the difference of two costs: a chi-square test at 99 %."""
     return cost - best <= variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
+
+
+def cost_after_a_step(layout: Layout, p: Array, residual: Array, J: Array) -> float:
+    """Sum of squared residuals that one Gauss-Newton step promises, no longer than a tenth of any range.
+
+    Args:
+        layout: of the K values.
+        p: fitted values (K,).
+        residual: shape (n,).
+        J: derivatives of the residuals by the values, shape (n, K).
+    """
+    span = layout.maximum - layout.minimum
+    room = np.array([layout.minimum - p, layout.maximum - p]) / span
+    low, high = np.clip(room, -_STEP, _STEP)
+    bounds = (low - 1e-9, high + 1e-9)  # a value at an end needs some room too
+    return 2.0 * float(lsq_linear(J * span, -residual, bounds).cost)
 
 
 def state_parameters(

@@ -25,6 +25,8 @@ from manifold.seed_fitters import AdamOptions, SwarmOptions
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
 """The methods by name, with the class of their hyperparameters."""
 
+_UNREACHED = 0.2  # relative residual: twice what is left of the median measured material
+
 _MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
 
 
@@ -122,6 +124,8 @@ def fit(
     if method != "gauss-newton" or not is_worse:
         return found
     plain = _fit(samples, diffuse(), method, metric, noise, options)
+    if plain.residuals[metric] >= found.residuals[metric]:  # no reflectance that a surface can have
+        return found
     note = f"diffuse: principled fits worse ({found.residuals[metric]:.2%} against {plain.residuals[metric]:.2%})"
     return replace(plain, notes=(note, *plain.notes), seconds=found.seconds + plain.seconds)
 
@@ -223,6 +227,7 @@ def _result(
     as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
     statements = identifiability.state_parameters(layout, best.p, J, variance, others)
+    is_minimum = is_as_good(best.cost, identifiability.cost_after_a_step(layout, best.p, residual, J))
     norm = fit_metrics.norm(rgb, metric)
     diffuse = np.sqrt(fit_metrics.best_diffuse(rgb, metric)[1]) / norm
     values = layout.split(best.p)
@@ -239,7 +244,11 @@ def _result(
             for one, good in zip(minima, as_good, strict=True)
         ),
         statements=statements,
-        notes=tuple(_notes(family, values, statements, len(others), residuals[metric.name], float(diffuse))),
+        notes=tuple(
+            _notes(family, values, statements, len(others), residuals[metric.name], float(diffuse))
+            + [f"no minimum of the {metric.name} residual: gauss-newton would go on from here"]
+            * (not is_minimum)
+        ),
         n_pairs=len(samples),
         variant=backend.mitsuba(colour="rgb").variant(),
         **known,
@@ -265,6 +274,8 @@ def _notes(
         notes.append(f"the samples do not show: {', '.join(unknown)}")
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
+    if residual > _UNREACHED:
+        notes.append(f"{family.type} does not reach these samples: {residual:.0%} of them is left over")
     return notes
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from manifold.plot import new_figure
 from manifold.stability import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
@@ -56,16 +57,15 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     axes.axhline(1.0, color="black", linewidth=1.0)
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.2), max(4.0, high * 2.0))
+    axes.set_ylim(min(low, 0.09), max(11.0, high * 2.0))  # a decade each way, at least
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlim(-0.4, len(places) - 0.6)
     axes.set_xticks(places, [f"{s:.3g}" for s in mode.severities], fontsize=8)
     axes.tick_params(axis="y", labelsize=8)
     axes.set_title(f"{mode.key}\nlimit {mode.threshold:g}", fontsize=9.5)
     axes.set_xlabel(_broken(mode.severity), fontsize=8.5)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
-    axes.legend(
-        fontsize=7, loc="lower right", framealpha=0.85, handlelength=2.6, borderpad=0.3, labelspacing=0.2
-    )
+    axes.legend(fontsize=7, loc="best", framealpha=0.7, handlelength=2.6, borderpad=0.3, labelspacing=0.2)
 
 
 def _height(error: float | None, threshold: float) -> float:

@@ -22,7 +22,7 @@ def table(made: Stability) -> list[list[str]]:
                 _short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
                 _short(row.method, _METHOD_WIDTH),
                 _number(row.unsaid_error),
-                _number(row.threshold),
+                f"{row.threshold:g}",
                 outcomes(row),
             ]
         )

@@ -151,12 +151,12 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "short_length_scale", "the kernel under latents that were fitted for l = 1", "length scale l",
         (1.0, 0.3, 0.1, 0.01), _ERROR, HALF_OF_NEAREST, _of_kinds(_rescaled),
-        "Predictions between materials fall back to the mean of all: raise --length-scale and embed again.",
+        "Predictions between materials fall back to the mean of all: fit again with the default `Settings(length_scale=1.0)`.",
     ),
     Mode(
         "long_length_scale", "fits whose prior keeps the latents near the centre", "length scale l",
         (1.0, 100.0, 1000.0), _ERROR, HALF_OF_NEAREST, _of_kinds(_with_prior),
-        "Predictions flatten out towards the mean of all: lower --length-scale, and embed again.",
+        "Predictions flatten out towards the mean of all: fit again with the default `length_scale` and `prior`.",
     ),
     Mode(
         "no_noise", "the noise filter of a fit", "-log10 mu", (3.0, 10.0, 11.0), _ERROR, HALF_OF_NEAREST,

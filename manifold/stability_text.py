@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
 from collections.abc import Sequence
 
 from manifold.stability import OUTCOMES, WRONG, Mode, Row, Stability
@@ -103,7 +105,9 @@ def _sentence(text: str) -> str:
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
+    """A message in a table, without the temporary folders that it names."""
+    folder = re.escape(tempfile.gettempdir()) + r"/[^/\s]+/"
+    return re.sub(folder, "", " ".join(text.split())).replace("|", "\\|")
 
 
 def _short(text: str, width: int) -> str:

@@ -187,7 +187,7 @@ class GPWeights:
                 stacklevel=3,
             )
         alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * self.prior_variance)
-        if alone >= _MOST_ALONE * self.n_samples:
+        if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
             warnings.warn(
                 f"{alone} of {self.n_samples} latents are out of reach of all others (length scale "
                 f"{self.kernel.length_scale:g}): between them the mean is predicted; take more materials, fewer "

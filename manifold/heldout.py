@@ -107,7 +107,9 @@ def standardised_error(data: Data, i: int, combination: Combination) -> float:
     squared = float(np.sum(data.cosines[:, None] * wrong**2))
     assert here.variance is not None
     expected = float(np.mean(here.variance)) * wrong.size
-    return float(np.sqrt(squared / max(expected, np.finfo(float).tiny)))
+    if expected <= 0.0:  # a method that is sure: of a training latent, say
+        return 0.0 if squared == 0.0 else float("inf")
+    return float(np.sqrt(squared / expected))
 
 
 def compare(

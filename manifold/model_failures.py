@@ -151,7 +151,7 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "short_length_scale", "the kernel under latents that were fitted for l = 1", "length scale l",
         (1.0, 0.3, 0.1, 0.01), _ERROR, HALF_OF_NEAREST, _of_kinds(_rescaled),
-        "Predictions between materials fall back to the mean of all: fit again with the default `Settings(length_scale=1.0)`.",
+        "Predictions between materials fall back to the mean of all: fit again with the default `length_scale`.",
     ),
     Mode(
         "long_length_scale", "fits whose prior keeps the latents near the centre", "length scale l",

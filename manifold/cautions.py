@@ -44,10 +44,7 @@ def of_holes(share: float) -> tuple[str, ...]:
     """Of values that were not measured: holes as a share of the cells that should hold something."""
     if share <= MOST_HOLES:
         return ()
-    return (
-        f"{share:.0%} of the cells were not measured: they are dark in the file itself and guessed from their "
-        "neighbours elsewhere; measure the materials with holes again (`manifold info FILE`)",
-    )
+    return (f"{share:.0%} of the cells were not measured, but guessed from neighbours; see `manifold info`",)
 
 
 def of_embedding(relative_error: float) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from manifold import gonio, spectra
 from manifold.brdf import BRDF
 from manifold.corpus_recipes import anisotropic_recipes, isotropic_recipes
 from manifold.errors import UsageError
+from manifold.holes import find_rim
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, BsdfFile
 
@@ -161,8 +162,8 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
     values[measured] += dark * rng.standard_normal((np.count_nonzero(measured), band.size), dtype=np.float32)
     np.maximum(values, 0.0, out=values)
 
-    # Cells next to the horizon are extrapolated in the real files: filled, but not marked as measured.
-    rim = measured & (rng.random(measured.shape) < 0.035)
+    # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
+    rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.5)
     # A few cells are holes: no value in any band.
     holes = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
     values[holes] = 0.0

@@ -12,10 +12,13 @@ from manifold import (
     ball_workflows,
     budget_scenes,
     budget_workflows,
+    chart_workflows,
     corpus,
     fit_workflows,
     plot,
+    plot_chart,
     render_workflows,
+    stability_workflows,
     workflows,
 )
 from manifold.budget_workflows import BudgetSettings
@@ -31,6 +34,22 @@ from manifold.workflows import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage
 
 START, END = "syn_satin_gold", "syn_chrome_mint"
 """The materials that the demo predicts between, and walks between."""
+
+CHARTED = (
+    "nearest", "linear", "seed", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root", "monochrome_2_1_3",
+    "monochrome_3_1_3", "monochrome_3_1_3_half", "monochrome_3_1_3_angles_2_1", "fit_gauss-newton",
+)  # fmt: skip
+"""Settings in the demo's chart; `manifold chart` measures all."""
+
+TRIED = (
+    "short_length_scale",
+    "few_materials",
+    "negative_values",
+    "across_classes",
+    "exact_zeros",
+    "rough_or_smooth",
+)
+"""Failure modes that the demo tries; `manifold stability` tries all."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +117,14 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
             budget_workflows.example(
                 name, settings=settings, output=folder / "budget" / name, picture=pictures[-1]
             )
+    with stage("Charting speed against accuracy") as step:
+        pictures.append(folder / "chart.png")
+        plot.save(
+            plot_chart.chart(chart_workflows.chart(library, only=CHARTED, on_progress=step)), pictures[-1]
+        )
+    with stage("Trying where methods fail") as step:
+        pictures.append(folder / "stability.png")
+        stability_workflows.stability(TRIED, pictures[-1], on_progress=step)
     with stage("Evaluating the model") as step:
         made = make_report(fitted, "default", step)
     text, document = folder / "report.txt", folder / "report.json"

@@ -7,6 +7,7 @@ a prediction would show the holes of all its materials as dark spots, magnified 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -30,19 +31,33 @@ def find_holes(file: BsdfFile) -> Array:
     suspects = np.any(holes, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
         return np.zeros_like(holes)
-    rows, columns = (np.linspace(0.0, 1.0, n) for n in holes.shape[2:])
+    for p, t, cosines in _outgoing_cosines(file, np.argwhere(suspects)):
+        holes[p, t] &= cosines > _LEAST_COSINE
+    holes[~suspects] = False
+    return holes
+
+
+def find_rim(file: BsdfFile) -> Array:
+    """Cells whose outgoing direction is above the horizon but too near to be measured, bool, shape (P, T, H, W)."""
+    rim = np.zeros_like(file.measured_mask)
+    for p, t, cosines in _outgoing_cosines(file, np.argwhere(np.ones(rim.shape[:2]))):
+        rim[p, t] = (cosines > 0) & (cosines <= _LEAST_COSINE)
+    return rim
+
+
+def _outgoing_cosines(file: BsdfFile, slices: Array) -> Iterator[tuple[int, int, Array]]:
+    """Of slices (n, 2) of azimuth and elevation: their indices, and cos(theta_o) of their cells (H, W); -1 below."""
+    rows, columns = (np.linspace(0.0, 1.0, n) for n in file.spectra.shape[3:])
     variates = np.stack(np.meshgrid(columns, rows), axis=-1)
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
-    for p, t in np.argwhere(suspects):
+    for p, t in slices:
         phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
         points, _ = warp.sample(variates, phi_i, theta_i)
         turn = phi_i if file.is_isotropic else 0.0
         m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
         wi = from_spherical(theta_i, phi_i)
         cos_im = m @ wi
-        holes[p, t] &= (cos_im > 0) & (2.0 * cos_im * m[..., 2] - wi[2] > _LEAST_COSINE)
-    holes[~suspects] = False
-    return holes
+        yield int(p), int(t), np.where(cos_im > 0, 2.0 * cos_im * m[..., 2] - wi[2], -1.0)
 
 
 def share_of_holes(file: BsdfFile, holes: Array) -> float:

@@ -127,8 +127,8 @@ class Report:
     seconds: dict[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """The report as plain values, with the program's version."""
-        return {"program": f"manifold {__version__}", **asdict(self)}
+        """The report as plain values, with the program's version; numbers that are not finite become None."""
+        return {"program": f"manifold {__version__}", **_finite(asdict(self))}
 
 
 def make_report(
@@ -395,3 +395,11 @@ def _colours(
             )  # fmt: skip
         results.append(tuple(rows))
     return results
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -303,13 +303,14 @@ def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_
         assert "import more" in one_line(err)
         return
     assert status == 0
-    status, out, err = run("report", "--picture", "map.png", cwd=tmp_path)
+    status, out, err = run("report", "--picture", "map.png", "--json", "report.json", cwd=tmp_path)
     if count == 2:
         assert status == 2
         assert "leave one out" in one_line(err)
     else:
         assert (status, err) == (0, "")
         assert f"{count} materials" in out
+        assert len(json.loads((tmp_path / "report.json").read_text())["names"]) == count
     latent = ",".join(["0.1"] * latent_dim)
     assert run("predict", "--latent", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
 

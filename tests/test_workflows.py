@@ -33,6 +33,8 @@ def few_materials():
     few = tuple(m for m in corpus.isotropic_materials() if m.name in FEW)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(corpus, "isotropic_materials", lambda: few)
+        patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
+        patch.setattr(demo_module, "TRIED", demo_module.TRIED[:1])
         yield few
 
 

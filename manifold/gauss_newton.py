@@ -348,7 +348,7 @@ def _along_the_valley(
     costs = np.einsum("m,pmb,pmb->p", samples.weight, residual, residual)
     dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
     dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
-    return [points[i] for i in dips[np.argsort(costs[dips])] if costs[i] <= 4.0 * best.cost][: options.n_fine]
+    return [points[i] for i in dips[np.argsort(costs[dips])] if costs[i] <= 1.25 * best.cost][: options.n_fine]
 
 
 def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:

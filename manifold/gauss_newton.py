@@ -41,9 +41,9 @@ class GaussNewton:
     search_pairs: int = 160
     n_starts: int = 6
     coarse_pairs: int = 320
-    coarse_iterations: int = 15
+    coarse_iterations: int = 10
     iterations: int = 60
-    tolerance: float = 1e-7
+    tolerance: float = 1e-5
     n_fine: int = 3
     n_walks: int = 4
     n_scan: int = 96
@@ -348,7 +348,8 @@ def _along_the_valley(
     costs = np.einsum("m,pmb,pmb->p", samples.weight, residual, residual)
     dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
     dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
-    return [points[i] for i in dips[np.argsort(costs[dips])] if costs[i] <= 1.25 * best.cost][: options.n_fine]
+    lowest = dips[np.argsort(costs[dips])][: options.n_fine]
+    return [points[i] for i in lowest if costs[i] <= 1.25 * best.cost]
 
 
 def _outer_quarters(points: Array, layout: Layout) -> list[tuple[Array, tuple[Array, Array]]]:

@@ -37,7 +37,7 @@ class GaussNewton:
         seed: of the quasi-random search.
     """
 
-    n_search: int = 1024
+    n_search: int = 512
     search_pairs: int = 160
     n_starts: int = 6
     coarse_pairs: int = 320

@@ -163,7 +163,7 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
     np.maximum(values, 0.0, out=values)
 
     # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
-    rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.5)
+    rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)
     # A few cells are holes: no value in any band.
     holes = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
     values[holes] = 0.0

@@ -37,7 +37,8 @@ START, END = "syn_satin_gold", "syn_chrome_mint"
 
 CHARTED = (
     "nearest", "linear", "seed", "pca_6_identity", "pca_6_cube-root", "gplvm_2_identity", "gplvm_2_cube-root",
-    "gplvm_6_cube-root", "monochrome_2_1_3", "monochrome_3_1_3", "monochrome_3_1_3_half", "monochrome_3_1_3_angles_2_1", "fit_gauss-newton",
+    "gplvm_6_cube-root", "monochrome_2_1_3", "monochrome_3_1_3", "monochrome_3_1_3_half",
+    "monochrome_3_1_3_angles_2_1", "fit_gauss-newton",
 )  # fmt: skip
 """Settings in the demo's chart; `manifold chart` measures all."""
 

@@ -175,7 +175,7 @@ def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are
 
 
 def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
-    """Few samples see a lobe this sharp: without the walk the fit ends in a dip above the truth's cost."""
+    """Few samples see a lobe this sharp: without the walk fits may end in a dip above the truth's cost."""
     file = measured("syn_felt_green")
     wi, wo = fit_samples.file_pairs(file)
     pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).thinned(2048)
@@ -184,13 +184,16 @@ def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
     truth |= {"clearcoat": 0.33, "clearcoat_gloss": 0.963, "sheen": 0.39}
     f_cos = evaluator(family, pairs.wi, pairs.wo, 3).values(Layout(family, 3).join(truth))[0]
     walked, unwalked = [], []
-    for seed in range(2):
+    for seed in range(4):
         noise = 1 + 0.005 * np.random.default_rng(seed).standard_normal(f_cos.shape)
         samples = FitSamples.from_arrays(pairs.wi, pairs.wo, f_cos / pairs.wo[:, 2:] * noise)
         least = relative_residual(samples, Metric.of("cube-root", samples), f_cos)
         walked.append(fit(samples, family).residuals["cube-root"] / least)
         unwalked.append(fit(samples, family, options=GaussNewton(n_walks=0)).residuals["cube-root"] / least)
-    assert max(walked) < 1.0 < max(unwalked)
+    gain = np.array(unwalked) - walked
+    assert max(walked) < 1.0
+    assert gain.min() >= -1e-9
+    assert gain.max() > 2e-4
 
 
 def test_a_rival_is_listed_only_where_no_minimum_as_good_lies_in_its_part():

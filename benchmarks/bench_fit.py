@@ -19,16 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from manifold import backend, corpus, fit_json, fit_samples
-from manifold.bsdf_evaluation import evaluator
-from manifold.bsdf_parameters import Layout, principled
+from manifold import backend
 from manifold.directions import from_spherical
-from manifold.fit_metrics import Metric, relative_residual
-from manifold.fit_samples import FitSamples
-from manifold.identifiability import DETERMINED
+from manifold.fitting import fit_json, fit_samples
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.bsdf_parameters import Layout, principled
+from manifold.fitting.fit_metrics import Metric, relative_residual
+from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.identifiability import DETERMINED
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
 from manifold.principled import FitResult, fit
+from manifold.synthetic import corpus
 
 NOISE = 0.005
 METHODS = ("gauss-newton", "adam", "swarm")

@@ -3,8 +3,9 @@
     python benchmarks/bench_held_out.py FOLDER                      # every trial, on the .bsdf files of a folder
     python benchmarks/bench_held_out.py FOLDER --trial kernels      # one of them; see --list
 
-The protocol is that of `manifold.heldout`: fit to N - 1 materials, find the latent of the last one by what it decodes
-to, compare. Each row changes one thing; `--kernel matern32 --linear 1` all rows. Results: docs/design/held-out.md.
+The protocol is that of `manifold.evaluation.heldout`: fit to N - 1 materials, find the latent of the last one by what
+it decodes to, compare. Each row changes one thing; `--kernel matern32 --linear 1` all rows. Results:
+docs/design/held-out.md.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from trial_models import CUBE_ROOT, Kernel, Power, Setting, TrialDecoder, fit, l
 
 from manifold.brdf import MeasuredBRDF
 from manifold.encoding import PAIR_STRIDE
+from manifold.evaluation.methods import sample_columns
+from manifold.evaluation.tabulated import Data
 from manifold.gplvm import blas_threads
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import LogRelative, Mapping
-from manifold.methods import sample_columns
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array
-from manifold.tabulated import Data
 
 # -- protocol ----------------------------------------------------------------------------------------------
 

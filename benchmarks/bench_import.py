@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 
 from manifold.io_rgl import write_bsdf
+from manifold.library.store import Library
 from manifold.records import BsdfFile
-from manifold.store import Library
 
 FILES = 51
 TARGET = 4.0
 IMPORT = """
 import sys, time
-from manifold.importing import import_files
+from manifold.library.importing import import_files
 start = time.perf_counter()
 import_files(sys.argv[1], [sys.argv[2]])
 print(time.perf_counter() - start)

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from manifold import workflows
+from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import Manifold, Settings
-from manifold.store import Library
+from manifold.workflows import pipeline
 
 GRID_BLOCK = 65536  # direction pairs of the seed's grid evaluated at once
 
@@ -44,7 +44,7 @@ def predict(library: Path, kind: str) -> dict[str, float]:
     model, x = loaded(library, kind)
     with tempfile.TemporaryDirectory() as folder:
         seconds = [
-            workflows.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
+            pipeline.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
         ]
     return {"first_seconds": seconds[0], "seconds": float(np.median(seconds[1:]))}
 
@@ -118,8 +118,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "library.zarr"
         if options.library is None:
-            workflows.make_corpus(Path(folder) / "corpus")
-            workflows.import_library(library, [Path(folder) / "corpus"])
+            pipeline.make_corpus(Path(folder) / "corpus")
+            pipeline.import_library(library, [Path(folder) / "corpus"])
         else:
             library.symlink_to(options.library.resolve())
         stored = Library.open(library).info

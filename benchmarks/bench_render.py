@@ -19,11 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import backend, corpus, image_metrics, images, scenes, workflows
-from manifold.importing import import_files
+from manifold import backend
+from manifold.library.importing import import_files
+from manifold.library.store import Library
 from manifold.model import Manifold, Settings
+from manifold.pictures import image_metrics, images, scenes
 from manifold.render import RenderSettings, render_ball
-from manifold.store import Library
+from manifold.synthetic import corpus
+from manifold.workflows import pipeline
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
 TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "scalar, predicted file": 10.0}
@@ -84,8 +87,8 @@ def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     model.save(path)
     latent = model.between(*PAIR, 0.5)
     predicted, measured = folder / "predicted_spec.bsdf", folder / "measured_spec.bsdf"
-    workflows.predict(model, latent, predicted)
-    workflows.predict(model, model.latent(PAIR[0]), measured)
+    pipeline.predict(model, latent, predicted)
+    pipeline.predict(model, model.latent(PAIR[0]), measured)
     plugin = {"type": "manifold", "model": str(path), "latent": ",".join(repr(float(v)) for v in latent)}
     materials = {
         "measured file": {"type": "measured", "filename": str(measured)},

@@ -25,13 +25,13 @@ from trial_models import CUBE_ROOT, TrialDecoder, fit, priors
 from manifold import gonio
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
+from manifold.evaluation.methods import sample_columns
 from manifold.gplvm import blas_threads
 from manifold.io_rgl import read_bsdf
-from manifold.methods import sample_columns
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
-from manifold.microfacet import GGX, Plastic, RoughConductor
 from manifold.model import evenly_spaced
 from manifold.records import Array, Bands, BsdfFile
+from manifold.synthetic.microfacet import GGX, Plastic, RoughConductor
 
 NODES = 128  # of a profile
 SIDE = 63  # of the common unit square; the 32 nodes of a file are among them

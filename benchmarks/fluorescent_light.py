@@ -15,12 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import corpus, image_metrics, images, plot, scenes, spectra
+from manifold import spectra
 from manifold.io_rgl import write_bsdf
+from manifold.pictures import image_metrics, images, scenes
+from manifold.plots import figures
 from manifold.records import Array, BsdfFile
 from manifold.render import RenderSettings, render_ball
-from manifold.render_workflows import RIM
 from manifold.spectra import Illuminant
+from manifold.synthetic import corpus
+from manifold.workflows.renders import RIM
 
 MATERIALS = ("syn_satin_gold", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper")
 
@@ -71,7 +74,7 @@ def main() -> None:
             rows.append((material, pictures, errors))
             print(f"{material:24} spectral {errors[0]:5.2f}   RGB {errors[1]:5.2f}", flush=True)
     if options.figure:
-        plot.save(figure(rows, lamp.name), options.figure)
+        figures.save(figure(rows, lamp.name), options.figure)
     if options.json:
         options.json.write_text(json.dumps(results, indent=2) + "\n")
 
@@ -82,9 +85,9 @@ def blocks(picture: Array, size: int = 4) -> Array:
     return picture.reshape(height // size, size, width // size, size, channels).mean(axis=(1, 3))
 
 
-def figure(rows: list[tuple[str, list[Array], list[float]]], lamp: str) -> plot.Figure:
+def figure(rows: list[tuple[str, list[Array], list[float]]], lamp: str) -> figures.Figure:
     """Spectral above RGB, a column per material."""
-    made = plot.new_figure(2.4 * len(rows), 5.2)
+    made = figures.new_figure(2.4 * len(rows), 5.2)
     grid = made.subplots(2, len(rows), squeeze=False)
     for column, (material, pictures, errors) in enumerate(rows):
         for row, (picture, error, kind) in enumerate(

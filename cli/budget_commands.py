@@ -14,7 +14,7 @@ from . import terminal
 from .library_commands import JsonOption
 
 if TYPE_CHECKING:
-    from manifold.budget_workflows import Budget
+    from manifold.workflows.budgets import Budget
 
 _WIDTH = 80
 _NAME = 16  # columns of a material's name in the table; below it stands in full
@@ -73,20 +73,20 @@ def budget(
     The scene's BSDFs of the types measured and manifold become a few numbers, fewer bands, fewer angles, or stay whole.
     A CIEDE2000 of 1 is about the least that people notice side by side.
     """
-    from manifold import budget_workflows
-    from manifold.budget import Tolerance
+    from manifold.budget.search import Tolerance
+    from manifold.workflows import budgets
 
     results = terminal.Results(json)
     if (scene is None) == (example is None):
         found = "neither a scene nor --example" if scene is None else "a scene and --example"
         raise UsageError(f"found {found}; give one of them")
     tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
-    settings = budget_workflows.BudgetSettings(size, samples, seed)
+    settings = budgets.BudgetSettings(size, samples, seed)
     with terminal.progress("Budget") as step:
         if scene is not None:
-            made = budget_workflows.budget_scene(scene, tolerance, settings, output, step, picture)
+            made = budgets.budget_scene(scene, tolerance, settings, output, step, picture)
         else:
-            made = budget_workflows.example(str(example), tolerance, settings, output, step, picture)
+            made = budgets.example(str(example), tolerance, settings, output, step, picture)
     _show(results, made)
 
 

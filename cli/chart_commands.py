@@ -11,7 +11,7 @@ from . import terminal
 from .library_commands import JsonOption
 
 if TYPE_CHECKING:
-    from manifold.chart import Chart
+    from manifold.chart.experiment import Chart
 
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
@@ -46,13 +46,14 @@ def chart(
     Times are in those of one evaluation of a synthetic material, in the same run. P, B, F: on the Pareto front of an
     error against time to predict, bytes, or time to fit. Fits represent materials that they have seen, and are on none.
     """
-    from manifold import chart_workflows, plot, plot_chart
+    from manifold.plots import figures, plot_chart
+    from manifold.workflows import charts
 
     results = terminal.Results(json)
     if output is not None:
-        plot.require_writable(output)
+        figures.require_writable(output)
     with terminal.progress("Chart") as step:
-        made = chart_workflows.chart(library, model, only or (), step)
+        made = charts.chart(library, model, only or (), step)
     results.table(
         ["setting", "RMSE", "front", "CIEDE2000", "front", "relative", "predict", "MB", "fit"], _rows(made)
     )
@@ -62,7 +63,7 @@ def chart(
     for key, reason in made.skipped.items():
         results.text(f"{key} was left out: {reason}\n")
     if output is not None:
-        plot.save(plot_chart.chart(made), output)
+        figures.save(plot_chart.chart(made), output)
     results.document(made.to_json())
 
 

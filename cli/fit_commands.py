@@ -15,7 +15,7 @@ from .library_commands import JsonOption, MovedLibraryOption
 from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
 
 if TYPE_CHECKING:
-    from manifold.fit_workflows import FitOutcome
+    from manifold.workflows.fits import FitOutcome
 
 
 class Method(StrEnum):
@@ -87,25 +87,23 @@ def fit(
     Writes one JSON per material: parameters, residuals, all minima found, and what the samples say of each
     parameter. Fits that are there already are kept.
     """
-    from manifold import fit_workflows
+    from manifold.workflows import fits
 
     if bool(sources) == (latent is not None):
         raise UsageError("expected either files or --latent X,Y; name what to fit")
     results = terminal.Results(json)
-    settings = fit_workflows.FitSettings(
-        family=fit_workflows.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
+    settings = fits.FitSettings(
+        family=fits.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
     )
     if latent is not None:
         coordinates = parse_latent(latent)
         with terminal.progress("Reading materials") as step:
             outcomes = [
-                fit_workflows.fit_prediction(
-                    model, coordinates, output, settings, library=library, on_progress=step
-                )
+                fits.fit_prediction(model, coordinates, output, settings, library=library, on_progress=step)
             ]
     else:
         with terminal.progress("Fitting") as step:
-            outcomes = fit_workflows.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
+            outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
     _show(results, outcomes)
     if picture:
         _draw(results, outcomes, sources or [], model, library)
@@ -124,9 +122,9 @@ def _draw(
     library: Path | None,
 ) -> None:
     """A picture beside the JSON of every fit."""
-    from manifold import fit_picture_workflows, fit_workflows
+    from manifold.workflows import fit_pictures, fits
 
-    files = fit_workflows.find_files(sources) if sources else [None] * len(outcomes)
+    files = fits.find_files(sources) if sources else [None] * len(outcomes)
     rows = []
     with terminal.progress("Drawing") as step:
         for done, (file, outcome) in enumerate(zip(files, outcomes, strict=True), start=1):
@@ -134,10 +132,10 @@ def _draw(
                 continue
             target = outcome.path.with_suffix(".png")
             if file is not None:
-                made = fit_picture_workflows.picture_of_fit(outcome.path, file, target)
+                made = fit_pictures.picture_of_fit(outcome.path, file, target)
             else:
                 latent = outcome.content["source"]["latent"]
-                made = fit_picture_workflows.picture_of_prediction_fit(
+                made = fit_pictures.picture_of_prediction_fit(
                     outcome.path, model, latent, target, library=library
                 )
             rows.append([made.path.name, f"{made.ciede2000:.2f}", f"{made.flip:.3f}"])

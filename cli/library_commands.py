@@ -64,10 +64,10 @@ def corpus(
     rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
-    from manifold import workflows
+    from manifold.workflows import pipeline
 
     with terminal.progress("Measuring synthetic materials") as step:
-        paths = workflows.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
+        paths = pipeline.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
     size = sum(path.stat().st_size for path in paths)
     terminal.Results().rows(
         f"Synthetic corpus in {folder}", {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
@@ -92,7 +92,7 @@ def fetch(
 
     Measured by J. Dupuy and W. Jakob (EPFL), in the public domain (CC0 1.0).
     """
-    from manifold import fetch as fetching
+    from manifold.library import fetch as fetching
 
     results = terminal.Results(json)
     with terminal.progress("Downloading", in_bytes=True) as step:
@@ -132,12 +132,12 @@ def import_(
 
     A material appears in one step, when it is whole; what is there already is skipped.
     """
-    from manifold import workflows
     from manifold.errors import LibraryError
+    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     with terminal.progress("Importing") as step:
-        result = workflows.import_library(library, sources, replace=replace, on_progress=step)
+        result = pipeline.import_library(library, sources, replace=replace, on_progress=step)
     results.rows(
         f"Library {library}",
         {
@@ -174,8 +174,8 @@ def info(
     json: JsonOption = None,
 ) -> None:
     """Show what a .bsdf file, a library, or a model holds."""
-    from manifold import inspection
     from manifold.errors import LibraryError
+    from manifold.workflows import inspection
 
     results = terminal.Results(json)
     with terminal.progress("Verifying" if verify else "Reading") as step:

@@ -15,7 +15,7 @@ from . import terminal
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption, MovedLibraryOption
 
 if TYPE_CHECKING:
-    from manifold.workflows import Prediction
+    from manifold.workflows.pipeline import Prediction
 
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
@@ -126,8 +126,8 @@ def embed(
     json: JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
-    from manifold import workflows
     from manifold.model import Settings
+    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     given = {"optimizer": optimizer and optimizer.value, "mu": mu}
@@ -137,7 +137,7 @@ def embed(
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    made = workflows.embed(
+    made = pipeline.embed(
         library, model, Settings(kind=kind.value, **chosen),
         auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
     )  # fmt: skip
@@ -223,13 +223,13 @@ def predict(
     On a monochrome manifold the latent is the structure (gloss, layers); the colour is that of the nearest
     material unless --like, --reflectance or --srgb says otherwise.
     """
-    from manifold import workflows
     from manifold.colour_choice import ColourChoice
+    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     coordinates = parse_latent(latent)
     with terminal.progress("Reading materials") as step:
-        made = workflows.predict(
+        made = pipeline.predict(
             model,
             coordinates,
             output,
@@ -271,11 +271,11 @@ def locate(
     json: JsonOption = None,
 ) -> None:
     """Find where a material that the manifold has not seen belongs: its latent, and its colours in the JSON."""
-    from manifold import workflows
+    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
-        found = workflows.locate(model, path, library=library, on_progress=step)
+        found = pipeline.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
         "latent": ",".join(f"{v:.4g}" for v in found.latent),
         "error of what is there": f"{found.relative_error:.3f} (0 is exact, 1 is as wrong as black)",
@@ -324,12 +324,12 @@ def report(
     ] = None,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
-    from manifold import workflows
-    from manifold.report_text import format_report
+    from manifold.evaluation.report_text import format_report
+    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     with terminal.progress("Evaluating") as step:
-        made = workflows.report(
+        made = pipeline.report(
             model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, picture=picture,
             on_progress=step,
         )  # fmt: skip
@@ -344,7 +344,7 @@ def demo(
 ) -> None:
     """Run everything on the built-in synthetic corpus: files, library, model, prediction, pictures, fit, report."""
     from manifold import demo
-    from manifold.report_text import format_report
+    from manifold.evaluation.report_text import format_report
 
     results = terminal.Results()
     result = demo.run(folder, terminal.progress)

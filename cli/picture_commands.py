@@ -56,12 +56,12 @@ def latent_map(
 
     Balls are rendered once and remembered by the library.
     """
-    from manifold import ball_workflows
+    from manifold.workflows import ball_pictures
 
     results = terminal.Results()
     marked = parse_latent(mark) if mark is not None else None
     with terminal.progress("Rendering") as step:
-        ball_workflows.latent_map(model, output, library=library, marked=marked, on_progress=step)
+        ball_pictures.latent_map(model, output, library=library, marked=marked, on_progress=step)
     results.rows(f"Drawn {output}", {})
 
 
@@ -74,11 +74,11 @@ def walk(
     output: PictureOption = Path("walk.png"),
 ) -> None:
     """Draw the way between two materials along the manifold, and beside it their linear interpolation."""
-    from manifold import ball_workflows
+    from manifold.workflows import ball_pictures
 
     results = terminal.Results()
     with terminal.progress("Rendering") as step:
-        ball_workflows.walk(model, start, end, output, steps=steps, library=library, on_progress=step)
+        ball_pictures.walk(model, start, end, output, steps=steps, library=library, on_progress=step)
     results.rows(f"Drawn {output}", {})
 
 
@@ -102,14 +102,15 @@ def slices(
     output: PictureOption = Path("slices.png"),
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold import picture_workflows, plot
+    from manifold.plots import figures
+    from manifold.workflows import pictures
 
     results = terminal.Results()
-    plot.require_writable(output)
+    figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     latents = [parse_latent(text) for text in latent or []]
-    drawn = picture_workflows.sources(names or [], latents, model, library)
-    picture_workflows.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
+    drawn = pictures.sources(names or [], latents, model, library)
+    pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
     results.rows(f"Drawn {output}", {"materials": [source.label for source in drawn]})
 
 

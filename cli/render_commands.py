@@ -21,8 +21,8 @@ from .model_commands import (
 )
 
 if TYPE_CHECKING:
-    from manifold.image_metrics import Summary
-    from manifold.render_workflows import Rendered
+    from manifold.pictures.image_metrics import Summary
+    from manifold.workflows.renders import Rendered
 
 IlluminantOption = Annotated[
     str,
@@ -90,8 +90,9 @@ def render(
 
     Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light, as the eye does.
     """
-    from manifold import images, render_workflows
     from manifold.colour_choice import ColourChoice
+    from manifold.pictures import images
+    from manifold.workflows import renders
 
     results = terminal.Results(json)
     if file is None and latent is None:
@@ -102,18 +103,18 @@ def render(
     if file is not None and (direct or colour != ColourChoice()):
         raise UsageError("--direct, --like, --reflectance and --srgb go with --latent; a file is what it is")
     images.require_image_path(output)
-    settings = render_workflows.make_settings(
+    settings = renders.make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     coordinates = None if latent is None else parse_latent(latent)
     with terminal.progress("Rendering") as step:
         if file is not None:
-            made = render_workflows.render(render_workflows.file_source(file), output, settings, step)
+            made = renders.render(renders.file_source(file), output, settings, step)
         elif coordinates is not None:
-            with render_workflows.latent_source(
+            with renders.latent_source(
                 model, coordinates, library=library, colour=colour, direct=direct, on_progress=step
             ) as source:
-                made = render_workflows.render(source, output, settings, step)
+                made = renders.render(source, output, settings, step)
     _show(results, made)
 
 
@@ -149,14 +150,14 @@ def compare(
     CIEDE2000 of 1 is about the least that people notice side by side. FLIP runs from 0 to 1 and leaves out what is
     too fine to be seen. Both see the noise of renders: few samples make everything differ.
     """
-    from manifold import render_workflows
+    from manifold.workflows import renders
 
     results = terminal.Results(json)
-    settings = render_workflows.make_settings(
+    settings = renders.make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     with terminal.progress("Comparing") as step:
-        made = render_workflows.compare(a, b, output, settings, step)
+        made = renders.compare(a, b, output, settings, step)
     rows = {"CIEDE2000": _summary(made.ciede2000), "FLIP": _summary(made.flip)}
     if made.ciede2000_ball is not None and made.flip_ball is not None:
         rows |= {

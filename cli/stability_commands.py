@@ -38,14 +38,15 @@ def stability(
     Unsaid: the largest error about which nothing was said; above its limit it is silently wrong, a defect of this
     program, and the exit status is 1. Fine, warned and refused are in order of severity.
     """
-    from manifold import stability_text, stability_workflows
-    from manifold.failure_modes import MODES
+    from manifold.stability import advice_page
+    from manifold.stability.catalogue import MODES
+    from manifold.workflows import failures
 
     results = terminal.Results(json)
     with terminal.progress("Failure modes") as step:
-        made = stability_workflows.stability(only or (), picture, markdown, step)
-    results.table(stability_text.COLUMNS, stability_text.table(made))
-    results.text(stability_text.summary(made) + "\n")
+        made = failures.stability(only or (), picture, markdown, step)
+    results.table(advice_page.COLUMNS, advice_page.table(made))
+    results.text(advice_page.summary(made) + "\n")
     results.document(made.to_json(MODES))
     if made.wrong:
         raise typer.Exit(1)

@@ -6,31 +6,21 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import (
-    atomic,
-    backend,
-    ball_workflows,
-    budget_scenes,
-    budget_workflows,
-    chart_workflows,
-    corpus,
-    fit_workflows,
-    plot,
-    plot_chart,
-    render_workflows,
-    stability_workflows,
-    workflows,
-)
-from manifold.budget_workflows import BudgetSettings
+from manifold import atomic, backend
+from manifold.budget import example_scenes
 from manifold.errors import LibraryError
-from manifold.fit_picture_workflows import picture_of_fit
-from manifold.fit_workflows import FitSettings
+from manifold.evaluation.report import Report, make_report
+from manifold.evaluation.report_text import format_report
 from manifold.model import Settings
-from manifold.picture_workflows import slices, sources
+from manifold.plots import figures, plot_chart, plot_latents
 from manifold.render import RenderSettings
-from manifold.report import Report, make_report
-from manifold.report_text import format_report
-from manifold.workflows import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
+from manifold.synthetic import corpus
+from manifold.workflows import ball_pictures, budgets, charts, failures, fits, pipeline, renders
+from manifold.workflows.budgets import BudgetSettings
+from manifold.workflows.fit_pictures import picture_of_fit
+from manifold.workflows.fits import FitSettings
+from manifold.workflows.pictures import slices, sources
+from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
 
 START, END = "syn_satin_gold", "syn_chrome_mint"
 """The materials that the demo predicts between, and walks between."""
@@ -84,48 +74,44 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     with stage("Measuring the synthetic corpus") as step:
         corpus.write(files, keep=True, on_progress=step)
     with stage("Importing it into a library") as step:
-        imported = workflows.import_library(library, [files], on_progress=step)
+        imported = pipeline.import_library(library, [files], on_progress=step)
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    fitted = workflows.embed(library, model, Settings(), stage=stage).model
+    fitted = pipeline.embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
         between = fitted.between(START, END, 0.75)
-        predicted = workflows.predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+        predicted = pipeline.predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
     pictures = []
     with stage("Rendering the prediction") as step:
         pictures.append(folder / "predicted.png")
-        source = render_workflows.file_source(predicted.path)
-        render_workflows.render(source, pictures[-1], RenderSettings(), step)
+        source = renders.file_source(predicted.path)
+        renders.render(source, pictures[-1], RenderSettings(), step)
     pictures.append(folder / "slices.png")
     slices(sources([START, END], [between], model), pictures[-1])
     with stage("Drawing the map and the walk") as step:
         pictures.append(folder / "map.png")
         if backend.choose().is_llvm:
-            ball_workflows.latent_map(model, pictures[-1], marked=between, on_progress=step)
+            ball_pictures.latent_map(model, pictures[-1], marked=between, on_progress=step)
             pictures.append(folder / "walk.png")
-            ball_workflows.walk(model, START, END, pictures[-1], on_progress=step)
+            ball_pictures.walk(model, START, END, pictures[-1], on_progress=step)
         else:  # balls would take minutes
-            plot.save(plot.latent_map(fitted, marked=between), pictures[-1])
+            figures.save(plot_latents.latent_map(fitted, marked=between), pictures[-1])
     with stage("Fitting game parameters to the prediction") as step:
         fit = folder / "predicted.fit.json"
-        fit_workflows.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
+        fits.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(fit, predicted.path, pictures[-1])
     with stage("Budgeting three scenes"):
         settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
-        for name in budget_scenes.EXAMPLES:
+        for name in example_scenes.EXAMPLES:
             pictures.append(folder / f"budget_{name}.png")
-            budget_workflows.example(
-                name, settings=settings, output=folder / "budget" / name, picture=pictures[-1]
-            )
+            budgets.example(name, settings=settings, output=folder / "budget" / name, picture=pictures[-1])
     with stage("Charting speed against accuracy") as step:
         pictures.append(folder / "chart.png")
-        plot.save(
-            plot_chart.chart(chart_workflows.chart(library, only=CHARTED, on_progress=step)), pictures[-1]
-        )
+        figures.save(plot_chart.chart(charts.chart(library, only=CHARTED, on_progress=step)), pictures[-1])
     with stage("Trying where methods fail") as step:
         pictures.append(folder / "stability.png")
-        stability_workflows.stability(TRIED, pictures[-1], on_progress=step)
+        failures.stability(TRIED, pictures[-1], on_progress=step)
     with stage("Evaluating the model") as step:
         made = make_report(fitted, "default", step)
     text, document = folder / "report.txt", folder / "report.json"

@@ -23,6 +23,7 @@ from manifold.errors import LatentError, LibraryError, ShapeError, UsageError
 from manifold.gplvm import GPLVM, OPTIMIZERS
 from manifold.gpr import GPWeights
 from manifold.holes import close_holes, find_holes, share_of_holes
+from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model_file import ModelRecord, damaged, read_model, write_model
@@ -32,7 +33,6 @@ from manifold.plausibility import mirrored_quadrature
 from manifold.prediction import Mixture, MonochromePrediction, PredictedBRDF
 from manifold.records import Array, Bands, BsdfFile
 from manifold.spaces import KINDS, CurveSpace, MaterialSpace
-from manifold.store import Library
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated

@@ -16,7 +16,7 @@ import numpy as np
 
 from manifold import atomic
 from manifold.errors import ManifoldError, ModelError
-from manifold.identity import hash_arrays
+from manifold.library.identity import hash_arrays
 from manifold.records import Array
 
 FORMAT = "manifold-model"

@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold import backend, fit_metrics, fit_samples, gauss_newton, identifiability, seed_fitters
+from manifold import backend
 from manifold.brdf import BRDF
-from manifold.bsdf_evaluation import Evaluator, evaluator
-from manifold.bsdf_parameters import BsdfFamily, Layout, diffuse, principled
 from manifold.errors import UsageError
-from manifold.fit_metrics import Metric
-from manifold.fit_samples import FitSamples
-from manifold.gauss_newton import GaussNewton, Minimum, Residuals
-from manifold.identifiability import Statement
+from manifold.fitting import fit_metrics, fit_samples, gauss_newton, identifiability, seed_fitters
+from manifold.fitting.bsdf_evaluation import Evaluator, evaluator
+from manifold.fitting.bsdf_parameters import BsdfFamily, Layout, diffuse, principled
+from manifold.fitting.fit_metrics import Metric
+from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
+from manifold.fitting.identifiability import Statement
+from manifold.fitting.seed_fitters import AdamOptions, SwarmOptions
 from manifold.records import Array, Bands, BsdfFile
-from manifold.seed_fitters import AdamOptions, SwarmOptions
 
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
 """The methods by name, with the class of their hyperparameters."""

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from manifold import backend, bsdf_plugin, scenes, spectra
+from manifold import backend, spectra
 from manifold.errors import UsageError
+from manifold.pictures import scenes
+from manifold.plugin import bsdf
 from manifold.records import Array
 from manifold.spectra import Illuminant
 
@@ -23,7 +25,7 @@ Progress = Callable[[int, int, str], None]
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once
 
-bsdf_plugin.register_always()
+bsdf.register_always()
 
 
 def _d65() -> Illuminant:

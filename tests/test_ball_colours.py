@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import small_library
 
-from manifold import ball_colours, spectra
+from manifold import spectra
 from manifold.brdf import MeasuredBRDF
 from manifold.io_rgl import write_bsdf
+from manifold.pictures import ball_colours
 from manifold.records import Bands
 
 RGB = Bands(None)

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mitsuba_reference import measured
 
-from manifold import corpus
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import ShapeError
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.synthetic import corpus
 from manifold.warp import Warp
 
 PAIRS = 20_000

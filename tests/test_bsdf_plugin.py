@@ -12,15 +12,19 @@ from scipy import stats
 from small_library import small_library
 
 import manifold.render
-from manifold import backend, bsdf_mixture, corpus, scenes, workflows
+from manifold import backend
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
-from manifold.importing import import_files
 from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
+from manifold.library.store import Library
 from manifold.model import Manifold, Settings
+from manifold.pictures import scenes
+from manifold.plugin import mixture
 from manifold.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 from manifold.spectra import Illuminant
-from manifold.store import Library
+from manifold.synthetic import corpus
+from manifold.workflows import pipeline
 
 pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
 
@@ -182,7 +186,7 @@ def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path,
     model = Manifold.load(models["material"])
     x = model.between(model.names[1], model.names[4], t)
     path = tmp_path / "between_spec.bsdf"
-    workflows.predict(model, x, path, resolution=48, n_theta_i=24)
+    pipeline.predict(model, x, path, resolution=48, n_theta_i=24)
     mi = backend.mitsuba("spectral")
     film = colorimetric_film(mi, 20, Illuminant.named(illuminant))
     written = passes(mi, {"type": "measured", "filename": str(path)}, film, 0)
@@ -252,16 +256,16 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng):
 def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):
     values = rng.random((12, 500))
     weights = np.concatenate([rng.normal(size=5), 0.01 * rng.normal(size=7)])
-    kept, fitted, error = bsdf_mixture.leave_out(weights, values @ values.T, 0.05)
+    kept, fitted, error = mixture.leave_out(weights, values @ values.T, 0.05)
     assert len(kept) <= 5
     assert error <= 0.05
     full, part = weights @ values, fitted @ values[kept]
     np.testing.assert_allclose(np.linalg.norm(full - part) / np.linalg.norm(full), error, rtol=1e-6)
     plain = weights[kept] @ values[kept]
     assert error < np.linalg.norm(full - plain) / np.linalg.norm(full)  # fitting again pays
-    assert list(bsdf_mixture.leave_out(weights, values @ values.T, 0.0)[0]) == list(range(12))
+    assert list(mixture.leave_out(weights, values @ values.T, 0.0)[0]) == list(range(12))
     with pytest.raises(UsageError, match="expected a share"):
-        bsdf_mixture.leave_out(weights, values @ values.T, 1.0)
+        mixture.leave_out(weights, values @ values.T, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +291,7 @@ def test_a_library_of_other_bands_than_the_variant_is_refused(models):
 
 
 def test_importing_render_registers_the_plugin_in_every_variant(models):
-    assert manifold.render.bsdf_plugin.NAME == "manifold"
+    assert manifold.render.bsdf.NAME == "manifold"
     for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "monochrome")):
         mi = backend.mitsuba(colour)
         scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'

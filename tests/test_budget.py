@@ -10,28 +10,20 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 
-from manifold import (
-    backend,
-    budget_scenes,
-    budget_workflows,
-    gonio,
-    reduced_file,
-    render,
-    representations,
-    scene_survey,
-    spectra,
-)
-from manifold.analytic import Lambert
+from manifold import backend, gonio, render, spectra
 from manifold.brdf import MeasuredBRDF
-from manifold.budget import Tolerance
-from manifold.budget_pictures import Pictures
-from manifold.budget_workflows import BudgetSettings
+from manifold.budget import example_scenes, reduced_file, representations, scene_survey
+from manifold.budget.pictures import Pictures
+from manifold.budget.scene_document import SceneDocument
+from manifold.budget.search import Tolerance
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.plot_budget import budget_figure
+from manifold.plots.plot_budget import budget_figure
 from manifold.records import Bands
-from manifold.scene_document import SceneDocument
+from manifold.synthetic.analytic import Lambert
+from manifold.workflows import budgets
+from manifold.workflows.budgets import BudgetSettings
 
 SMALL = BudgetSettings(size=48, samples=64)
 BANDS = Bands.from_array(np.linspace(380.0, 760.0, 20))
@@ -70,10 +62,8 @@ def examples(tmp_path_factory):
     """The package's three scenes, answered."""
     folder = tmp_path_factory.mktemp("examples")
     return {
-        name: budget_workflows.example(
-            name, Tolerance(1.0), SMALL, folder / name, picture=folder / f"{name}.png"
-        )
-        for name in budget_scenes.EXAMPLES
+        name: budgets.example(name, Tolerance(1.0), SMALL, folder / name, picture=folder / f"{name}.png")
+        for name in example_scenes.EXAMPLES
     }
 
 
@@ -156,7 +146,7 @@ def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_pa
     blue = lambert_file(tmp_path, "blue", (0.1, 0.2, 0.5), rgb=True)
     two_sided = {"type": "twosided", "nested": {"type": "measured", "filename": str(blue)}}
     content = scene(a=sphere(-1.1, red), b={"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": two_sided})
-    made = budget_workflows.budget_scene(content, Tolerance(2.0), BudgetSettings(32, 16), tmp_path / "out")
+    made = budgets.budget_scene(content, Tolerance(2.0), BudgetSettings(32, 16), tmp_path / "out")
     assert made.backend == "scalar"
     assert [one.representation for one in made.chosen] == ["diffuse, RGB"] * 2
     colours = [one.bsdf["reflectance"]["value"] for one in made.chosen]
@@ -260,7 +250,7 @@ def test_scenes_that_cannot_be_budgeted_say_why(tmp_path):
             path.write_text(content, encoding="utf-8")
             content = path
         with pytest.raises(kind, match=match) as caught:
-            budget_workflows.budget_scene(content, Tolerance(1.0), BudgetSettings(16, 1))
+            budgets.budget_scene(content, Tolerance(1.0), BudgetSettings(16, 1))
         assert "\n" not in str(caught.value)
 
     plain = {"type": "sphere", "bsdf": {"type": "diffuse"}}
@@ -294,7 +284,7 @@ def test_the_scene_is_never_overwritten(tmp_path):
     source.write_text(json.dumps(scene(ball=sphere(0.0, path.name))), encoding="utf-8")
     before = source.read_bytes()
     with pytest.raises(UsageError, match="might be overwritten"):
-        budget_workflows.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
+        budgets.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
     assert source.read_bytes() == before
 
 

@@ -9,15 +9,17 @@ import small_library
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
-from manifold import chart_settings, chart_storage, chart_workflows, plot_chart
 from manifold.brdf import MeasuredBRDF
-from manifold.chart import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
-from manifold.chart_bench import Timed, some_pairs
-from manifold.chart_settings import SEED, settings
+from manifold.chart import registry, storage_forms
+from manifold.chart.experiment import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
+from manifold.chart.instruments import Timed, some_pairs
+from manifold.chart.registry import SEED, settings
 from manifold.cli.main import app
 from manifold.errors import UsageError
-from manifold.methods import fit_nearest
+from manifold.evaluation.methods import fit_nearest
 from manifold.metrics import RusinkiewiczGrid
+from manifold.plots import plot_chart
+from manifold.workflows import charts
 
 FILES = [small_library.measured(n) for n in (*small_library.NAMES, "syn_metallic_gold", "syn_chrome_mint")]
 HELD_OUT = [s.key for s in settings(3)]
@@ -96,9 +98,9 @@ def test_the_more_bands_are_kept_the_nearer_a_spectral_file_is_to_all_of_them():
     f = MeasuredBRDF(file).eval(pairs.wi, pairs.wo)
     errors = []
     for count in (3, 6, 12):
-        kept = MeasuredBRDF(chart_storage.few_bands(count).reduce(file)).eval(pairs.wi, pairs.wo)
+        kept = MeasuredBRDF(storage_forms.few_bands(count).reduce(file)).eval(pairs.wi, pairs.wo)
         assert kept.shape[1] == count
-        back = kept @ chart_storage.interpolation(file.bands, count).T
+        back = kept @ storage_forms.interpolation(file.bands, count).T
         errors.append(np.linalg.norm(back - f) / np.linalg.norm(f))
     assert errors[0] > errors[1] > errors[2]
     assert errors[2] < 0.05  # linear between twelve nodes, constant beyond them
@@ -124,7 +126,7 @@ def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
         warnings.warn("not sure", UserWarning, stacklevel=1)
         return fit_nearest(data, training)
 
-    monkeypatch.setattr(chart_settings, "fit_nearest", warning_fit)
+    monkeypatch.setattr(registry, "fit_nearest", warning_fit)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         nearest, linear = make_chart(FILES, ["nearest", "linear"], grid=GRID).charted
@@ -205,8 +207,8 @@ def test_the_command_writes_table_picture_and_json(tmp_path):
 
 def test_the_chart_of_a_model_is_that_of_its_materials(tmp_path):
     model = small_library.small_model(tmp_path)
-    by_model = chart_workflows.chart(model=model, only=["nearest"]).charted[0]
-    by_library = chart_workflows.chart(tmp_path / "library.zarr", only=["nearest"]).charted[0]
+    by_model = charts.chart(model=model, only=["nearest"]).charted[0]
+    by_library = charts.chart(tmp_path / "library.zarr", only=["nearest"]).charted[0]
     assert (by_model.rmse, by_model.delta_e, by_model.bytes) == (
         by_library.rmse, by_library.delta_e, by_library.bytes,
     )  # fmt: skip

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -225,8 +226,8 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     def fail(*_, **__):
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("manifold.workflows.make_report", fail)
-    monkeypatch.setattr("manifold.workflows.Manifold.fit", fail)
+    monkeypatch.setattr("manifold.workflows.pipeline.make_report", fail)
+    monkeypatch.setattr("manifold.workflows.pipeline.Manifold.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert status == 2
     assert out == ""
@@ -407,7 +408,7 @@ def test_a_file_of_the_library_is_located_at_its_material(run, structures):
 
 
 def test_mixing_bands_is_refused(run, folder, tmp_path):
-    from manifold import corpus
+    from manifold.synthetic import corpus
 
     write_bsdf(tmp_path / "syn_felt_pink_spec.bsdf", corpus.measure(corpus.isotropic_materials()[2]))
     status, _, err = run("import", tmp_path, cwd=folder)
@@ -473,14 +474,16 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     def fail(*_, **__):
         raise RuntimeError("first line\nsecond line")
 
-    monkeypatch.setattr("manifold.workflows.report", fail)
+    monkeypatch.setattr("manifold.workflows.pipeline.report", fail)
     status, _, err = run("report", cwd=folder)
     assert status == 1
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
-    from manifold import corpus, demo, workflows
+    from manifold import demo
+    from manifold.synthetic import corpus
+    from manifold.workflows import pipeline
 
     class Stopped(Exception):
         pass
@@ -491,7 +494,7 @@ def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
     materials = tuple(m for m in corpus.isotropic_materials() if m.name in NAMES[:3])
     monkeypatch.setattr(corpus, "isotropic_materials", lambda: materials)
     monkeypatch.setattr(corpus, "measure", lambda material, **_: measured(material.name))
-    monkeypatch.setattr(workflows, "import_library", stop)
+    monkeypatch.setattr(pipeline, "import_library", stop)
     for _ in range(2):
         with pytest.raises(Stopped):
             demo.run(tmp_path)
@@ -539,6 +542,16 @@ def test_the_package_installs_no_global_module_named_cli(tmp_path):
 
 def test_every_module_has_its_place_in_the_layers():
     """A module that the contracts do not name is a module they do not check."""
-    contracts = (REPOSITORY / "pyproject.toml").read_text(encoding="utf-8")
-    modules = {path.stem for path in Path(REPOSITORY, "manifold").glob("*.py")} - {"__init__"}
-    assert {m for m in modules if f"manifold.{m}" not in contracts} == set()
+    settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    layers = next(c["layers"] for c in settings["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    placed = {name for layer in layers for name in layer.split(" | ")}
+    files = (path for path in (REPOSITORY / "manifold").rglob("*.py") if path.name != "__init__.py")
+    modules = {".".join(path.relative_to(REPOSITORY).with_suffix("").parts) for path in files}
+    assert modules == placed - {"cli"}
+
+
+def test_every_folder_is_installed():
+    settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    folders = {path.parent.relative_to(REPOSITORY) for path in (REPOSITORY / "manifold").rglob("*.py")}
+    expected = {".".join(folder.parts) for folder in folders} | {"manifold.cli"}
+    assert set(settings["tool"]["setuptools"]["packages"]) == expected

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.colour_difference import (
+from manifold.errors import ShapeError
+from manifold.evaluation.colour_difference import (
     ASPECULAR_DEG,
     ILLUMINANTS,
     colour_differences,
     illuminants_for,
     multi_angle_pairs,
 )
-from manifold.errors import ShapeError
 from manifold.records import Bands
 from manifold.spectra import delta_e_2000, illuminant_power, rgl_wavelengths_nm, xyz_weights
 

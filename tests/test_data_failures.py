@@ -8,10 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from manifold import data_failures, importing, io_rgl, library_failures, model, model_file, store
-from manifold.data_failures import lost_cells
-from manifold.stability import FINE, REFUSED, WARNED, WRONG, Mode, Tried, try_once
-from manifold.stability_bench import MIDDLE, Bench
+from manifold import io_rgl, model, model_file
+from manifold.library import importing, store
+from manifold.stability import data_failures, library_failures
+from manifold.stability.bench import MIDDLE, Bench
+from manifold.stability.data_failures import lost_cells
+from manifold.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Tried, try_once
 
 MODES = (*data_failures.MODES, *library_failures.MODES)
 ROWS = [(mode.key, method) for mode in MODES for method in mode.methods]
@@ -69,7 +71,7 @@ def test_without_the_caution_holes_are_silently_wrong(bench, monkeypatch):
 def test_without_closing_and_caution_embedded_holes_are_silently_wrong(bench, monkeypatch):
     monkeypatch.setattr("manifold.cautions.of_holes", lambda share: ())
     assert tried(bench, "exact_zeros", "embedding a file").outcome == FINE
-    monkeypatch.setattr("manifold.workflows.close_holes", lambda file, holes: file)
+    monkeypatch.setattr("manifold.workflows.pipeline.close_holes", lambda file, holes: file)
     assert tried(bench, "exact_zeros", "embedding a file").outcome == WRONG
 
 

@@ -1,4 +1,4 @@
-"""`manifold.fetch` against a local server that misbehaves on request."""
+"""`manifold.library.fetch` against a local server that misbehaves on request."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from sample_files import write_samples
 
-from manifold import fetch as fetch_module
 from manifold.errors import FetchError, UsageError
-from manifold.fetch import Entry, IncompleteFetchError, fetch, rgl_table
+from manifold.library import fetch as fetch_module
+from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgl_table
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()
 HASH = hashlib.sha256(CONTENT).hexdigest()

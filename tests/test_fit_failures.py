@@ -7,9 +7,11 @@ from functools import cache
 
 import pytest
 
-from manifold import backend, fit_failures, fit_samples, principled
-from manifold.stability import REFUSED, WARNED, WRONG, Mode, Tried, try_once
-from manifold.stability_bench import Bench
+from manifold import backend, principled
+from manifold.fitting import fit_samples
+from manifold.stability import fit_failures
+from manifold.stability.bench import Bench
+from manifold.stability.trials import REFUSED, WARNED, WRONG, Mode, Tried, try_once
 
 ROWS = [(mode.key, method) for mode in fit_failures.MODES for method in mode.methods]
 
@@ -45,7 +47,7 @@ def test_a_single_direction_is_refused():
 
 def test_a_swarm_is_silently_wrong_where_nobody_looks_for_a_step_down(monkeypatch):
     assert tried_in_full("local_minima", "swarm")[0].outcome == WARNED
-    monkeypatch.setattr("manifold.identifiability.cost_after_a_step", lambda *arguments: float("inf"))
+    monkeypatch.setattr("manifold.fitting.identifiability.cost_after_a_step", lambda *arguments: float("inf"))
     with Bench() as bench:
         assert tried(bench, "local_minima", "swarm", 3.0).outcome == WRONG
 

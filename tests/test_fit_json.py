@@ -12,18 +12,20 @@ import pytest
 from small_library import measured, small_model
 from typer.testing import CliRunner
 
-from manifold import backend, fit_json, fit_workflows, gonio
-from manifold.analytic import Lambert
-from manifold.bsdf_evaluation import evaluator
-from manifold.bsdf_parameters import principled
+from manifold import backend, gonio
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, UsageError
-from manifold.fit_samples import FitSamples, from_file
-from manifold.fit_workflows import FitSettings
-from manifold.fitted_brdf import FittedBRDF
+from manifold.fitting import fit_json
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.bsdf_parameters import principled
+from manifold.fitting.fit_samples import FitSamples, from_file
+from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
 from manifold.principled import fit
 from manifold.records import Bands
+from manifold.synthetic.analytic import Lambert
+from manifold.workflows import fits
+from manifold.workflows.fits import FitSettings
 
 SETTINGS = FitSettings(principled(["base_color", "roughness", "metallic"]))
 
@@ -38,7 +40,7 @@ def satin(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def fitted(satin, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("fits") / "satin.fit.json"
-    fit_workflows.fit_files([satin], path, SETTINGS)
+    fits.fit_files([satin], path, SETTINGS)
     return path
 
 
@@ -103,10 +105,10 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
     path = tmp_path / "white.bsdf"
     write_bsdf(path, gonio.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
     target = tmp_path / "white.fit.json"
-    (made,) = fit_workflows.fit_files([path], target, FitSettings())
+    (made,) = fits.fit_files([path], target, FitSettings())
     assert made.content is not None
     assert made.content["mitsuba"]["type"] == "diffuse"
-    assert fit_workflows.fit_files([path], target, FitSettings())[0].was_there
+    assert fits.fit_files([path], target, FitSettings())[0].was_there
     wi = np.array([[0.0, 0.6, 0.8]])
     assert FittedBRDF.read(target).eval(wi, wi) == pytest.approx(0.9 / np.pi, rel=0.01)
 
@@ -114,7 +116,7 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
 def test_a_prediction_names_its_model_and_latent(tmp_path):
     model = small_model(tmp_path)
     target = tmp_path / "between.fit.json"
-    made = fit_workflows.fit_prediction(model, [0.1, -0.2], target, SETTINGS)
+    made = fits.fit_prediction(model, [0.1, -0.2], target, SETTINGS)
     source = fit_json.read(target)["source"]
     assert source["latent"] == [0.1, -0.2]
     assert source["model_sha256"] == hashlib.sha256(model.read_bytes()).hexdigest()
@@ -124,12 +126,12 @@ def test_a_prediction_names_its_model_and_latent(tmp_path):
 
 def test_a_second_run_keeps_what_is_there_and_other_settings_do_not(satin, fitted):
     before = fitted.stat().st_mtime_ns
-    assert fit_workflows.fit_files([satin], fitted, SETTINGS)[0].was_there
+    assert fits.fit_files([satin], fitted, SETTINGS)[0].was_there
     assert fitted.stat().st_mtime_ns == before
     copy_of = fitted.with_name("other.json")
     copy_of.write_bytes(fitted.read_bytes())
     other = FitSettings(SETTINGS.family, metric="log")
-    assert not fit_workflows.fit_files([satin], copy_of, other)[0].was_there
+    assert not fits.fit_files([satin], copy_of, other)[0].was_there
 
 
 def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path):
@@ -138,7 +140,7 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     for name in ("syn_satin_gold", "syn_felt_green"):
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
-    outcomes = fit_workflows.fit_files([folder], tmp_path / "fits", SETTINGS, jobs=2)
+    outcomes = fits.fit_files([folder], tmp_path / "fits", SETTINGS, jobs=2)
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]
     assert sorted(p.name for p in (tmp_path / "fits").iterdir()) == [
@@ -198,10 +200,10 @@ def test_a_changed_document_is_refused_by_name(fitted, tmp_path, change, words):
     ("call", "words"),
     [
         (lambda p: fit_json.read(p / "none.json"), "no such file"),
-        (lambda p: fit_workflows.find_files([p / "none.bsdf"]), "no such file"),
-        (lambda p: fit_workflows.find_files([p]), "no .bsdf file"),
-        (lambda p: fit_workflows.family_of("base_color", p), "cannot be used together"),
-        (lambda p: fit_workflows.read_family(p / "none.json"), "No such file"),
+        (lambda p: fits.find_files([p / "none.bsdf"]), "no such file"),
+        (lambda p: fits.find_files([p]), "no .bsdf file"),
+        (lambda p: fits.family_of("base_color", p), "cannot be used together"),
+        (lambda p: fits.read_family(p / "none.json"), "No such file"),
         (lambda p: FitSettings(principled(), method="simplex"), "simplex"),
         (lambda p: FitSettings(principled(), noise=2.0), "noise 2"),
     ],

@@ -9,18 +9,18 @@ import pytest
 from matplotlib.image import imread
 from small_library import measured, small_model
 
-from manifold import fit_json
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
-from manifold.fit_picture_workflows import picture_of_fit, picture_of_prediction_fit
-from manifold.fit_workflows import FitSettings, family_of, fit_files, fit_prediction
-from manifold.fitted_brdf import FittedBRDF
+from manifold.fitting import fit_json
+from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
-from manifold.picture_workflows import sources
-from manifold.plot_slices import angle_slices
+from manifold.plots.plot_slices import angle_slices
 from manifold.render import RenderSettings
-from manifold.render_workflows import compare, file_source
+from manifold.workflows.fit_pictures import picture_of_fit, picture_of_prediction_fit
+from manifold.workflows.fits import FitSettings, family_of, fit_files, fit_prediction
+from manifold.workflows.pictures import sources
+from manifold.workflows.renders import compare, file_source
 
 SETTINGS = RenderSettings(size=96, samples=32)
 FIT = FitSettings(family_of(None, None))

@@ -9,10 +9,10 @@ import pytest
 from conftest import real_rgl_folder
 from small_library import NAMES, measured
 
-from manifold import heldout, methods
 from manifold.brdf import MeasuredBRDF
 from manifold.combination import Combination, Values, evaluate
 from manifold.errors import ShapeError
+from manifold.evaluation import heldout, methods
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named

@@ -13,8 +13,8 @@ from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.holes import close_holes, find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
-from manifold.microfacet import GGX, Plastic
 from manifold.records import Bands
+from manifold.synthetic.microfacet import GGX, Plastic
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ import pytest
 from small_library import NAMES, measured, small_model
 
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, ModelError, UsageError
-from manifold.inspection import inspect
+from manifold.library.store import Library
 from manifold.model import Manifold
-from manifold.store import Library
+from manifold.workflows.inspection import inspect
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from manifold import spectra
 from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
-from manifold.microfacet import (
+from manifold.records import Array, Bands
+from manifold.synthetic.microfacet import (
     GGX,
     Lambert,
     Layered,
@@ -25,7 +26,6 @@ from manifold.microfacet import (
     fresnel_dielectric,
     fresnel_thin_film,
 )
-from manifold.records import Array, Bands
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)

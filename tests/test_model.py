@@ -11,16 +11,16 @@ import pytest
 from small_library import NAMES, small_library
 
 from manifold import gram
-from manifold.analytic import Lambert
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, LibraryError, ModelError, ShapeError, UsageError
+from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
 from manifold.model import LibraryChangedWarning, Manifold, Settings
 from manifold.records import Bands
 from manifold.spaces import KINDS
-from manifold.store import Library
+from manifold.synthetic.analytic import Lambert
 
 
 @pytest.fixture(scope="module")

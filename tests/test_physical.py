@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.analytic import Lambert
 from manifold.brdf import BRDF
 from manifold.directions import from_spherical
 from manifold.physical import PhysicalBRDF
 from manifold.plausibility import plausibility
 from manifold.records import Bands
+from manifold.synthetic.analytic import Lambert
 
 BANDS = Bands((500.0, 600.0))
 

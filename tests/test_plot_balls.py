@@ -8,11 +8,12 @@ from matplotlib.image import imread
 from matplotlib.offsetbox import AnnotationBbox
 from small_library import NAMES, measured, small_model
 
-from manifold import ball_workflows, thumbnails
 from manifold.brdf import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.model import Manifold
-from manifold.plot_balls import ball_map, spread, walk_strip
+from manifold.pictures import thumbnails
+from manifold.plots.plot_balls import ball_map, spread, walk_strip
+from manifold.workflows import ball_pictures
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +93,7 @@ def test_spread_points_keep_apart_and_inside(rng):
 
 
 def test_a_walk_begins_and_ends_with_the_materials(folder, model, tmp_path):
-    ball_workflows.walk(
-        folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
-    )
+    ball_pictures.walk(folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3)
     picture = imread(tmp_path / "walk.png")[..., :3]
     assert picture.std() > 0.1
     drawn = thumbnails.of_brdf(model.interpolate("syn_felt_green", "syn_gloss_red", 0.0))
@@ -110,8 +109,8 @@ def test_strips_name_their_rows_and_steps(balls):
 
 def test_walks_to_nowhere_are_refused(folder, tmp_path):
     with pytest.raises(UsageError, match="syn_felt_green"):
-        ball_workflows.walk(folder / "model.h5", "syn_felt_gren", "syn_gloss_red", tmp_path / "w.png")
+        ball_pictures.walk(folder / "model.h5", "syn_felt_gren", "syn_gloss_red", tmp_path / "w.png")
     with pytest.raises(UsageError, match="2 to 25"):
-        ball_workflows.walk(
+        ball_pictures.walk(
             folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "w.png", steps=1
         )

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
-from manifold.analytic import Lambert
 from manifold.brdf import MeasuredBRDF
 from manifold.errors import BandMismatchError, UsageError
-from manifold.picture_workflows import slices, sources
-from manifold.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
+from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
+from manifold.synthetic.analytic import Lambert
+from manifold.workflows.pictures import slices, sources
 
 BANDS = Bands((450.0, 550.0, 650.0))
 

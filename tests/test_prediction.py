@@ -15,11 +15,11 @@ from manifold.cube_root import cube_root
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
-from manifold.microfacet import GGX, Lambert, Plastic, RoughConductor
 from manifold.pairs import DirectionPairs
 from manifold.plausibility import mirrored_quadrature, plausibility
 from manifold.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
+from manifold.synthetic.microfacet import GGX, Lambert, Plastic, RoughConductor
 
 RGB = Bands(None)
 MATERIALS = [

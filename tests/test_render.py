@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
-from manifold import backend, corpus, image_metrics, images, render, render_workflows, scenes, spectra
+from manifold import backend, render, spectra
 from manifold.cli.main import run as run_here
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
+from manifold.pictures import image_metrics, images, scenes
 from manifold.render import RenderSettings, render_ball
 from manifold.spectra import Illuminant
+from manifold.synthetic import corpus
+from manifold.workflows import renders
 
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}
 
@@ -141,16 +144,16 @@ def test_an_illuminant_from_a_file_is_the_illuminant(tmp_path):
     path.write_text(
         "nm,power\n" + "".join(f"{w},{p}\n" for w, p in zip(named.wavelengths_nm, named.power, strict=True))
     )
-    read = render_workflows.parse_illuminant(str(path))
+    read = renders.parse_illuminant(str(path))
     assert read.power == named.power
     assert not read.is_d65
     path.write_text("400 -1\n500 1\n")
     with pytest.raises(FileFormatError, match="none below 0"):
         Illuminant.read(path)
     with pytest.raises(UsageError, match="no such file"):
-        render_workflows.parse_illuminant(str(tmp_path / "nothing.csv"))
+        renders.parse_illuminant(str(tmp_path / "nothing.csv"))
     with pytest.raises(UsageError, match="did you mean"):
-        render_workflows.parse_illuminant("D66")
+        renders.parse_illuminant("D66")
 
 
 def test_tone_mapping_keeps_what_a_display_can_show_and_never_reaches_white():
@@ -174,7 +177,7 @@ def test_the_same_seed_gives_the_same_picture_and_another_seed_another():
 def test_a_glossy_ball_has_a_highlight_at_the_upper_left_and_a_felt_has_none(folder):
     peaks = {}
     for name in ("syn_gloss_red", "syn_felt_green"):
-        source = render_workflows.file_source(folder / f"{name}_rgb.bsdf")
+        source = renders.file_source(folder / f"{name}_rgb.bsdf")
         picture = render_ball(source.material, source.is_rgb, RenderSettings(size=64, samples=64))
         values = np.where(scenes.ball_interior(64, 0.1), picture.mean(axis=2), 0.0)
         row, column = np.unravel_index(np.argmax(values), values.shape)
@@ -277,7 +280,7 @@ def test_a_latent_renders_like_its_prediction(folder, tmp_path):
     assert done.returncode == 0, done.stderr
     done = run(folder, "predict", "--latent", "0.1,-0.1", "-o", str(tmp_path / "p_rgb.bsdf"))
     assert done.returncode == 0, done.stderr
-    source = render_workflows.file_source(tmp_path / "p_rgb.bsdf")
+    source = renders.file_source(tmp_path / "p_rgb.bsdf")
     picture = render_ball(source.material, True, RenderSettings(size=24, samples=16))
     np.testing.assert_allclose(images.read_image(tmp_path / "latent.exr"), picture, rtol=1e-2, atol=1e-3)
 
@@ -286,7 +289,7 @@ def test_a_picture_of_the_surroundings_is_seen_in_the_ball(folder, tmp_path):
     surroundings = np.full((16, 32, 3), 0.5)
     surroundings[:, 16:] = [1.0, 0.0, 0.0]  # the left half, seen from the camera
     images.write_image(tmp_path / "red.exr", surroundings)
-    settings = render_workflows.make_settings(
+    settings = renders.make_settings(
         size=32, samples=64, seed=0, illuminant="D65", environment=tmp_path / "red.exr"
     )
     picture = render_ball(GREY, True, settings)
@@ -303,7 +306,7 @@ def test_scalar_variants_make_the_same_picture(folder):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""  # asked for, so no advice
-    found = render_workflows.file_source(source)
+    found = renders.file_source(source)
     picture = render_ball(found.material, False, RenderSettings(size=16, samples=400, seed=9))
     scalar = images.read_image(folder / "scalar.exr")
     np.testing.assert_allclose(scalar.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=0.03)

@@ -10,15 +10,17 @@ import pytest
 from scipy.linalg import solve
 from small_library import small_library
 
-from manifold import heldout, metrics, plot, report
-from manifold.colour_difference import colour_differences, multi_angle_pairs
-from manifold.heldout import Data
+from manifold import metrics
+from manifold.evaluation import heldout, report
+from manifold.evaluation.colour_difference import colour_differences, multi_angle_pairs
+from manifold.evaluation.heldout import Data
+from manifold.evaluation.model_methods import model_methods, replaced_keys
+from manifold.evaluation.report_text import format_report
+from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error, rmse, rusinkiewicz_grid
 from manifold.model import Manifold, Settings
-from manifold.model_methods import model_methods, replaced_keys
 from manifold.plausibility import plausibility
-from manifold.report_text import format_report
-from manifold.store import Library
+from manifold.plots import figures, plot_latents
 
 KINDS = ("monochrome", "material")
 
@@ -259,7 +261,7 @@ def test_the_report_is_plain_json(made):
 
 def test_the_map_shows_every_material_where_it_lies(model, tmp_path):
     marked = model.between("syn_felt_green", "syn_satin_gold", 0.5)
-    figure = plot.latent_map(model, marked=marked)
+    figure = plot_latents.latent_map(model, marked=marked)
     axes = figure.axes[0]
     labels = {text.get_text() for text in axes.texts}
     assert labels == {n.removeprefix("syn_").replace("_", " ") for n in model.names} | {"predicted"}
@@ -267,23 +269,23 @@ def test_the_map_shows_every_material_where_it_lies(model, tmp_path):
     np.testing.assert_allclose(dots, model.X)
     np.testing.assert_allclose(axes.collections[1].get_offsets()[0], marked)
     assert "synthetic" in axes.get_title()
-    plot.save(figure, tmp_path / "map.png")
+    figures.save(figure, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 def test_a_felt_dot_has_the_colour_of_the_felt(model):
-    colours = plot._material_colours(model)
+    colours = plot_latents._material_colours(model)
     red, green, blue = colours[model.names.index("syn_felt_green")]
     assert green > red
     assert green > blue
 
 
 def test_names_on_the_map_do_not_cover_each_other(model):
-    figure = plot.latent_map(model)
+    figure = plot_latents.latent_map(model)
     renderer = figure.canvas.get_renderer()
     boxes = [text.get_window_extent(renderer).extents for text in figure.axes[0].texts]
     area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in boxes)
-    covered = sum(plot._overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k])
+    covered = sum(plot_latents._overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k])
     assert covered < 0.05 * area
 
 
@@ -292,4 +294,4 @@ def test_unknown_picture_formats_are_refused(model, tmp_path, suffix):
     from manifold.errors import UsageError
 
     with pytest.raises(UsageError, match="picture format"):
-        plot.save(plot.latent_map(model), tmp_path / f"map{suffix}")
+        figures.save(plot_latents.latent_map(model), tmp_path / f"map{suffix}")

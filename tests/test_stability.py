@@ -11,23 +11,14 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from manifold import (
-    cautions,
-    dls,
-    extrapolation_failures,
-    gplvm,
-    gpr,
-    model_failures,
-    plot_stability,
-    search_failures,
-    stability,
-    stability_text,
-    stability_workflows,
-)
+from manifold import cautions, dls, gplvm, gpr
 from manifold.errors import UsageError
-from manifold.failure_modes import MODES
 from manifold.model import Manifold
-from manifold.stability import (
+from manifold.plots import plot_stability
+from manifold.stability import advice_page, extrapolation_failures, model_failures, search_failures, trials
+from manifold.stability.bench import Bench
+from manifold.stability.catalogue import MODES
+from manifold.stability.trials import (
     FINE,
     REFUSED,
     WARNED,
@@ -41,7 +32,7 @@ from manifold.stability import (
     try_modes,
     try_once,
 )
-from manifold.stability_bench import Bench
+from manifold.workflows import failures
 
 OF_MODELS = (*model_failures.MODES, *extrapolation_failures.MODES, *search_failures.MODES)
 PAGE = "docs/stability.md"
@@ -170,7 +161,7 @@ def test_a_row_is_as_wrong_as_its_worst_unsaid_error():
     row = Row("m", "it", 1.0, (Tried(0, 0.2, FINE), Tried(1, 9.0, WARNED, "beware"), Tried(2, None, REFUSED)))
     assert row.unsaid_error == 0.2
     assert not row.is_wrong
-    assert stability_text.outcomes(row) == "fine, warned, refused"
+    assert advice_page.outcomes(row) == "fine, warned, refused"
 
 
 def test_unknown_names_are_answered_with_those_known():
@@ -194,14 +185,14 @@ def test_keys_are_unique_and_every_mode_has_methods_severities_and_advice():
 def told(monkeypatch) -> Mode:
     """A catalogue of one mode that is silently wrong at its end."""
     mode = mode_of(Found(0.5), Found(2.0, ("beware | of this",)), Found(3.0))
-    monkeypatch.setattr(stability_workflows, "MODES", (mode,))
+    monkeypatch.setattr(failures, "MODES", (mode,))
     return mode
 
 
 def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(told, tmp_path, capsys, monkeypatch):
     from manifold.cli.main import run
 
-    monkeypatch.setattr("manifold.failure_modes.MODES", (told,))
+    monkeypatch.setattr("manifold.stability.catalogue.MODES", (told,))
     files = {"--json": "s.json", "--markdown": "s.md", "--picture": "s.png"}
     with pytest.raises(SystemExit) as left:
         run(
@@ -222,10 +213,10 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(told, tmp_
 
 
 def test_files_that_cannot_be_written_are_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(stability_workflows, "try_modes", lambda *_: pytest.fail("the work was done first"))
+    monkeypatch.setattr(failures, "try_modes", lambda *_: pytest.fail("the work was done first"))
     for options in ({"picture": tmp_path / "no" / "s.png"}, {"page": tmp_path / "no" / "s.md"}):
         with pytest.raises(UsageError, match="cannot write"):
-            stability_workflows.stability(**options)
+            failures.stability(**options)
 
 
 def all_fine() -> Stability:
@@ -240,8 +231,8 @@ def all_fine() -> Stability:
 
 
 def test_the_table_fits_eighty_columns():
-    rows = stability_text.table(all_fine())
-    widths = [max(map(len, column)) for column in zip(stability_text.COLUMNS, *rows, strict=True)]
+    rows = advice_page.table(all_fine())
+    widths = [max(map(len, column)) for column in zip(advice_page.COLUMNS, *rows, strict=True)]
     longest = max(len(", ".join((FINE, WARNED, REFUSED))), len(WRONG))
     assert sum(widths[:-1]) + longest + 2 * len(widths[:-1]) <= 80
 
@@ -261,4 +252,4 @@ def test_the_page_of_the_documentation_lists_every_mode_with_its_advice(request)
         assert f"**What to do.** {mode.advice}" in text
         chapter = text.split(f"## {mode.key}\n")[1].split("\n## ")[0]
         assert re.findall(r"^\| (?!method|-)([^|]+) \|", chapter, flags=re.MULTILINE) == list(mode.methods)
-    assert stability.WRONG + " from" not in text
+    assert trials.WRONG + " from" not in text

@@ -1,4 +1,4 @@
-"""The library: `manifold.store`, `manifold.importing`, `manifold.staging`."""
+"""The library: `manifold.library.store`, `manifold.library.importing`, `manifold.library.staging`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ import zarr
 from sample_files import WAVELENGTHS_NM, assert_same, assert_same_array, sample_file, write_samples
 from zarr.storage import LocalStore
 
-from manifold import staging
-from manifold import store as store_module
 from manifold.errors import BandMismatchError, LibraryError, UsageError
-from manifold.importing import ImportResult, import_files
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.library import staging
+from manifold.library import store as store_module
+from manifold.library.importing import ImportResult, import_files
+from manifold.library.store import Library
 from manifold.records import Bands, BsdfFile
-from manifold.store import Library
 
 
 @pytest.fixture
@@ -397,7 +397,7 @@ def test_a_replacement_cut_short_leaves_the_old_or_the_new(
     write_bsdf(folder / "m00_spec.bsdf", sample_file("m00", 99))
     script = f"""
 import os, signal
-from manifold.importing import import_files
+from manifold.library.importing import import_files
 rename, count = os.rename, 0
 def killed(*paths):
     global count
@@ -459,7 +459,7 @@ def prelude() -> str:
 
 def import_script(home: Path) -> str:
     return f"""
-from manifold.importing import import_files
+from manifold.library.importing import import_files
 print("ready", flush=True)
 import_files({str(home / "library.zarr")!r}, [{str(home / "files")!r}])
 """

@@ -10,20 +10,22 @@ from conftest import real_rgl_folder
 from mitsuba_reference import measured
 from small_library import small_model
 
-from manifold import budget_scenes, corpus, workflows
 from manifold import demo as demo_module
+from manifold.budget import example_scenes
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
 from manifold.model import Manifold, Settings
-from manifold.store import Library
+from manifold.synthetic import corpus
+from manifold.workflows import pipeline
 
 FEW = {
     "syn_satin_gold",
     "syn_chrome_mint",
     "syn_paper_white",
     "syn_gloss_red",
-    *(example.material for example in budget_scenes.EXAMPLES.values()),
+    *(example.material for example in example_scenes.EXAMPLES.values()),
 }
 
 
@@ -95,7 +97,7 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
         raise Stopped
 
     monkeypatch.setattr(corpus, "measure", lambda *_, **__: pytest.fail("measured again"))
-    monkeypatch.setattr(workflows, "predict", stop)  # what follows is made anew
+    monkeypatch.setattr(pipeline, "predict", stop)  # what follows is made anew
     before = Manifold.load(demo.model)
     with pytest.raises(Stopped):
         demo_module.run(demo.model.parent)
@@ -106,7 +108,7 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
 
 def test_a_prediction_at_a_material_is_that_material(tmp_path):
     model = Manifold.load(small_model(tmp_path))
-    made = workflows.predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
+    made = pipeline.predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
     assert made.std == 0.0
     assert made.weights == (("syn_satin_gold", 1.0),)
     assert made.nearest[0] == ("syn_satin_gold", 0.0)
@@ -115,7 +117,7 @@ def test_a_prediction_at_a_material_is_that_material(tmp_path):
 
 def test_predictions_go_into_bsdf_files_only(tmp_path):
     with pytest.raises(UsageError, match=r"-o NAME\.bsdf"):
-        workflows.predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
+        pipeline.predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
 
 
 def test_the_main_job_runs_on_real_files(tmp_path, rng):
@@ -123,14 +125,14 @@ def test_the_main_job_runs_on_real_files(tmp_path, rng):
     if folder is None:
         pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
-    result = workflows.import_library(library, [folder])
+    result = pipeline.import_library(library, [folder])
     assert not result.failed
-    fitted = workflows.embed(library, model, Settings()).model
+    fitted = pipeline.embed(library, model, Settings()).model
     assert len(fitted.names) == len(result.imported)
     suffix = "rgb" if fitted.bands.is_rgb else "spec"
-    made = workflows.predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
+    made = pipeline.predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
     assert np.all(np.isfinite(read_bsdf(made.path).spectra))
-    report = workflows.report(model, picture=tmp_path / "map.png")
+    report = pipeline.report(model, picture=tmp_path / "map.png")
     assert report.methods[0].rmse == (0.0,) * len(fitted.names)
     assert not any(report.is_synthetic)
     refitted = next(m for m in report.methods if m.key == "gp_refitted")

@@ -1,0 +1,1 @@
+"""`manifold budget`: no more model than a scene needs."""

@@ -1,0 +1,1 @@
+"""`manifold chart`: speed against accuracy."""

@@ -1,0 +1,1 @@
+"""How good models are: methods side by side, judged by materials they have not seen."""

@@ -1,0 +1,137 @@
+"""What samples say of each parameter of a fit: a standard error, and whether it is determined at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.stats import chi2
+
+from manifold.fitting.bsdf_parameters import Layout
+from manifold.records import Array
+
+DETERMINED = "determined"
+UNCERTAIN = "uncertain"
+UNSEEN = "not seen"
+AMBIGUOUS = "ambiguous"
+
+_CONFIDENCE = 0.99  # at which a second minimum counts as worse than the best
+_BOUND = 2e-3  # of the range: nearer to an end is at the end
+_CORRELATED = 0.9
+_STEP = 0.1  # of every range: how far a linear model is trusted
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What is known of one parameter, or of one band's value of it.
+
+    Attributes:
+        name: of the parameter, with the band's index where there are several.
+        value: the fitted value.
+        standard_error: of the value, never more than that of a uniform guess over the range.
+        state: `determined` (twice the standard error is within the parameter's tolerance), `uncertain`,
+            `not seen` (the samples hardly depend on it), or `ambiguous` (another minimum, as good within the
+            noise, has a different value).
+        at_bound: whether the value lies at an end of its range.
+        entangled_with: the parameter it is most correlated with, if the correlation exceeds 0.9 and it is not
+            determined, else None.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    state: str
+    at_bound: bool
+    entangled_with: str | None
+
+    def __str__(self) -> str:
+        text = f"{self.value:.3f} +- {self.standard_error:.3f}, {self.state}"
+        if self.entangled_with is not None:
+            text += f" (entangled with {self.entangled_with})"
+        return text + ", at the end of its range" * self.at_bound
+
+
+def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
+    """Variance of one residual: what the fit leaves over, but no less than that of the assumed noise.
+
+    Args:
+        residual: shape (n,).
+        n_parameters: K.
+        floor: variance that the assumed noise of the samples causes.
+    """
+    freedom = max(residual.size - n_parameters, 1)
+    return max(float(residual @ residual) / freedom, floor)
+
+
+def is_as_good(cost: float, best: float, variance: float, n_parameters: int) -> bool:
+    """Whether noise of this variance may hide the difference of two costs: a chi-square test at 99 %."""
+    return cost - best <= variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
+
+
+def cost_after_a_step(layout: Layout, p: Array, residual: Array, J: Array) -> float:
+    """Sum of squared residuals that one Gauss-Newton step promises, no longer than a tenth of any range.
+
+    Args:
+        layout: of the K values.
+        p: fitted values (K,).
+        residual: shape (n,).
+        J: derivatives of the residuals by the values, shape (n, K).
+    """
+    span = layout.maximum - layout.minimum
+    room = np.array([layout.minimum - p, layout.maximum - p]) / span
+    low, high = np.clip(room, -_STEP, _STEP)
+    bounds = (low - 1e-9, high + 1e-9)  # a value at an end needs some room too
+    return 2.0 * float(lsq_linear(J * span, -residual, bounds).cost)
+
+
+def state_parameters(
+    layout: Layout, p: Array, J: Array, variance: float, alternatives: list[Array]
+) -> tuple[Statement, ...]:
+    """One statement per place of the layout.
+
+    Args:
+        layout: of the K values.
+        p: fitted values (K,).
+        J: derivatives of the residuals by the values, shape (n, K).
+        variance: of one residual.
+        alternatives: other values (K,) that fit as well within the noise.
+
+    The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range:
+    it keeps directions that the samples do not see finite.
+    """
+    span = layout.maximum - layout.minimum
+    prior = span / np.sqrt(12.0)
+    scaled = J * prior  # unit prior
+    precision = scaled.T @ scaled / variance + np.eye(layout.size)
+    covariance = np.linalg.inv(precision)
+    unit_error = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(unit_error, unit_error))
+    np.fill_diagonal(correlation, 0.0)
+    made = []
+    for k, label in enumerate(layout.labels):
+        error = float(unit_error[k] * prior[k])
+        moved = any(
+            abs(other[k] - p[k]) > max(2.0 * error, 2.0 * layout.tolerance[k]) for other in alternatives
+        )
+        if unit_error[k] > 0.8:
+            state = UNSEEN
+        elif moved:
+            state = AMBIGUOUS
+        elif 2.0 * error <= layout.tolerance[k]:
+            state = DETERMINED
+        else:
+            state = UNCERTAIN
+        partner = int(np.argmax(correlation[k]))
+        entangled = state != DETERMINED and correlation[k, partner] > _CORRELATED
+        made.append(
+            Statement(
+                name=label,
+                value=float(p[k]),
+                standard_error=error,
+                state=state,
+                at_bound=bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
+                entangled_with=layout.labels[partner] if entangled else None,
+            )
+        )
+    return tuple(made)

@@ -1,0 +1,1 @@
+"""The library of measured files: fetched, identified, imported, stored."""

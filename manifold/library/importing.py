@@ -1,0 +1,235 @@
+"""Files into a library: every finished material at once and whole, however the import ends."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from manifold.errors import LibraryError, ManifoldError, UsageError
+from manifold.io_rgl import read_bsdf
+from manifold.library import staging
+from manifold.library.identity import require_material_name
+from manifold.library.store import Library, Progress, open_or_create, write_material
+from manifold.records import Bands, BsdfFile
+
+Outcome = Literal["imported", "skipped", "replaced"]
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """What became of each file.
+
+    Attributes:
+        imported: names of new materials, sorted.
+        skipped: names of materials that were there already with the same SHA-256, sorted.
+        replaced: names of materials whose content was exchanged, sorted.
+        failed: why a file was left out, by its path; all the others were imported.
+    """
+
+    imported: tuple[str, ...]
+    skipped: tuple[str, ...]
+    replaced: tuple[str, ...]
+    failed: dict[str, str]
+
+
+@dataclass(frozen=True)
+class _Source:
+    path: Path
+    sha256: str
+    file: BsdfFile
+
+
+def import_files(
+    library_path: Path | str,
+    sources: Iterable[Path | str],
+    *,
+    replace: bool = False,
+    on_progress: Progress | None = None,
+) -> ImportResult:
+    """Import RGL files into a library, which is made with the bands of the first file if there is none.
+
+    A material appears in the library in one step, when it is whole: a killed import leaves exactly the
+    finished ones, and importing again adds the rest. One bad file stops no other.
+
+    Args:
+        library_path: the library.
+        sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`.
+        replace: exchange materials that are there under the same name with other content.
+        on_progress: called with (done, total, name) after each file.
+    Returns:
+        What became of each file; `failed` must be looked at.
+    Raises:
+        UsageError: a source does not exist, or a folder holds no `*.bsdf`.
+        BandMismatchError: a file has other bands than the library or the first file; nothing was written.
+        LibraryError: what is there is no library, another process writes to it, or the disk is full.
+    """
+    paths = _find(sources)
+    library = staging.resolved(library_path)
+    expected = Library.open(library).bands if library.exists() else None
+    report = _Report(2 * len(paths), on_progress)
+    loaded = _load(paths, report)
+    _require_one_grid(loaded, expected, library)
+    if loaded:
+        _make_folder(library.parent)
+        with staging.writing(library) as staged:
+            opened = open_or_create(library, loaded[0].file.bands, staged)
+            _require_one_grid(loaded, opened.bands, library)  # Another process may have made it meanwhile.
+            _store_all(opened, loaded, staged, replace, report)
+    return report.result()
+
+
+class _Report:
+    """Collects outcomes and counts progress, from several threads at once."""
+
+    def __init__(self, total: int, on_progress: Progress | None) -> None:
+        self.outcomes: dict[str, Outcome] = {}
+        self.failed: dict[str, str] = {}
+        self._done, self._total, self._on_progress = 0, total, on_progress
+        self._mutex = threading.Lock()
+
+    def step(self, path: Path, steps: int = 1) -> None:
+        with self._mutex:
+            self._done += steps
+            if self._on_progress:
+                self._on_progress(self._done, self._total, path.name)
+
+    def fail(self, path: Path, message: str) -> None:
+        self.failed[str(path)] = message
+
+    def result(self) -> ImportResult:
+        def names(kind: Outcome) -> tuple[str, ...]:
+            return tuple(sorted(name for name, outcome in self.outcomes.items() if outcome == kind))
+
+        failed = dict(sorted(self.failed.items()))
+        return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
+
+
+def _find(sources: Iterable[Path | str]) -> list[Path]:
+    """All files named by sources, each once, in order."""
+    found: dict[Path, None] = {}
+    for source in map(Path, sources):
+        if source.is_dir():
+            inside = sorted(path for path in source.rglob("*.bsdf") if path.is_file())
+            if not inside:
+                raise UsageError(f"{source}: holds no .bsdf file; name a folder that does, or the files")
+            found.update(dict.fromkeys(inside))
+        elif source.exists():
+            found[source] = None
+        else:
+            raise UsageError(f"{source}: no such file or folder")
+    if not found:
+        raise UsageError("nothing to import; name .bsdf files or folders that hold some")
+    return list(found)
+
+
+def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
+    """Map, check and hash every file; the bad ones are reported and left out."""
+
+    def load(path: Path) -> _Source | None:
+        try:
+            file = read_bsdf(path)
+            require_material_name(file.name)
+            with path.open("rb") as stream:
+                source = _Source(path, hashlib.file_digest(stream, "sha256").hexdigest(), file)
+            report.step(path)
+            return source
+        except ManifoldError as error:
+            report.fail(path, str(error))
+        except OSError as error:
+            report.fail(path, f"{path.name}: cannot be read ({error.strerror})")
+        report.step(path, 2)
+        return None
+
+    return [source for source in _in_threads(load, paths) if source]
+
+
+def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library: Path) -> None:
+    for source in loaded:
+        expected = expected or source.file.bands
+        remedy = f"import it into a library of its own, not into {library.name}"
+        expected.require_same(source.file.bands, source.path.name, remedy)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LibraryError(f"{folder}: cannot make this folder ({error.strerror})") from error
+
+
+def _store_all(
+    library: Library, loaded: Sequence[_Source], staged: Path, replace: bool, report: _Report
+) -> None:
+    tasks = _one_per_name(loaded, report)
+
+    def store(source: _Source) -> None:
+        try:
+            report.outcomes[source.file.name] = _store(library, source, staged, replace)
+        except ManifoldError as error:
+            report.fail(source.path, str(error))
+        report.step(source.path)
+
+    try:
+        _in_threads(store, tasks)
+    except OSError as error:
+        raise LibraryError(
+            f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
+            f"{len(tasks)} materials done; those are whole: make room and import again for the rest"
+        ) from error
+
+
+def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
+    """Each material once; of two files with one name and different content, the first."""
+    chosen: dict[str, _Source] = {}
+    for source in loaded:
+        first = chosen.setdefault(source.file.name, source)
+        if first is source:
+            continue
+        if first.sha256 != source.sha256:
+            report.fail(
+                source.path, f"{source.path}: same name as {first.path}, other content; rename one of them"
+            )
+        report.step(source.path)
+    return list(chosen.values())
+
+
+def _store(library: Library, source: _Source, staged: Path, replace: bool) -> Outcome:
+    name = source.file.name
+    known = library.attributes(name) if name in library else None
+    if known and known.sha256 == source.sha256:
+        return "skipped"
+    if known and not replace:
+        raise UsageError(
+            f"{source.path.name}: '{name}' is in the library with SHA-256 {known.sha256[:12]}..., "
+            f"this file has {source.sha256[:12]}...; replace it on purpose (replace=True, --replace), "
+            "or rename the file"
+        )
+    folder = staged / name
+    write_material(folder, source.file, source.path.name, source.sha256)
+    target = library.path / "materials" / name
+    if known:
+        staging.replace(library.path, folder, target)
+        return "replaced"
+    staging.publish(folder, target)
+    return "imported"
+
+
+def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """Hashing, copying and writing release the interpreter's lock, so threads are enough."""
+    workers = min(8, os.cpu_count() or 1)
+    with ThreadPoolExecutor(workers) as pool:
+        futures = [pool.submit(function, item) for item in items]
+        try:
+            return [future.result() for future in futures]
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -1,0 +1,1 @@
+"""What rendered pictures are made of and measured by: scenes, images, and differences between them."""

@@ -1,0 +1,1 @@
+"""Figures. These modules alone import matplotlib; none opens a window."""

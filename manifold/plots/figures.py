@@ -1,0 +1,45 @@
+"""What all figures share: made without a window, saved atomically."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from manifold import atomic
+from manifold.errors import UsageError
+
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top."""
+
+_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of that many inches, drawn without a window."""
+    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def require_writable(path: Path) -> None:
+    """Raise what `save` would, as far as it can be known before the work.
+
+    Raises:
+        UsageError: the suffix is unknown, or the folder cannot be written.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UsageError(f"{path}: no picture format '{path.suffix}'; expected one of {', '.join(_SUFFIXES)}")
+    atomic.require_writable(path)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG (or what the suffix says), atomically.
+
+    Raises:
+        UsageError: the file cannot be written, or the suffix is unknown.
+    """
+    require_writable(path)
+    with atomic.replacing(path) as partial:
+        figure.savefig(partial)

@@ -1,0 +1,233 @@
+"""The chart of speed against accuracy as a picture: two errors against three costs, Pareto fronts drawn and named."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
+
+from manifold.chart.experiment import COSTS, Chart, Charted, cost_of
+from manifold.chart.fits import FAMILY
+from manifold.chart.registry import SEED
+from manifold.plots.figures import Box, new_figure
+from manifold.records import Array
+
+_ERRORS = {"delta_e": "CIEDE2000 of the ball", "rmse": "RMSE of eq. 22, 1/sr"}
+_COSTS = {
+    "predict": "time to predict a material (reference times)",
+    "bytes": "bytes kept",
+    "fit": "time to fit the library (reference times)",
+}
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How a family is drawn: colours of Okabe and Ito, which all kinds of colour vision tell apart, and shapes."""
+
+    marker: str
+    colour: str
+
+
+LOOKS = {
+    "one or two materials": _Look("D", "#cc79a7"),
+    "PCA": _Look("o", "#0072b2"),
+    "GPLVM, whole materials": _Look("s", "#e69f00"),
+    "GPLVM, monochrome samples": _Look("^", "#009e73"),
+    "seed": _Look("*", "#d55e00"),
+    FAMILY: _Look("x", "#555555"),
+}
+_FRONT_POINTS, _OTHER_POINTS, _SEED_POINTS = 8.5, 5.0, 15.0
+_LABEL = 8.8
+_DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
+
+
+def chart(made: Chart) -> Figure:
+    """Errors against costs. Filled and joined: on the front; pale and small: beaten; crosses saw the material."""
+    figure = new_figure(10.4, 12.4)
+    kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
+    figure.suptitle(
+        f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
+        fontsize=12.5,
+    )
+    grid = figure.subplots(len(COSTS), len(_ERRORS), sharex="row", sharey="col", squeeze=False)
+    for axis_row, cost in zip(grid, COSTS, strict=True):
+        for axes, error in zip(axis_row, _ERRORS, strict=True):
+            _points(axes, made, error, cost)
+        axis_row[0].set_xlabel(_COSTS[cost])
+        axis_row[1].set_xlabel(_COSTS[cost])
+    for axes, (error, title) in zip(grid[0], _ERRORS.items(), strict=True):
+        axes.set_title(f"{title}, median", fontsize=11)
+        _error_ticks(axes, [getattr(row, error) for row in made.charted])
+    figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
+    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    figure.set_layout_engine("none")
+    for axis_row, cost in zip(grid, COSTS, strict=True):
+        for axes, error in zip(axis_row, _ERRORS, strict=True):
+            _name(figure, axes, made, error, cost)
+    return figure
+
+
+def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(0.09, 0.09)
+    axes.grid(True, color="0.92", linewidth=0.8)
+    axes.set_axisbelow(True)
+    front = made.front(error, cost)
+    on = {row.key for row in front}
+    if front:
+        x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
+        axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
+    for row in made.charted:
+        look = LOOKS[row.family]
+        size = _SEED_POINTS if row.key == SEED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
+        is_plain = row.key in on or row.key == SEED
+        is_cross = look.marker == "x"
+        axes.plot(
+            cost_of(row, cost), getattr(row, error), look.marker, markersize=size, color=look.colour,
+            markerfacecolor=look.colour if is_plain else "white",
+            markeredgecolor="black" if is_plain and not is_cross else look.colour,
+            alpha=1.0 if is_plain or is_cross else 0.6, zorder=4 if is_plain else 3, gid=row.key,
+        )  # fmt: skip
+
+
+def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
+    """The edge of what a front beats, from the cheapest to the dearest corner; within tolerance it may rise."""
+    x, y = np.array(corners).T
+    return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
+
+
+def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Numbers at 1, 2 and 5 where the errors span less than two decades."""
+    if max(values) / min(values) < 1e3:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
+    else:
+        axes.yaxis.set_major_formatter(LogFormatterSciNotation())
+        axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _legend(made: Chart) -> list[Line2D]:
+    present = {row.family for row in made.charted}
+    handles = [
+        Line2D([], [], linestyle="", marker=look.marker, color=look.colour, markersize=8, label=family)
+        for family, look in LOOKS.items()
+        if family in present
+    ]
+    return [
+        *handles,
+        Line2D([], [], color="0.25", marker="s", markerfacecolor="0.6", label="Pareto front, named"),
+        Line2D(
+            [], [], color="0.6", linestyle="", marker="s", markerfacecolor="white", label="beaten by others"
+        ),
+    ]
+
+
+def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> None:
+    """Write the names of the front, of the seed, and of fits, where they cover least."""
+
+    def at(row: Charted) -> tuple[float, float]:
+        return cost_of(row, cost), getattr(row, error)
+
+    on = made.fronts[error][cost]
+    dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
+    taken = [
+        (x - dot, y - dot, x + dot, y + dot) for x, y in axes.transData.transform([*map(at, made.charted)])
+    ]
+    taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    frame = axes.get_window_extent(renderer).padded(-0.5 * dot)
+    named = [row for row in made.charted if row.key in on or row.key == SEED or not row.is_held_out]
+    groups: list[list[Charted]] = []
+    for row in named:  # those that are drawn on each other share a name
+        pixel = axes.transData.transform(at(row))
+        near = [
+            group
+            for group in groups
+            if group[0].family == row.family
+            and np.hypot(*(axes.transData.transform(at(group[0])) - pixel)) < 1.5 * dot
+        ]
+        if near:
+            near[0].append(row)
+        else:
+            groups.append([row])
+    for group in groups:
+        place = at(group[0])
+        pixel = axes.transData.transform(place)
+        text = axes.annotate(
+            _title(group), place, xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center",
+            va="center", style="normal" if group[0].is_held_out else "italic",
+            color="black" if group[0].is_held_out else "0.35",
+            path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], zorder=6,
+        )  # fmt: skip
+        extent = text.get_window_extent(renderer)
+        rivals = axes.transData.transform([at(row) for row in named if row not in group] or [place])
+        offset, box = _place(pixel, rivals, _DRAWN * extent.width, extent.height, dot, taken, frame.extents)
+        text.set_position(offset)
+        taken.append(box)
+        edge = np.clip(pixel, box[:2], box[2:])
+        if np.hypot(*(edge - pixel)) > 2.0 * dot:
+            end = axes.transData.inverted().transform(edge)
+            axes.plot(*zip(place, end, strict=True), color="0.4", linewidth=0.7, zorder=2.5)
+
+
+def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> list[Box]:
+    """Small boxes along the line of a front, in pixels."""
+    if not corners:
+        return []
+    ends = axes.transData.transform(np.column_stack(_stairs(corners)))
+    steps = [
+        np.linspace(a, b, max(int(np.hypot(*(b - a)) / (2.0 * half)), 2)) for a, b in itertools.pairwise(ends)
+    ]
+    return [(x - half, y - half, x + half, y + half) for step in steps for x, y in step]
+
+
+def _title(group: Sequence[Charted]) -> str:
+    """One name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
+    first = group[0]
+    if first.key == SEED:
+        return "seed, as published"
+    if not first.is_held_out:
+        return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
+    return first.title + (f" (+{len(group) - 1})" if len(group) > 1 else "")
+
+
+def _place(
+    point: Array, rivals: Array, width: float, height: float, dot: float, taken: Sequence[Box], frame: Box
+) -> tuple[tuple[float, float], Box]:
+    """Offset in pixels of the centre of a name, and its box: near its point, inside the frame, over little.
+
+    It should be no nearer to other points that have names, `rivals` (K, 2), than to its own.
+    """
+    best: tuple[float, tuple[float, float], Box] | None = None
+    for gap in dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]):
+        for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
+            dx, dy = np.cos(angle) * (gap + 0.5 * width), np.sin(angle) * (gap + 0.5 * height)
+            x, y = point[0] + dx, point[1] + dy
+            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
+            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
+            cost = gap * height + 4.0 * sum(_common(box, other) for other in taken) + 1e4 * outside
+            own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
+            cost += 4.0 * height * max(own - theirs, 0.0)
+            if best is None or cost < best[0]:
+                best = (cost, (dx, dy), box)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _distances(box: Box, points: Array) -> Array:
+    """From a box to points (K, 2), shape (K,)."""
+    return np.linalg.norm(points - np.clip(points, box[:2], box[2:]), axis=1)
+
+
+def _common(a: Box, b: Box) -> float:
+    """Common area of two boxes (left, bottom, right, top)."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

@@ -1,0 +1,38 @@
+"""Two pictures side by side, and where they differ, as one figure."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from manifold.plots.figures import new_figure
+from manifold.records import Array
+
+_LARGEST_DELTA_E = 10.0  # of the colour scale: far above what anybody takes for the same colour
+
+
+def comparison(
+    display_a: Array, display_b: Array, delta_e: Array, flip: Array, titles: tuple[str, str]
+) -> Figure:
+    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W)."""
+    height, width = delta_e.shape
+    figure = new_figure(8.6, 0.6 + 8.0 * height / width)
+    axes = figure.subplots(2, 2)
+    for axis, picture, title in zip(axes[0], (display_a, display_b), titles, strict=True):
+        axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
+        axis.set_title(title, fontsize=10)
+    scale = min(_LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
+    maps = (
+        (delta_e, scale, f"CIEDE2000, mean {delta_e.mean():.2f}"),
+        (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean {flip.mean():.3f}"),
+    )
+    for axis, (values, largest, title) in zip(axes[1], maps, strict=True):
+        shown = axis.imshow(values, cmap="magma", vmin=0.0, vmax=largest, interpolation="nearest")
+        axis.set_title(title, fontsize=10)
+        bar = figure.colorbar(
+            shown, ax=axis, fraction=0.046, extend="max" if values.max() > largest else "neither"
+        )
+        bar.ax.tick_params(labelsize=8)
+    for axis in axes.flat:
+        axis.set_axis_off()
+    return figure

@@ -1,0 +1,137 @@
+"""The latent map: materials as dots in the colours they have, over the uncertainty of predictions."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+
+from manifold import spectra
+from manifold.directions import from_spherical
+from manifold.model import Manifold
+from manifold.plots.figures import Box, new_figure
+from manifold.records import Array
+
+_DOT_POINTS = 10.5  # diameter of a material
+_MARK = "#d55e00"
+_UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
+_GRID = 120  # background samples per axis
+_MARGIN = 0.18  # of the range of the latents, around them
+
+
+def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
+    """The first two latent dimensions: materials in their own colours over the uncertainty.
+
+    Args:
+        model: a fitted manifold; one dimension is drawn along a line.
+        marked: a latent (Q,) to mark as predicted.
+    """
+    figure = new_figure(10, 7.2)
+    axes = figure.add_subplot()
+    X = two_dimensions(model.X)
+    if model.settings.latent_dim == 2:
+        draw_uncertainty(figure, axes, model)
+    colours = _material_colours(model)
+    axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
+    names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
+    if marked is not None:
+        X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
+        names.append("predicted")
+        axes.scatter(
+            X[-1:, 0], X[-1:, 1], 3 * _DOT_POINTS**2, _MARK, marker="*", edgecolors="white", zorder=5
+        )
+    latent_axes(axes, model)
+    _label(figure, axes, X, names)
+    return figure
+
+
+def latent_axes(axes: Axes, model: Manifold) -> None:
+    """Title and labels of a map of latents."""
+    synthetic = all(model.library.attributes(name).is_synthetic for name in model.names)
+    kind = "synthetic corpus" if synthetic else "measured materials"
+    axes.set_title(f"Material manifold: {len(model.names)} materials ({kind}), {model.bands}", fontsize=12)
+    axes.set_xlabel("latent $x_1$ (length scales)")
+    axes.set_ylabel("latent $x_2$ (length scales)" if model.settings.latent_dim > 1 else "")
+
+
+def two_dimensions(X: Array) -> Array:
+    """The first two columns, with zeros for a missing second one."""
+    return X[:, :2] if X.shape[1] > 1 else np.column_stack([X[:, 0], np.zeros(len(X))])
+
+
+def draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
+    """The posterior standard deviation as the ground of a two-dimensional map, with its colour bar."""
+    low, high = model.X.min(axis=0), model.X.max(axis=0)
+    margin = _MARGIN * (high - low)
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    std = model.std(points).reshape(_GRID, _GRID)
+    image = axes.imshow(
+        std, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto", interpolation="bilinear",
+        cmap=_UNCERTAINTY, vmin=0.0, vmax=1.0,
+    )  # fmt: skip
+    bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.04)
+    bar.set_label("posterior standard deviation, share of the prior's")
+    axes.set_xlim(x[0], x[-1])
+    axes.set_ylim(y[0], y[-1])
+
+
+def _material_colours(model: Manifold) -> Array:
+    """Display colour of each material: its directional albedo at 30 degrees under D65, shape (N, 3)."""
+    wi = from_spherical(np.deg2rad(30.0), 0.0)
+    albedo = np.stack([model.material(name).albedo(wi, resolution=16) for name in model.names])
+    linear = np.clip(spectra.to_srgb(albedo, model.bands), 0.0, 1.0)
+    return spectra.encode_srgb(linear)
+
+
+def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
+    """Names near their points: each where it covers least of points and of names placed before it.
+
+    Names are set from the rim of the map inwards, and a line leads to a point whose name is far.
+    """
+    figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    frame = axes.get_window_extent()
+    pixels = axes.transData.transform(X)
+    dot = 0.7 * _DOT_POINTS * figure.dpi / 72.0
+    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in pixels]
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    for k in np.argsort(-np.linalg.norm(pixels - pixels.mean(axis=0), axis=1)):
+        text = axes.annotate(
+            names[k], X[k], xytext=(0, 0), textcoords="offset pixels", fontsize=8, ha="center", va="center",
+            path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.8)], zorder=4,
+        )  # fmt: skip
+        extent = text.get_window_extent(renderer)
+        offset, box = _best_place(pixels[k], extent.width, extent.height, dot, taken, frame.extents)
+        text.set_position(offset)
+        taken.append(box)
+        near = np.clip(pixels[k], box[:2], box[2:])  # where the leading line meets the name
+        if np.linalg.norm(near - pixels[k]) > 2.0 * dot:
+            end = axes.transData.inverted().transform(near)
+            axes.plot(*np.stack([X[k], end], axis=-1), color="black", linewidth=0.6, zorder=2)
+
+
+def _best_place(
+    point: Array, width: float, height: float, dot: float, taken: list[Box], frame: Box
+) -> tuple[tuple[float, float], Box]:
+    """Offset of a label's centre from its point in pixels, and the box it fills: the cheapest of a few rings."""
+    best: tuple[float, tuple[float, float], Box] | None = None
+    for ring in range(6):
+        gap = dot * (1.2 + 1.5 * ring)
+        for angle in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
+            dx = np.cos(angle) * (gap + 0.5 * width)
+            dy = np.sin(angle) * (gap + 0.5 * height)
+            x, y = point[0] + dx, point[1] + dy
+            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
+            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
+            cost = sum(_overlap(box, other) for other in taken) + 0.4 * height * gap + 1e3 * outside
+            if best is None or cost < best[0]:
+                best = (cost, (dx, dy), box)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _overlap(a: Box, b: Box) -> float:
+    """Common area of two boxes (left, bottom, right, top)."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

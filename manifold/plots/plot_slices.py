@@ -1,0 +1,200 @@
+"""Pictures of BRDF values: slices in the plane of incidence, the Rusinkiewicz plane, spectra at fixed geometries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+
+from manifold import spectra
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.metrics import from_rusinkiewicz
+from manifold.plots.figures import new_figure
+from manifold.records import Array, Bands
+
+INCIDENCES_DEG = (20.0, 40.0, 60.0)
+GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
+"""(theta_i, theta_o) of spectra, in the plane of incidence: negative is the mirror side."""
+
+_ELEVATIONS_DEG = np.linspace(-89.0, 89.0, 357)
+_DECADES = 5.0  # that a logarithmic axis shows at most
+_IMAGE = 180  # pixels of a Rusinkiewicz image per side
+# Okabe & Ito: told apart by people who see colours differently; line styles tell them apart without colour.
+_COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
+_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
+
+
+class Evaluable(Protocol):
+    """The part of a BRDF that slices need."""
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One BRDF of a picture.
+
+    Attributes:
+        label: in the legend.
+        brdf: what is drawn.
+    """
+
+    label: str
+    brdf: Evaluable
+
+
+def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
+    """f over the outgoing elevation in the plane of incidence, at 20, 40 and 60 degrees.
+
+    A row per channel of linear sRGB under D65, or per wavelength where some are given.
+
+    Raises:
+        UsageError: there are no or too many sources, or a wavelength is outside their bands.
+    """
+    _require_sources(sources)
+    rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
+    figure = new_figure(10, 1.2 + 2.3 * len(rows))
+    grid = figure.subplots(len(rows), len(INCIDENCES_DEG), sharex=True, sharey="row", squeeze=False)
+    draw_slices(figure, grid, sources, wavelengths_nm)
+    return figure
+
+
+def draw_slices(
+    figure: Figure | SubFigure, grid: Array, sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()
+) -> None:
+    """Draw `angle_slices` into axes (rows, 3) of a figure, or of a part of one."""
+    rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
+    wo = _in_plane(_ELEVATIONS_DEG)
+    for column, incidence in enumerate(INCIDENCES_DEG):
+        wi = from_spherical(np.deg2rad(incidence), 0.0)
+        for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
+            values = _channels(source.brdf, source.brdf.eval(wi, wo), wavelengths_nm)
+            for row, axes in enumerate(grid[:, column]):
+                axes.plot(_ELEVATIONS_DEG, values[:, row], color=colour, linestyle=style, linewidth=1.6)
+        grid[0, column].set_title(f"incidence {incidence:g}°", fontsize=11)
+        grid[-1, column].set_xlabel("outgoing elevation (°), mirror side negative")
+    for row, name in enumerate(rows):
+        _logarithmic(grid[row])
+        grid[row, 0].set_ylabel(f"{name}: $f$ (1/sr)")
+        for axes, incidence in zip(grid[row], INCIDENCES_DEG, strict=True):
+            axes.axvline(-incidence, color="0.75", linewidth=0.8, zorder=0)
+            axes.set_xticks(np.arange(-90, 91, 30))
+            axes.grid(alpha=0.25, linewidth=0.5)
+    _legend(figure, grid[0, 0], sources)
+
+
+def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
+    """Colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
+
+    All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds.
+    """
+    _require_sources(sources)
+    figure = new_figure(3.1 * len(sources) + 0.6, 3.7)
+    # theta_h by squares: highlights fill a strip that can be seen.
+    across = (np.arange(_IMAGE) + 0.5) / _IMAGE
+    theta_h, theta_d = np.meshgrid(0.5 * np.pi * across**2, 0.5 * np.pi * across)
+    wi, wo = from_rusinkiewicz(theta_h.ravel(), theta_d.ravel(), np.full(_IMAGE**2, 0.5 * np.pi))
+    above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+    images = []
+    for source in sources:
+        rgb = np.zeros((_IMAGE**2, 3))
+        rgb[above] = np.maximum(
+            spectra.to_srgb(source.brdf.eval(wi[above], wo[above]), source.brdf.bands), 0.0
+        )
+        images.append(np.cbrt(rgb))
+    seen = above & (theta_d.ravel() < np.deg2rad(75.0))
+    white = max(float(np.percentile(image[seen], 99.5)) for image in images)
+    grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
+    ticks = np.array([0.0, 5.0, 20.0, 45.0, 90.0])
+    for axes, image, source in zip(grid, images, sources, strict=True):
+        shown = np.where(above[:, None], np.clip(image / max(white, 1e-12), 0.0, 1.0), 1.0)
+        axes.imshow(
+            shown.reshape(_IMAGE, _IMAGE, 3), extent=(0, 1, 90, 0), aspect="auto", interpolation="nearest"
+        )
+        axes.set_title(source.label, fontsize=10)
+        axes.set_xticks(np.sqrt(ticks / 90.0), [f"{t:g}" for t in ticks])
+        axes.set_yticks([0, 30, 60, 90])
+        axes.set_xlabel(r"half angle $\theta_h$ (°)")
+    grid[0].set_ylabel(r"difference angle $\theta_d$ (°)")
+    return figure
+
+
+def spectra_at(sources: Sequence[Source]) -> Figure:
+    """f over wavelength at four geometries in the plane of incidence; of RGB sources, over the channels."""
+    _require_sources(sources)
+    bands = sources[0].brdf.bands
+    for source in sources[1:]:
+        bands.require_same(source.brdf.bands, source.label, "draw materials of one library")
+    figure = new_figure(10, 6)
+    grid = figure.subplots(2, 2, sharex=True)
+    x = np.arange(3) if bands.is_rgb else np.asarray(bands.wavelengths_nm)
+    for axes, (theta_i, theta_o) in zip(grid.flat, GEOMETRIES_DEG, strict=True):
+        wi, wo = _in_plane(np.array([theta_i, theta_o]))
+        for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
+            f = source.brdf.eval(wi, wo)
+            marker = "o" if bands.is_rgb else None
+            axes.plot(x, f, color=colour, linestyle=style, linewidth=1.6, marker=marker)
+        side = ", mirror direction" if theta_o == -theta_i else ""
+        axes.set_title(rf"$\theta_i$ = {theta_i:g}°, $\theta_o$ = {theta_o:g}°{side}", fontsize=11)
+        axes.set_ylabel("$f$ (1/sr)")
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.25, linewidth=0.5)
+        if bands.is_rgb:
+            axes.set_xticks(x, ["R", "G", "B"])
+    for axes in grid[-1]:
+        axes.set_xlabel("channel of linear sRGB" if bands.is_rgb else "wavelength (nm)")
+    _legend(figure, grid[0, 0], sources)
+    return figure
+
+
+def _require_sources(sources: Sequence[Source]) -> None:
+    if not 1 <= len(sources) <= len(_COLOURS):
+        raise UsageError(f"found {len(sources)} materials to draw, expected 1 to {len(_COLOURS)}")
+
+
+def _in_plane(theta_deg: Array) -> Array:
+    """Directions in the plane of incidence, signed elevation from the normal, shape (..., 3)."""
+    theta = np.deg2rad(theta_deg)
+    return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
+
+
+def _channels(brdf: Evaluable, f: Array, wavelengths_nm: Sequence[float]) -> Array:
+    """Values to draw, shape (P, rows)."""
+    if not wavelengths_nm:
+        return spectra.to_srgb(f, brdf.bands)
+    if brdf.bands.wavelengths_nm is None:
+        raise UsageError("wavelengths of an RGB material, expected none; leave --bands out")
+    known = np.asarray(brdf.bands.wavelengths_nm)
+    outside = [w for w in wavelengths_nm if not known[0] <= w <= known[-1]]
+    if outside:
+        raise UsageError(f"band {outside[0]:g} nm, expected {known[0]:.1f} to {known[-1]:.1f} nm")
+    return np.stack([f[:, int(np.argmin(np.abs(known - w)))] for w in wavelengths_nm], axis=-1)
+
+
+def _logarithmic(row: Sequence[Axes]) -> None:
+    """A logarithmic axis that shows all values of a row, five decades at most."""
+    values = np.concatenate([line.get_ydata() for axes in row for line in axes.lines])
+    positive = values[values > 0]
+    if positive.size == 0:
+        return
+    top = float(positive.max())
+    bottom = max(float(positive.min()), top * 10.0**-_DECADES)
+    for axes in row:
+        axes.set_yscale("log")
+        axes.set_ylim(bottom / 1.5, top * 1.5)
+
+
+def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[Source]) -> None:
+    lines = axes.lines[: len(sources)]
+    labels = [source.label for source in sources]
+    figure.legend(lines, labels, loc="outside upper center", ncols=min(len(sources), 4), frameon=False)

@@ -1,0 +1,95 @@
+"""Failure modes as a picture: error against severity, a panel per mode, a line per method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
+
+from manifold.plots.figures import new_figure
+from manifold.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
+
+_COLUMNS = 4
+_PANEL = (3.5, 2.75)  # inches
+# Okabe and Ito, which all kinds of colour vision tell apart.
+_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
+_DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+_MARKERS = {FINE: "o", WARNED: "^", REFUSED: "X", WRONG: "P"}
+_WRONG_COLOUR = "#d55e00"
+_LEAST = 1e-3  # of the limit: smaller errors are drawn here
+
+
+def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
+    """Error over its limit against severity. Above 1 it is too much: then something has to be said."""
+    shown = [mode for mode in modes if any(row.mode == mode.key for row in made.rows)]
+    columns = min(_COLUMNS, len(shown))
+    n_rows = -(-len(shown) // columns)
+    figure = new_figure(max(_PANEL[0] * columns, 7.0), _PANEL[1] * n_rows + 0.9)
+    grid = figure.subplots(n_rows, columns, squeeze=False)
+    for axes, mode in zip(grid.flat, shown, strict=False):
+        _panel(axes, mode, [row for row in made.rows if row.mode == mode.key])
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    figure.supylabel("error over its limit", fontsize=11)
+    figure.legend(handles=_key(), loc="outside upper center", ncols=5, fontsize=10, frameon=False)
+    return figure
+
+
+def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
+    places = np.arange(len(mode.severities))  # in steps: many severities are no numbers to scale
+    for k, row in enumerate(rows):
+        colour, dash = _COLOURS[k % len(_COLOURS)], _DASHES[k % len(_DASHES)]
+        heights = np.array([_height(one.error, mode.threshold) for one in row.tried])
+        shift = 0.06 * (k - 0.5 * (len(rows) - 1))  # lines that coincide stay apart
+        axes.plot(places + shift, heights, color=colour, linestyle=dash, linewidth=1.4, label=row.method)
+        for place, height, one in zip(places + shift, heights, row.tried, strict=True):
+            at = height if np.isfinite(height) else 1.0  # what was refused has no error
+            is_wrong = one.outcome == WRONG
+            axes.plot(
+                place, at, _MARKERS[one.outcome], color=_WRONG_COLOUR if is_wrong else colour,
+                markersize=10 if is_wrong else 6.5, markeredgecolor="black", markeredgewidth=0.6,
+                markerfacecolor="white" if one.outcome == WARNED else None, zorder=3,
+            )  # fmt: skip
+    axes.axhline(1.0, color="black", linewidth=1.0)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.09), max(11.0, high * 2.0))  # a decade each way, at least
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlim(-0.4, len(places) - 0.6)
+    axes.set_xticks(places, [f"{s:.3g}" for s in mode.severities], fontsize=8)
+    axes.tick_params(axis="y", labelsize=8)
+    axes.set_title(f"{mode.key}\nlimit {mode.threshold:g}", fontsize=9.5)
+    axes.set_xlabel(_broken(mode.severity), fontsize=8.5)
+    axes.grid(axis="y", color="0.9", linewidth=0.6)
+    axes.legend(fontsize=7, loc="best", framealpha=0.7, handlelength=2.6, borderpad=0.3, labelspacing=0.2)
+
+
+def _height(error: float | None, threshold: float) -> float:
+    """Error over its limit, within what is drawn; NaN where there is no error. Of a limit of 0, all or nothing."""
+    if error is None:
+        return float("nan")
+    if threshold == 0.0:
+        return _LEAST if error == 0.0 else 1.0 / _LEAST
+    return float(np.clip(error / threshold, _LEAST, 1.0 / _LEAST)) if np.isfinite(error) else 1.0 / _LEAST
+
+
+def _broken(text: str) -> str:
+    """A label on one line of a panel's width."""
+    return text if len(text) <= 46 else text[:44] + ".."
+
+
+def _key() -> list[Line2D]:
+    """What the markers stand for."""
+    handles = [
+        Line2D(
+            [], [], linestyle="none", marker=marker, markersize=8, markeredgecolor="black",
+            markerfacecolor="white" if outcome == WARNED else _WRONG_COLOUR if outcome == WRONG else "0.6",
+            label=outcome,
+        )
+        for outcome, marker in _MARKERS.items()
+    ]  # fmt: skip
+    return [*handles, Line2D([], [], color="black", linewidth=1.0, label="limit")]

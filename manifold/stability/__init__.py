@@ -1,0 +1,1 @@
+"""`manifold stability`: where methods fail, and whether they say so."""

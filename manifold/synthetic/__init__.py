@@ -1,0 +1,1 @@
+"""Analytic BRDFs, and the built-in corpus made of them."""

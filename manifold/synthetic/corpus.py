@@ -1,0 +1,182 @@
+"""The built-in corpus: synthetic materials in the families of the real database, measured by the virtual goniometer.
+
+51 isotropic materials, and on request 11 anisotropic ones, on the wavelength grid of the RGL database, with its
+resolutions, its 8 incident elevations that differ from file to file, and noise, unmeasured cells and exact
+zeros like those of its files. Everything follows from one seed. It is synthetic and says so: names begin with
+`syn_`, descriptions with "Synthetic".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold import gonio, spectra
+from manifold.brdf import BRDF
+from manifold.errors import UsageError
+from manifold.holes import find_rim
+from manifold.io_rgl import write_bsdf
+from manifold.records import Array, Bands, BsdfFile
+from manifold.synthetic.recipes import anisotropic_recipes, isotropic_recipes
+
+_PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
+# As in the real database, where two files are finer than the others.
+_RESOLUTIONS = {"syn_gloss_yellow": 64, "syn_flake_blue_fine": 48}
+
+
+@dataclass(frozen=True)
+class Material:
+    """One material of the corpus.
+
+    Attributes:
+        name: `syn_` and the family first.
+        family: felt, paper, paint, card, leaf, standard, satin, gloss, metallic, chrome, flake, iridescent, metal,
+            or for anisotropic ones brushed, foil, weave.
+        recipe: makes the analytic BRDF for given bands.
+        resolution: nodes per axis of the outgoing grid.
+    """
+
+    name: str
+    family: str
+    recipe: Callable[[Bands], BRDF]
+    resolution: int = 32
+
+    @property
+    def description(self) -> str:
+        """What the file says about itself."""
+        return f"Synthetic {self.family}: {self.name.removeprefix('syn_').replace('_', ' ')}"
+
+    def truth(self, bands: Bands | None = None) -> BRDF:
+        """The analytic BRDF behind the file, by default in the 195 bands of the RGL database.
+
+        Args:
+            bands: any wavelengths; not RGB.
+        """
+        return self.recipe(rgl_bands() if bands is None else bands)
+
+
+def rgl_bands() -> Bands:
+    """The 195 bands of the RGL database, 358.63 to 1001.89 nm."""
+    return Bands.from_array(spectra.rgl_wavelengths_nm())
+
+
+def isotropic_materials() -> tuple[Material, ...]:
+    """The 51 isotropic materials, in a fixed order."""
+    return _materials(isotropic_recipes())
+
+
+def anisotropic_materials() -> tuple[Material, ...]:
+    """The 11 anisotropic materials, in a fixed order."""
+    return _materials(anisotropic_recipes())
+
+
+def _materials(recipes: dict[str, Callable[[Bands], BRDF]]) -> tuple[Material, ...]:
+    return tuple(
+        Material(f"syn_{name}", name.split("_")[0], recipe, _RESOLUTIONS.get(f"syn_{name}", 32))
+        for name, recipe in recipes.items()
+    )
+
+
+def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile:
+    """Measure a material as the instrument would, noise and holes included.
+
+    Args:
+        material: one of this corpus.
+        seed: of everything random; the same seed gives the same bytes.
+        rgb: give linear sRGB under D65 instead of 195 bands, as the database's RGB files do.
+    """
+    rng = np.random.default_rng([seed, *material.name.encode()])
+    version = _PIPELINE_VERSIONS[int(rng.integers(len(_PIPELINE_VERSIONS)))]
+    file = gonio.measure(
+        material.truth(),
+        material.name,
+        description=material.description,
+        resolution=material.resolution,
+        theta_i_rad=_theta_i(rng),
+        version=version,
+    )
+    file = _imperfect(file, rng)
+    return _to_rgb(file) if rgb else file
+
+
+def write(
+    folder: Path | str,
+    *,
+    seed: int = 0,
+    anisotropic: bool = False,
+    rgb: bool = False,
+    keep: bool = False,
+    on_progress: Callable[[int, int, str], None] | None = None,
+) -> list[Path]:
+    """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
+
+    Args:
+        folder: made if missing.
+        seed, rgb: as in `measure`.
+        anisotropic: add the 11 anisotropic materials, 110 MB each.
+        keep: leave files that are there already as they are; a file under its final name is whole.
+        on_progress: called with (done, total, name) after each material.
+    Returns:
+        The paths, in the order of the corpus.
+    Raises:
+        UsageError: the folder cannot be made.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
+    paths = []
+    materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
+    for done, material in enumerate(materials, start=1):
+        path = folder / f"{material.name}_{'rgb' if rgb else 'spec'}.bsdf"
+        if not (keep and path.exists()):
+            write_bsdf(path, measure(material, seed=seed, rgb=rgb))
+        paths.append(path)
+        if on_progress is not None:
+            on_progress(done, len(materials), material.name)
+    return paths
+
+
+def _theta_i(rng: np.random.Generator) -> Array:
+    """Eight elevations near the default ones, each moved by up to a degree and a half."""
+    theta = gonio.default_theta_i(8)
+    theta[1:-1] += np.deg2rad(rng.uniform(-1.5, 1.5, 6))
+    return theta
+
+
+def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
+    """Add what an instrument adds: noise, cells it did not reach, and signals clamped at zero."""
+    values = np.moveaxis(file.spectra, 2, -1).copy()  # (P, T, H, W, B)
+    measured = file.measured_mask
+    # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
+    speckle = 1.0 + 0.006 * rng.standard_normal(values.shape[:-1], dtype=np.float32)
+    band = np.linspace(-1.0, 1.0, values.shape[-1], dtype=np.float32)
+    spread = 0.002 + 0.006 * band**6
+    values *= speckle[..., None]
+    values *= 1.0 + spread * rng.standard_normal(values.shape, dtype=np.float32)
+    dark = 2e-4 * np.median(values[measured]) * (1.0 + 20.0 * band**8)
+    values[measured] += dark * rng.standard_normal((np.count_nonzero(measured), band.size), dtype=np.float32)
+    np.maximum(values, 0.0, out=values)
+
+    # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
+    rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)
+    # A few cells are holes: no value in any band.
+    holes = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
+    values[holes] = 0.0
+    luminance = np.maximum(spectra.luminance(values, file.bands), 0.0).astype(np.float32)
+    return replace(
+        file,
+        spectra=np.moveaxis(values, -1, 2),
+        luminance=luminance,
+        valid=gonio.pack_valid(measured & ~rim & ~holes, file.version),
+    )
+
+
+def _to_rgb(file: BsdfFile) -> BsdfFile:
+    """The file in linear sRGB, as the database derives its RGB files; they say version 1.0."""
+    rgb = spectra.to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
+    return replace(file, version=(1, 0), wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))

@@ -1,0 +1,1 @@
+"""The work behind every command: paths in, paths and results out."""

@@ -1,0 +1,79 @@
+"""One function per command that draws rendered balls: the map and the walk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.errors import UsageError
+from manifold.model import Manifold
+from manifold.pictures import thumbnails
+from manifold.pictures.thumbnails import Progress, cropped
+from manifold.plots import figures, plot_balls
+from manifold.records import Array
+
+MOST_STEPS = 25
+
+
+def latent_map(
+    model: Path,
+    output: Path,
+    *,
+    library: Path | None = None,
+    marked: Array | Sequence[float] | None = None,
+    colour: ColourChoice = NEAREST,
+    on_progress: Progress | None = None,
+) -> None:
+    """Draw the map of latents with a rendered ball per material, and with one of a prediction.
+
+    Args:
+        model: path of a model.
+        output: the picture.
+        library: where the model's library is now, if not where the model remembers it.
+        marked: latent of a prediction to show, (Q,).
+        colour: of that prediction, on a monochrome manifold.
+        on_progress: called with (done, total, what) while balls are rendered for the first time.
+    """
+    figures.require_writable(output)
+    loaded = Manifold.load(model, library)
+    x, ball = None, None
+    if marked is not None:
+        x = loaded.require_latent(marked)
+        predicted = loaded.predict(x, choose_colour(loaded, x, colour).colours)
+        ball = cropped(thumbnails.of_brdf(predicted))
+    balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
+    figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
+
+
+def walk(
+    model: Path,
+    start: str,
+    end: str,
+    output: Path,
+    *,
+    steps: int = 7,
+    library: Path | None = None,
+    on_progress: Progress | None = None,
+) -> None:
+    """Draw the way between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
+
+    Raises:
+        UsageError: a material is unknown, or there are fewer than 2 or more than 25 steps.
+    """
+    if not 2 <= steps <= MOST_STEPS:
+        raise UsageError(f"{steps} steps, expected 2 to {MOST_STEPS}")
+    figures.require_writable(output)
+    loaded = Manifold.load(model, library)
+    t = np.linspace(0.0, 1.0, steps)
+    rows: list[tuple[str, list[Array]]] = []
+    for name, along in (("manifold", loaded.interpolate), ("linear", loaded.blend)):
+        images: list[Array] = []
+        for value in t:
+            images.append(cropped(thumbnails.of_brdf(along(start, end, float(value)))))
+            if on_progress is not None:
+                on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
+        rows.append((name, images))
+    figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows), output)

@@ -1,0 +1,375 @@
+"""`manifold budget`: paths in, results and assets out."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from manifold import __version__, backend, render
+from manifold.budget import example_scenes, representations, scene_survey, search
+from manifold.budget.pictures import Pictures, Times, only_errors
+from manifold.budget.representations import Candidate
+from manifold.budget.scene_document import SceneDocument, SceneMaterial
+from manifold.budget.scene_survey import Asked
+from manifold.budget.search import Difference, Tolerance
+from manifold.colour_choice import ColourChoice
+from manifold.errors import UsageError
+from manifold.io_rgl import material_name, read_bsdf
+from manifold.pictures import image_metrics
+from manifold.plots import figures
+from manifold.plots.plot_budget import budget_figure
+from manifold.records import Array
+from manifold.workflows import pipeline
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class BudgetSettings:
+    """How a scene is analysed.
+
+    Attributes:
+        size: pixels of the longer side.
+        samples: light paths per pixel.
+        seed: of the noise.
+    """
+
+    size: int = 128
+    samples: int = 128
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        render.RenderSettings(self.size, self.samples, self.seed)  # checks them
+
+
+_TOLERANCE, _SETTINGS = Tolerance(), BudgetSettings()
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The answer for one material.
+
+    Attributes:
+        material: its name.
+        representation: in words.
+        reason: why nothing cheaper.
+        asks: what the scene asks of it.
+        size, full_size: bytes of the answer, and of the whole file.
+        numbers: how many describe it, where there is no file.
+        milliseconds: for a million evaluations.
+        predicted: CIEDE2000 by direct light.
+        verified: difference of the renders, all materials exchanged.
+        noise: difference of two renders of the reference with different seeds.
+        asset: file that was written.
+        bsdf: dictionary of Mitsuba.
+        candidates: all of them: name, size, predicted, and where rendered alone, verified.
+    """
+
+    material: str
+    representation: str
+    reason: str
+    asks: str
+    size: int
+    full_size: int
+    numbers: int | None
+    milliseconds: float
+    predicted: float
+    verified: Difference
+    noise: Difference
+    asset: Path | None
+    bsdf: Mapping[str, Any]
+    candidates: tuple[Mapping[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The answer for a scene.
+
+    Attributes:
+        scene: its name.
+        tolerance: what was asked for.
+        chosen: per material.
+        notes: what a user should know, one line each.
+        output: the scene that was written.
+        backend: `llvm` or `scalar`.
+        settings: how it was analysed.
+    """
+
+    scene: str
+    tolerance: Tolerance
+    chosen: tuple[Chosen, ...]
+    notes: tuple[str, ...]
+    output: Path | None
+    backend: str
+    settings: BudgetSettings
+
+    @property
+    def size(self) -> int:
+        """Bytes of all materials."""
+        return sum(one.size for one in self.chosen)
+
+    @property
+    def full_size(self) -> int:
+        """Bytes of all whole files."""
+        return sum(one.full_size for one in self.chosen)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        materials = [asdict(one) | {"asset": _text(one.asset), "bsdf": dict(one.bsdf)} for one in self.chosen]
+        return {
+            "program": f"manifold {__version__}",
+            "scene": self.scene,
+            "tolerance": asdict(self.tolerance),
+            "settings": asdict(self.settings),
+            "backend": self.backend,
+            "bytes": self.size,
+            "full_bytes": self.full_size,
+            "materials": materials,
+            "notes": list(self.notes),
+            "output": _text(self.output),
+        }
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def example(
+    name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
+    output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
+) -> Budget:  # fmt: skip
+    """Budget one of the package's own scenes. Raises: as `budget_scenes.write` and `budget_scene`."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = example_scenes.write(name, Path(folder))
+        return budget_scene(scene, tolerance, settings, output, on_progress, picture)
+
+
+def budget_scene(
+    scene: Path | Mapping[str, Any],
+    tolerance: Tolerance = _TOLERANCE,
+    settings: BudgetSettings = _SETTINGS,
+    output: Path | None = None,
+    on_progress: Progress | None = None,
+    picture: Path | None = None,
+) -> Budget:
+    """Find the cheapest representation of each measured material of a scene that keeps its picture.
+
+    Args:
+        scene: XML or JSON file, or a dictionary of Mitsuba made of plain values.
+        tolerance: how much the picture may differ, and what it may cost.
+        settings: how the scene is analysed.
+        output: folder for the chosen files and a scene that uses them; made if missing.
+        on_progress: called with (done, total, what).
+        picture: also draw both renders, and what every representation costs.
+    Raises:
+        UsageError: see `SceneDocument`, `scene_survey.survey` and `budget.search`; or bands are mixed.
+        FileFormatError: the scene or a measured file is damaged.
+    """
+    document = SceneDocument.read(scene)
+    if picture is not None:
+        figures.require_writable(picture)
+    if output is not None:
+        _make_folder(output)
+        _require_apart(document, output)
+    step = on_progress or (lambda _done, _total, _what: None)
+    with tempfile.TemporaryDirectory() as name, only_errors():
+        folder = Path(name)
+        step(0, 4, "reading")
+        files = {m.key: _measured_file(m, folder) for m in document.materials}
+        is_rgb = _common_kind(files)
+        step(1, 4, "looking at the scene")
+        survey = scene_survey.survey(document, files, is_rgb, settings.size)
+        step(2, 4, "representations")
+        ladders = {}
+        for k, (key, asked) in enumerate(survey.asked.items()):
+            (folder / str(k)).mkdir()
+            ladders[key] = representations.ladder(files[key], asked, survey, folder / str(k))
+        step(3, 4, "rendering")
+        times = Times(is_rgb)
+        pictures = Pictures(document, files, survey, settings.samples, settings.seed)
+        answer = search.search(ladders, tolerance, pictures.differences, times)
+        noise = pictures.noise()
+        chosen = tuple(
+            _chosen(material_name(files[key]), survey.asked[key], ladders[key], answer, key, noise, times)
+            for key in ladders
+        )
+        if picture is not None:
+            _draw(picture, pictures.beside(answer.choice), chosen, tolerance)
+        written: Path | None = None
+        assets: list[Path | None] = [None] * len(chosen)
+        if output is not None:
+            written, assets = _write(document, output, dict(zip(ladders, chosen, strict=True)))
+        chosen = tuple(_with_asset(one, asset) for one, asset in zip(chosen, assets, strict=True))
+    step(4, 4, "done")
+    hidden = [material_name(path) for key, path in files.items() if key not in ladders]
+    return Budget(
+        scene=document.origin,
+        tolerance=tolerance,
+        chosen=chosen,
+        notes=_notes(chosen, tolerance, hidden),
+        output=written,
+        backend=backend.choose().kind,
+        settings=settings,
+    )
+
+
+def _draw(path: Path, both: tuple[Array, Array], chosen: tuple[Chosen, ...], tolerance: Tolerance) -> None:
+    delta_e = image_metrics.ciede2000_map(*both)
+    figure = budget_figure(*both, delta_e, [vars(one) for one in chosen], tolerance.delta_e)
+    figures.save(figure, path)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
+
+
+def _require_apart(document: SceneDocument, output: Path) -> None:
+    """Raise UsageError where what is written would replace what is read."""
+    folder = output.resolve()
+    read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
+    taken = next(
+        (path for path in read if Path(path).resolve().parent == folder and Path(path).is_file()), None
+    )
+    if taken is not None:
+        raise UsageError(f"{taken}: might be overwritten; name another --output than the scene's folder")
+
+
+def _measured_file(material: SceneMaterial, folder: Path) -> Path:
+    """The file of a material; predictions are written first."""
+    properties = material.properties
+    if material.kind == "measured":
+        path = Path(properties.get("filename", ""))
+        if not path.is_file():
+            raise UsageError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
+        return path
+    if "model" not in properties or "latent" not in properties:
+        raise UsageError("a manifold BSDF in the scene has no model or no latent; give both")
+    try:
+        latent = [float(part) for part in properties["latent"].split(",")]
+    except ValueError:
+        raise UsageError(
+            f"a manifold BSDF has the latent '{properties['latent']}', expected numbers like '-0.3,1.2'"
+        ) from None
+    path = folder / f"predicted_{'_'.join(f'{v:g}' for v in latent)}.bsdf"
+    colour = ColourChoice(like=properties.get("like"), srgb=properties.get("srgb"))
+    library = Path(properties["library"]) if "library" in properties else None
+    pipeline.predict(Path(properties["model"]), latent, path, library=library, colour=colour)
+    return path
+
+
+def _common_kind(files: Mapping[str, Path]) -> bool:
+    """Whether all files are linear sRGB."""
+    kinds = {path: read_bsdf(path).bands.is_rgb for path in files.values()}
+    if len(set(kinds.values())) > 1:
+        rgb = next(path for path, is_rgb in kinds.items() if is_rgb)
+        raise UsageError(f"{rgb}: an RGB file in a scene with spectral ones; use the _spec files throughout")
+    return next(iter(kinds.values()))
+
+
+# -- the answer -----------------------------------------------------------------------------------------------
+
+
+def _chosen(
+    name: str, asked: Asked, ladder: list[Candidate], answer: search.Answer, key: str,
+    noise: Mapping[str, Difference], times: Times,
+) -> Chosen:  # fmt: skip
+    candidate, alone = answer.choice[key], answer.alone[key]
+    return Chosen(
+        material=name,
+        representation=candidate.name,
+        reason=_reason(ladder[: ladder.index(candidate)], alone),
+        asks=_asks(asked),
+        size=candidate.size,
+        full_size=next(c.size for c in ladder if c.is_full),
+        numbers=candidate.numbers,
+        milliseconds=times(candidate),
+        predicted=candidate.predicted,
+        verified=answer.together[key],
+        noise=noise[key],
+        asset=candidate.path,
+        bsdf=candidate.bsdf,
+        candidates=tuple(
+            {
+                "name": one.name,
+                "bytes": one.size,
+                "predicted": one.predicted,
+                "verified": asdict(alone[one.name]) if one.name in alone else None,
+            }
+            for one in ladder
+        ),
+    )
+
+
+def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
+    """Why nothing cheaper: what comes closest among it."""
+    if not cheaper:
+        return "nothing is cheaper"
+    rendered = [one for one in cheaper if one.name in alone]
+    if rendered:
+        best = min(rendered, key=lambda one: alone[one.name].delta_e)
+        return f"cheaper and closest: {best.name}, CIEDE2000 {alone[best.name].delta_e:.2f}"
+    best = min(cheaper, key=lambda one: one.predicted)
+    return f"cheaper and closest: {best.name}, predicted {best.predicted:.1f}"
+
+
+def _asks(asked: Asked) -> str:
+    """What the scene asks of a material, in words."""
+    (a, b), (c, d) = asked.angles_deg(asked.wi), asked.angles_deg(asked.wo)
+    text = (
+        f"{100 * asked.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
+    )
+    if asked.bands.is_rgb:
+        return text
+    spectrum = asked.spectrum
+    effective = float(spectrum.sum() ** 2 / (spectrum**2).sum()) / len(spectrum)
+    return f"{text}, by light in {100 * effective:.0f} % of the spectrum"
+
+
+def _notes(chosen: tuple[Chosen, ...], tolerance: Tolerance, hidden: list[str]) -> tuple[str, ...]:
+    notes = [f"no pixel shows {name} in direct light; it stays as it is" for name in hidden]
+    loudest = max(one.noise.rendered for one in chosen)
+    if loudest > 2.0 * tolerance.delta_e:
+        notes.append(f"noise alone differs by {loudest:.2f}, far beyond the tolerance; take more --samples")
+    return tuple(notes)
+
+
+def _with_asset(one: Chosen, asset: Path | None) -> Chosen:
+    bsdf = dict(one.bsdf)
+    if asset is not None:
+        bsdf["filename"] = str(asset)
+    elif "filename" in bsdf:
+        bsdf["filename"] = None  # of a temporary file
+    return Chosen(**(vars(one) | {"asset": asset, "bsdf": bsdf}))
+
+
+def _write(
+    document: SceneDocument, output: Path, chosen: Mapping[str, Chosen]
+) -> tuple[Path, list[Path | None]]:
+    """Copy the chosen files and write a scene that uses them; its path, and an asset or None per material."""
+    bsdfs: dict[str, Mapping[str, Any]] = {}
+    assets: list[Path | None] = []
+    names: set[str] = set()
+    for key, one in chosen.items():
+        bsdfs[key] = one.bsdf
+        asset = None
+        if one.asset is not None:
+            kind = "rgb" if read_bsdf(one.asset).bands.is_rgb else "spec"
+            base, k = one.material, 2
+            while f"{base}_{kind}.bsdf" in names:
+                base, k = f"{one.material}_{k}", k + 1
+            asset = output / f"{base}_{kind}.bsdf"
+            names.add(asset.name)
+            shutil.copyfile(one.asset, asset)
+            filename = asset.name if document.suffix == ".xml" else str(asset.absolute())
+            bsdfs[key] = {"type": "measured", "filename": filename}
+        assets.append(asset)
+    scene = output / f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
+    document.write(scene, bsdfs)
+    return scene, assets

@@ -1,0 +1,41 @@
+"""The catalogue of failure modes from names to files: tried, drawn, written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from manifold import atomic
+from manifold.plots import figures, plot_stability
+from manifold.stability import advice_page
+from manifold.stability.catalogue import MODES
+from manifold.stability.trials import Progress, Stability, chosen, try_modes
+
+
+def stability(
+    only: Sequence[str] = (),
+    picture: Path | None = None,
+    page: Path | None = None,
+    on_progress: Progress | None = None,
+) -> Stability:
+    """Try failure modes, all or some by name.
+
+    Args:
+        only: keys of modes.
+        picture: where to draw error against severity.
+        page: where to write what happened and what to do, as Markdown.
+        on_progress: called with (done, total, what) after each method.
+    Raises:
+        UsageError: a name is unknown, or a file cannot be written.
+    """
+    modes = chosen(MODES, only)
+    if picture is not None:
+        figures.require_writable(picture)
+    if page is not None:
+        atomic.require_writable(page)
+    made = try_modes(modes, on_progress)
+    if picture is not None:
+        figures.save(plot_stability.panels(made, modes), picture)
+    if page is not None:
+        atomic.write_text(page, advice_page.markdown(made, modes))
+    return made

@@ -1,0 +1,80 @@
+"""The render-space check of a fit: a material and its fit as balls, their differences, and slices of both."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from manifold.brdf import MeasuredBRDF
+from manifold.fitting import fit_json
+from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.io_rgl import read_bsdf
+from manifold.pictures import image_metrics, images, scenes
+from manifold.plots import figures, plot_fit
+from manifold.plots.plot_slices import Source
+from manifold.records import Array
+from manifold.render import RenderSettings, render_ball
+from manifold.workflows import pipeline
+from manifold.workflows.renders import RIM, file_source
+
+
+@dataclass(frozen=True)
+class FitPicture:
+    """How a fit looks beside its material.
+
+    Attributes:
+        path: of the picture.
+        ciede2000, flip: means over the pixels of the ball.
+    """
+
+    path: Path
+    ciede2000: float
+    flip: float
+
+
+def picture_of_fit(
+    fit: Path, material: Path, output: Path, settings: RenderSettings | None = None
+) -> FitPicture:
+    """Render a measured file and the BSDF that was fitted to it, and draw both with their slices.
+
+    Args:
+        fit: JSON of the fit.
+        material: the .bsdf file.
+        output: the picture.
+        settings: of both renders, by default 256 x 256 pixels under D65, the one light for what has no spectrum.
+    Raises:
+        UsageError, FileFormatError: a file cannot be used, or the picture not be written.
+    """
+    figures.require_writable(output)
+    settings = RenderSettings() if settings is None else settings
+    content = fit_json.read(fit)
+    source = file_source(material)
+    spectral = None if source.is_rgb else content["mitsuba_spectral"]
+    seen = images.tone_map(render_ball(source.material, source.is_rgb, settings))
+    fitted = images.tone_map(
+        render_ball(content["mitsuba"] if spectral is None else spectral, spectral is None, settings)
+    )
+    delta_e, flip = image_metrics.ciede2000_map(seen, fitted), image_metrics.flip_map(seen, fitted)
+    inside = scenes.ball_interior(settings.size, RIM)
+    sources = [
+        Source(
+            "measured" if content["source"]["latent"] is None else "predicted",
+            MeasuredBRDF(read_bsdf(material)),
+        ),
+        Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
+    ]
+    figure = plot_fit.fit_picture(content["source"]["name"], (seen, fitted), delta_e, flip, inside, sources)
+    figures.save(figure, output)
+    return FitPicture(output, float(delta_e[inside].mean()), float(flip[inside].mean()))
+
+
+def picture_of_prediction_fit(
+    fit: Path, model: Path, latent: Array | Sequence[float], output: Path, *, library: Path | None = None
+) -> FitPicture:
+    """The same for a fit of the prediction at a latent, through a file that is written for it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "predicted.bsdf"
+        pipeline.predict(model, latent, path, library=library)
+        return picture_of_fit(fit, path, output)

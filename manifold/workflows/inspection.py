@@ -1,0 +1,212 @@
+"""What a file, a library or a model holds, as rows and tables for `manifold info`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import backend
+from manifold.errors import UsageError
+from manifold.holes import find_holes, share_of_holes
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.model import Manifold
+from manifold.records import BsdfFile
+
+Progress = Callable[[int, int, str], None]
+
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: its column heads, its rows."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found.
+
+    Attributes:
+        title: one line.
+        rows: labels and values.
+        tables: further tables, possibly none.
+        document: the same for JSON.
+        problems: what verification found, possibly nothing.
+    """
+
+    title: str
+    rows: dict[str, object]
+    document: dict[str, Any]
+    tables: tuple[Table, ...] = ()
+    problems: list[str] = field(default_factory=list)
+
+
+def inspect(
+    path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
+) -> Inspection:
+    """Look at a `.bsdf` file, a library folder, or a model file, told apart by their content.
+
+    Args:
+        path: what to look at.
+        library: where a model's library is now, if not where the model remembers it.
+        verify: read and hash a library again.
+        on_progress: called with (done, total, what).
+    Raises:
+        UsageError: there is nothing at this path, or verification is asked of something else than a library.
+        FileFormatError, LibraryError, ModelError: it is damaged.
+    """
+    if not path.exists():
+        raise UsageError(f"{path}: nothing there; name a .bsdf file, a library, or a model")
+    if path.is_dir():
+        return _inspect_library(path, verify, on_progress)
+    if verify:
+        raise UsageError(f"{path}: only libraries can be verified; this is a file")
+    if path.suffix in (".h5", ".hdf5") or _begins_with(path, _HDF5_MAGIC):
+        return _inspect_model(path, library)
+    return _inspect_file(read_bsdf(path), path)
+
+
+def inspect_renderer() -> Inspection:
+    """What Mitsuba runs on here, and why; every library is tried again."""
+    chosen = backend.choose(refresh=True)
+    tried = {probe.library: probe.outcome for probe in chosen.probes}
+    libraries = list(dict.fromkeys([*tried, *backend.find_libraries()]))
+    outcomes = [(library, tried.get(library, "not tried: a newer one works")) for library in libraries]
+    if not tried:
+        outcomes = [(library, "not tried: scalar was asked for") for library in libraries]
+    rows: dict[str, object] = {
+        "Mitsuba": backend.mitsuba_version(),
+        "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
+        "libLLVM": str(chosen.library or "none"),
+    }
+    if chosen.advice is not None:
+        rows["advice"] = chosen.advice
+    table = Table(("library", "outcome"), tuple((str(library), outcome) for library, outcome in outcomes))
+    document = chosen.to_json() | {"libraries": {str(library): outcome for library, outcome in outcomes}}
+    return Inspection("Renderer", rows, document, (table,) if libraries else ())
+
+
+def _begins_with(path: Path, magic: bytes) -> bool:
+    if not path.is_file():  # reading a pipe or a device may never end
+        return False
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(magic)) == magic
+    except OSError:
+        return False  # whoever reads it next says why
+
+
+def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
+    P, T, B, H, W = file.spectra.shape
+    mask = file.measured_mask
+    hole_share = share_of_holes(file, find_holes(file))
+    rows: dict[str, object] = {
+        "description": file.description,
+        "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
+        "bands": str(file.bands),
+        "theta_i in degrees": [f"{np.rad2deg(t):.1f}" for t in file.theta_i_rad],
+        "outgoing grid": f"{H} x {W}",
+        "ndf": " x ".join(str(n) for n in file.ndf.shape),
+        "vndf": " x ".join(str(n) for n in file.vndf.shape[2:]),
+        "pipeline version": ".".join(str(v) for v in file.version),
+        "measured cells": f"{mask.mean():.1%}",
+        "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
+        "holes above the horizon": f"{hole_share:.1%}",
+        "values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}",
+        "size": f"{path.stat().st_size / 1e6:.1f} MB",
+    }
+    document = {
+        "path": str(path),
+        "name": file.name,
+        "description": file.description,
+        "shape": [P, T, B, H, W],
+        "wavelengths_nm": None if file.wavelengths_nm is None else [float(w) for w in file.wavelengths_nm],
+        "theta_i_rad": [float(t) for t in file.theta_i_rad],
+        "phi_i_rad": [float(p) for p in file.phi_i_rad],
+        "version": list(file.version),
+        "measured_share": float(mask.mean()),
+        "zero_share": float(np.mean(file.spectra == 0)),
+        "hole_share": hole_share,
+    }
+    return Inspection(f"{path.name}: RGL material", rows, document)
+
+
+def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
+    library = Library.open(path)
+    info = library.info
+    synthetic = sum(m.is_synthetic for m in info.materials)
+    rows: dict[str, object] = {
+        "materials": f"{len(info.materials)}" + (f", {synthetic} of them synthetic" if synthetic else ""),
+        "bands": str(info.bands),
+        "size": f"{info.bytes / 1e6:.1f} MB",
+        "content hash": info.content_hash,
+        "schema version": info.schema_version,
+    }
+    problems: list[str] = []
+    if verify:
+        problems = library.verify(on_progress)
+        rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
+    table = Table(
+        ("material", "grid", "pipeline", "MB", "description"),
+        tuple(
+            (
+                m.name,
+                f"{m.shape[3]} x {m.shape[4]}" + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else ""),
+                ".".join(str(v) for v in m.pipeline_version),
+                f"{m.bytes / 1e6:.1f}",
+                m.description,
+            )
+            for m in info.materials
+        ),
+    )
+    document = {
+        "path": str(path),
+        "schema_version": info.schema_version,
+        "bands": str(info.bands),
+        "content_hash": info.content_hash,
+        "bytes": info.bytes,
+        "materials": [asdict(m) for m in info.materials],
+        "verified": verify,
+        "problems": problems,
+    }
+    return Inspection(f"{path}: library", rows, document, (table,) if info.materials else (), problems)
+
+
+def _inspect_model(path: Path, library: Path | None) -> Inspection:
+    model = Manifold.load(path, library)
+    s = model.settings
+    rows: dict[str, object] = {
+        "materials": len(model.names),
+        "library": str(model.library.path),
+        "bands": str(model.bands),
+        "kind": "monochrome: structure on the map, a colour per band"
+        if s.kind == "monochrome"
+        else "whole materials",
+        "latent dimensions": s.latent_dim,
+        "mapping": s.mapping,
+        "kernel": f"SE + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
+        "condition of K": f"{model.gp.condition:.3g}",
+        "optimizer": s.optimizer,
+        "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",
+        "size": f"{path.stat().st_size / 1e3:.1f} kB",
+    }
+    table = Table(
+        ("material", *(f"x{k + 1}" for k in range(s.latent_dim))),
+        tuple((name, *(f"{v:.3f}" for v in row)) for name, row in zip(model.names, model.X, strict=True)),
+    )
+    document = {
+        "path": str(path),
+        "library": str(model.library.path),
+        "settings": dict(vars(s)),
+        "statistics": model.statistics,
+        "latents": {name: [float(v) for v in row] for name, row in zip(model.names, model.X, strict=True)},
+    }
+    return Inspection(f"{path}: manifold model", rows, document, (table,))

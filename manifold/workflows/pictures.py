@@ -1,0 +1,79 @@
+"""One function per command that draws: paths in, a picture out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from manifold.brdf import MeasuredBRDF
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.errors import UsageError
+from manifold.fitting import fit_json
+from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.io_rgl import read_bsdf
+from manifold.model import Manifold
+from manifold.plots import figures, plot_slices
+from manifold.plots.plot_slices import Source
+from manifold.records import Array
+
+KINDS = ("angles", "image", "spectra")
+
+
+def sources(
+    names: Sequence[str],
+    latents: Sequence[Array | Sequence[float]],
+    model: Path,
+    library: Path | None = None,
+    colour: ColourChoice = NEAREST,
+) -> list[Source]:
+    """BRDFs by file name, by material of the model, and by latent.
+
+    Args:
+        names: paths that end in `.bsdf`, fits that end in `.json`, or names of materials.
+        latents: (Q,) each.
+        model: opened only where a name or a latent needs it.
+        library: where the model's library is now, if not where the model remembers it.
+        colour: of the latents, on a monochrome manifold.
+    """
+    found = []
+    loaded: Manifold | None = None
+    for name in names:
+        if name.endswith(".bsdf"):
+            file = read_bsdf(Path(name))
+            found.append(Source(file.name, MeasuredBRDF(file)))
+        elif name.endswith(".json"):
+            content = fit_json.read(Path(name))
+            found.append(Source(f"{content['source']['name']}, fitted", FittedBRDF(content)))
+        else:
+            loaded = loaded or Manifold.load(model, library)
+            found.append(Source(name, loaded.material(name)))
+    for latent in latents:
+        loaded = loaded or Manifold.load(model, library)
+        x = loaded.require_latent(latent)
+        label = "predicted at " + ", ".join(f"{v:.3g}" for v in x)
+        found.append(Source(label, loaded.predict(x, choose_colour(loaded, x, colour).colours)))
+    if not found:
+        raise UsageError(
+            "found nothing to draw; name .bsdf files or materials of the model, or give --latent"
+        )
+    return found
+
+
+def slices(
+    drawn: Sequence[Source], output: Path, *, kind: str = "angles", wavelengths_nm: Sequence[float] = ()
+) -> None:
+    """Draw slices (`angles`), the Rusinkiewicz plane (`image`) or `spectra` of a few BRDFs.
+
+    Raises:
+        UsageError: the kind is unknown, or the picture cannot be written.
+    """
+    figures.require_writable(output)
+    if kind == "angles":
+        figure = plot_slices.angle_slices(drawn, wavelengths_nm)
+    elif kind == "image":
+        figure = plot_slices.rusinkiewicz_images(drawn)
+    elif kind == "spectra":
+        figure = plot_slices.spectra_at(drawn)
+    else:
+        raise UsageError(f"no kind of slices is called '{kind}', expected {', '.join(KINDS)}")
+    figures.save(figure, output)

@@ -1,0 +1,268 @@
+"""Pictures: one function per command, paths in, paths and results out."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__, backend
+from manifold.colour_choice import NEAREST, ColourChoice
+from manifold.errors import UsageError
+from manifold.fitting import fit_json
+from manifold.io_rgl import material_name, read_bsdf
+from manifold.pictures import image_metrics, images, scenes
+from manifold.pictures.image_metrics import Summary
+from manifold.plots import figures, plot_comparison
+from manifold.records import Array
+from manifold.render import RenderSettings, render_ball, require_d65
+from manifold.spectra import Illuminant
+from manifold.workflows import pipeline
+
+Progress = Callable[[int, int, str], None]
+
+RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What the ball is made of.
+
+    Attributes:
+        name: for titles.
+        material: BSDF as a dictionary of Mitsuba.
+        is_rgb: whether it is linear sRGB, with no spectrum.
+        route: in words, how the renderer evaluates it.
+    """
+
+    name: str
+    material: dict[str, Any]
+    is_rgb: bool
+    route: str
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A picture that was made.
+
+    Attributes:
+        path: of the picture.
+        material: name, or the latent.
+        route: how the material was evaluated.
+        backend: `llvm` or `scalar`.
+        advice: how to render faster, where there is something to say.
+        illuminant: name of the light.
+        size, samples, seed: as asked for.
+        seconds: rendering, without reading.
+    """
+
+    path: Path
+    material: str
+    route: str
+    backend: str
+    advice: str | None
+    illuminant: str
+    size: int
+    samples: int
+    seed: int
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        return {"program": f"manifold {__version__}", **asdict(self), "path": str(self.path)}
+
+
+def parse_illuminant(text: str) -> Illuminant:
+    """A CIE illuminant by its name, or a file of two columns.
+
+    Raises:
+        UsageError: there is neither.
+        FileFormatError: the file holds no spectrum.
+    """
+    path = Path(text)
+    if path.suffix and path.is_file():
+        return Illuminant.read(path)
+    if path.suffix.lower() in (".csv", ".txt", ".spd", ".dat") or "/" in text:
+        raise UsageError(
+            f"{text}: no such file; name a CIE illuminant or a text file of wavelengths and powers"
+        )
+    return Illuminant.named(text)
+
+
+def make_settings(
+    *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
+) -> RenderSettings:
+    """Settings from what a user gives. Raises: as `parse_illuminant` and `images.read_image`."""
+    image = None if environment is None else scenes.exposed(images.read_image(environment))
+    return RenderSettings(size, samples, seed, parse_illuminant(illuminant), image)
+
+
+def file_source(path: Path) -> Source:
+    """A measured file, or the JSON of a fit.
+
+    Raises:
+        FileFormatError: it is no RGL file, and no fit.
+        UsageError: Mitsuba's `measured` does not take it.
+    """
+    if path.suffix == ".json":
+        content = fit_json.read(path)
+        spectral = content["mitsuba_spectral"]
+        material = content["mitsuba"] if spectral is None else spectral
+        route = f"fitted {content['bsdf']['type']}"
+        return Source(content["source"]["name"] + ", fitted", material, spectral is None, route)
+    file = read_bsdf(path)
+    rows, columns = file.spectra.shape[3:]
+    if rows != columns:
+        raise UsageError(
+            f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
+        )
+    material = {"type": "measured", "filename": str(path)}
+    return Source(material_name(path), material, file.bands.is_rgb, "measured file")
+
+
+@contextmanager
+def latent_source(
+    model: Path,
+    latent: Sequence[float],
+    *,
+    library: Path | None = None,
+    colour: ColourChoice = NEAREST,
+    direct: bool = False,
+    on_progress: Progress | None = None,
+) -> Iterator[Source]:
+    """The prediction at a latent: through a `.bsdf` that lives as long as the block, or straight from the materials.
+
+    Raises:
+        UsageError: `direct` without LLVM; and what `workflows.predict` raises.
+    """
+    name = "latent " + ", ".join(f"{v:.4g}" for v in latent)
+    if direct:
+        if not backend.choose().is_llvm:
+            raise UsageError(
+                f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out: a .bsdf is rendered then"
+            )
+        from manifold.plugin.bsdf import load_model
+
+        loaded = load_model(model, library)
+        loaded.require_latent(latent)
+        material = {
+            "type": "manifold",
+            "model": str(model),
+            "latent": ",".join(repr(float(v)) for v in latent),
+        }
+        material |= {key: value for key, value in (("like", colour.like), ("srgb", colour.srgb)) if value}
+        if library is not None:
+            material["library"] = str(library)
+        yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "predicted.bsdf"
+        pipeline.predict(model, latent, path, library=library, colour=colour, on_progress=on_progress)
+        source = file_source(path)
+        yield Source(name, source.material, source.is_rgb, "predicted file")
+
+
+def render(
+    source: Source, output: Path, settings: RenderSettings, on_progress: Progress | None = None
+) -> Rendered:
+    """Render the material ball into a picture.
+
+    Raises:
+        UsageError: the picture cannot be written, or an RGB material meets another light than D65.
+    """
+    images.require_image_path(output)
+    start = time.perf_counter()
+    picture = render_ball(source.material, source.is_rgb, settings, on_progress)
+    seconds = time.perf_counter() - start
+    images.write_image(output, picture)
+    chosen = backend.choose()
+    return Rendered(
+        path=output,
+        material=source.name,
+        route=source.route,
+        backend=chosen.kind,
+        advice=chosen.advice,
+        illuminant=settings.illuminant.name,
+        size=settings.size,
+        samples=settings.samples,
+        seed=settings.seed,
+        seconds=seconds,
+    )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How two pictures differ.
+
+    Attributes:
+        path: of the figure.
+        a, b: what was compared.
+        ciede2000: over all pixels.
+        flip: over all pixels.
+        ciede2000_ball, flip_ball: over the pixels of the ball, where materials were rendered.
+    """
+
+    path: Path
+    a: str
+    b: str
+    ciede2000: Summary
+    flip: Summary
+    ciede2000_ball: Summary | None = None
+    flip_ball: Summary | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        return {"program": f"manifold {__version__}", **asdict(self), "path": str(self.path)}
+
+
+def compare(
+    a: Path, b: Path, output: Path, settings: RenderSettings, on_progress: Progress | None = None
+) -> Comparison:
+    """Compare two pictures, or two materials rendered alike.
+
+    Linear pictures are tone-mapped first; that caps what is brighter than a display.
+
+    Raises:
+        UsageError: one is a material and the other a picture, or the figure cannot be written.
+        ShapeError: the pictures have different sizes.
+    """
+    figures.require_writable(output)
+    are_materials = [path.suffix in (".bsdf", ".json") for path in (a, b)]
+    if any(are_materials) and not all(are_materials):
+        raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
+    ball = None
+    if all(are_materials):
+        sources = [file_source(path) for path in (a, b)]
+        if any(source.is_rgb for source in sources):
+            require_d65(settings.illuminant)
+        pictures = []
+        for k, source in enumerate(sources):
+            step = None if on_progress is None else _half(on_progress, k, source.name)
+            pictures.append(images.tone_map(render_ball(source.material, source.is_rgb, settings, step)))
+        ball = scenes.ball_interior(settings.size, RIM)
+        names = (sources[0].name, sources[1].name)
+    else:
+        pictures = [images.read_display(path) for path in (a, b)]
+        names = (a.name, b.name)
+    first, second = pictures
+    delta_e = image_metrics.ciede2000_map(first, second)
+    flip = image_metrics.flip_map(first, second)
+    figures.save(plot_comparison.comparison(first, second, delta_e, flip, names), output)
+
+    def on_ball(values: Array) -> Summary | None:
+        return None if ball is None or not np.any(ball) else Summary.of(values[ball])
+
+    return Comparison(
+        output, str(a), str(b), Summary.of(delta_e), Summary.of(flip), on_ball(delta_e), on_ball(flip)
+    )
+
+
+def _half(on_progress: Progress, k: int, name: str) -> Progress:
+    """Progress of the first or the second of two renders."""
+    return lambda done, total, _what: on_progress(k * total + done, 2 * total, name)

@@ -389,6 +389,27 @@ def test_other_content_under_a_name_needs_replace(library: Library, folder: Path
     assert beside(library.path) == set()
 
 
+def test_many_materials_are_replaced_at_once(
+    library: Library, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Threads exchange materials at the same time: none may clear away what another one is using."""
+    rename = os.rename
+
+    def slow_rename(source: Path, target: Path) -> None:
+        rename(source, target)
+        time.sleep(0.01)
+
+    names = ("m00", "m01", "m02")
+    for seed, name in enumerate(names, start=90):
+        (folder / f"{name}_spec.bsdf").unlink()
+        write_bsdf(folder / f"{name}_spec.bsdf", sample_file(name, seed))
+    monkeypatch.setattr(os, "rename", slow_rename)
+    assert import_files(library.path, [folder], replace=True).replaced == names
+    for seed, name in enumerate(names, start=90):
+        assert_same(library.read(name), sample_file(name, seed))
+    assert beside(library.path) == set()
+
+
 @pytest.mark.parametrize("renames", [1, 2, 3])
 def test_a_replacement_cut_short_leaves_the_old_or_the_new(
     library: Library, folder: Path, monkeypatch: pytest.MonkeyPatch, renames: int

@@ -11,11 +11,14 @@ import os
 import shutil
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from manifold.errors import LibraryError
+
+_exchange = threading.Lock()
 
 
 def resolved(library: Path | str) -> Path:
@@ -55,13 +58,17 @@ def publish(staged: Path, target: Path) -> None:
 
 
 def replace(library: Path, staged: Path, target: Path) -> None:
-    """Exchange a published folder for a finished one; `recover` brings the old one back after a kill."""
+    """Exchange a published folder for a finished one; `recover` brings the old one back after a kill.
+
+    Threads may call it at the same time: they share one folder beside the library, so they take turns.
+    """
     aside = _replacing(library)
-    aside.mkdir(exist_ok=True)
-    os.rename(target, aside / target.name)
-    os.rename(staged, target)
-    os.rename(aside / target.name, staged)  # Its old place is in the staging folder, which is swept anyway.
-    aside.rmdir()
+    with _exchange:
+        aside.mkdir(exist_ok=True)
+        os.rename(target, aside / target.name)
+        os.rename(staged, target)
+        os.rename(aside / target.name, staged)  # Its old place is in the staging folder, which is swept anyway.
+        aside.rmdir()
 
 
 def recover(library: Path) -> None:

@@ -67,7 +67,8 @@ def replace(library: Path, staged: Path, target: Path) -> None:
         aside.mkdir(exist_ok=True)
         os.rename(target, aside / target.name)
         os.rename(staged, target)
-        os.rename(aside / target.name, staged)  # Its old place is in the staging folder, which is swept anyway.
+        # The new one's old place is in the staging folder, which is swept anyway.
+        os.rename(aside / target.name, staged)
         aside.rmdir()
 
 

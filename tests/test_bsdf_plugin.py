@@ -48,13 +48,14 @@ def models(tmp_path_factory) -> dict[str, Path]:
     library = spectral_library(folder)
     rgb = small_library(tmp_path_factory.mktemp("rgb"))
     paths = {}
-    for name, source, kind in (
-        ("rgb", rgb, "material"),
-        ("material", library, "material"),
-        ("monochrome", library, "monochrome"),
+    for name, source, settings in (
+        ("rgb", rgb, Settings(kind="material")),
+        ("material", library, Settings(kind="material")),
+        ("monochrome", library, Settings(kind="monochrome")),
+        ("many samples", library, Settings(kind="monochrome", sample_bands=11)),
     ):
         paths[name] = folder / f"{name}.h5"
-        Manifold.fit(Library.open(source), Settings(kind=kind)).save(paths[name])
+        Manifold.fit(Library.open(source), settings).save(paths[name])
     return paths
 
 
@@ -104,7 +105,7 @@ class InMitsuba:
         return np.array(record.wo).T.astype(np.float64), np.array(record.pdf).astype(np.float64)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome"])
+@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples"])
 def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     model = Manifold.load(models[kind])
     mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
@@ -276,6 +277,8 @@ def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):
         ({"latent": "a,b"}, "expected numbers"),
         ({"latent": "0.1,0.2", "tolerance": 50.0}, "expected a share"),
         ({"latent": "0.1,0.2", "model": "nothing.h5"}, "nothing.h5"),
+        ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "carry their colours"),
+        ({"latent_0": 0.1, "latent_1": 0.2, "like": "syn_gloss_red"}, "like needs one latent"),
     ],
 )
 def test_properties_that_cannot_be_used_are_one_clear_line(models, properties, message):

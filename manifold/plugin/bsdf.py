@@ -142,8 +142,9 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
     if given:
         if len(given) < len(names) or "latent" in properties:
             raise UsageError(f"plugin manifold: found {', '.join(given)}, expected all of {', '.join(names)}")
-        if tolerance != 0.0:
-            raise UsageError("plugin manifold: tolerance needs one latent, not textures; leave it out")
+        for name in ("tolerance", "like", "srgb"):
+            if name in properties:
+                raise UsageError(f"plugin manifold: {name} needs one latent, not textures; leave it out")
         return [properties.get_texture(name) for name in names], varying_mixture(model)
     if "latent" not in properties:
         raise UsageError(

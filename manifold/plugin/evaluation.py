@@ -245,7 +245,7 @@ class Evaluation:
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
-        if self._n_stored <= MOST_BANDS_AT_ONCE:  # all bands of a cell in one read
+        if self._n_stored <= MOST_BANDS_AT_ONCE or self._sample_weights is not None:
             stored = self._all_bands(cell, corners, active)
             mapped = [forward(value) for value in stored]
             if self._sample_weights is None:
@@ -265,7 +265,10 @@ class Evaluation:
         return mi.Spectrum(*values) * weight
 
     def _all_bands(self, cell: Any, corners: list[Any], active: Any) -> list[Any]:
-        """Values of all bands that a cell holds."""
+        """Values of all bands that a cell holds, in one read where they are few."""
+        if self._n_stored > MOST_BANDS_AT_ONCE:
+            first = cell * self._n_stored
+            return [self._band(first + band, corners, active) for band in range(self._n_stored)]
         n = SPECTRUM_PACKET * self._n_stored
         packet = self._dr.gather(
             self._mi.ArrayXf, self._spectra, cell, active, shape=(n, self._dr.width(cell))

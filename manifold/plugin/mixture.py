@@ -71,9 +71,11 @@ def fixed_mixture(
         tolerance: how much leaving materials out may change; see `leave_out`.
     Raises:
         LatentError: the latent does not have Q finite coordinates.
-        UsageError: a material is anisotropic, or the manifold is monochrome and materials are to be left out.
+        UsageError: a material is anisotropic; the manifold is monochrome and materials are to be left out, or it is
+            not and a colour is chosen.
     """
     x = model.require_latent(latent)
+    chosen = choose_colour(model, x, colour)
     if isinstance(model.space, MaterialSpace):
         weights = model.gp.weights(x[None])[0]
         kept, fitted, error = leave_out(weights, model.S, tolerance)
@@ -82,7 +84,6 @@ def fixed_mixture(
         raise UsageError(
             "tolerance needs a manifold of whole materials; leave it out, or embed with --kind material"
         )
-    chosen = choose_colour(model, x, colour)
     assert chosen.colours is not None
     space = model.space
     own = np.all(x == space.X, axis=1) & np.all(space.colours == chosen.colours, axis=1)
@@ -102,7 +103,8 @@ def varying_mixture(model: Manifold) -> Mixture:
     """All materials, for latents that are known only where a surface is hit.
 
     Raises:
-        UsageError: the manifold is monochrome, or a material is anisotropic.
+        UsageError: the manifold is monochrome (which colours give a structure its reflectance jumps between places,
+            and would tear the field), or a material is anisotropic.
     """
     if isinstance(model.space, CurveSpace):
         raise UsageError(

@@ -26,10 +26,10 @@ from manifold.brdf import MeasuredBRDF
 from manifold.encoding import PAIR_STRIDE
 from manifold.evaluation.methods import sample_columns
 from manifold.evaluation.tabulated import Data
-from manifold.gplvm import blas_threads
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import LogRelative, Mapping
 from manifold.metrics import RusinkiewiczGrid
+from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 # -- protocol ----------------------------------------------------------------------------------------------
@@ -59,7 +59,7 @@ def held_out(data: Data, setting: Setting, every: int = 1) -> tuple[Array, float
     for k, i in enumerate(left_out):
         others = np.delete(np.arange(N), i)
         columns = sample_columns(others, group)
-        with blas_threads(0):
+        with one_blas_thread:
             models = fit(S[np.ix_(columns, columns)], N - 1, samples.shape[1], setting)
             if setting.choose == "likelihood":
                 models = models[:1]

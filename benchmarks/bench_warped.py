@@ -26,10 +26,10 @@ from manifold import gonio
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.evaluation.methods import sample_columns
-from manifold.gplvm import blas_threads
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.model import evenly_spaced
+from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.microfacet import GGX, Plastic, RoughConductor
 
@@ -244,7 +244,7 @@ def main() -> None:
         return
     start = time.perf_counter()
     held = Held(args.folder, args.model, args.profile, args.share)
-    with blas_threads(0):
+    with one_blas_thread:
         errors = np.array([held.leave_out(i) for i in range(0, len(held.files), args.every)])
     print("| row | geometric mean | median | 90th pct. | seconds |\n|---|---|---|---|---|")
     print(

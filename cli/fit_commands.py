@@ -12,9 +12,17 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
 from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+from .model_commands import (
+    DEFAULT_MODEL,
+    LikeOption,
+    ModelOption,
+    ReflectanceOption,
+    SrgbOption,
+    parse_latent,
+)
 
 if TYPE_CHECKING:
+    from manifold.colour_choice import ColourChoice
     from manifold.workflows.fits import FitOutcome
 
 
@@ -50,6 +58,9 @@ def fit(
     latent: Annotated[
         str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y")
     ] = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: Annotated[
@@ -87,10 +98,14 @@ def fit(
     Writes one JSON per material: parameters, residuals, all minima found, and what the samples say of each
     parameter. Fits that are there already are kept.
     """
+    from manifold.colour_choice import NEAREST, ColourChoice
     from manifold.workflows import fits
 
     if bool(sources) == (latent is not None):
         raise UsageError("expected either files or --latent X,Y; name what to fit")
+    colour = ColourChoice(like, reflectance, srgb)
+    if sources and colour != NEAREST:
+        raise UsageError("--like, --reflectance and --srgb go with --latent; a file is what it is")
     results = terminal.Results(json)
     settings = fits.FitSettings(
         family=fits.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
@@ -99,14 +114,16 @@ def fit(
         coordinates = parse_latent(latent)
         with terminal.progress("Reading materials") as step:
             outcomes = [
-                fits.fit_prediction(model, coordinates, output, settings, library=library, on_progress=step)
+                fits.fit_prediction(
+                    model, coordinates, output, settings, library=library, colour=colour, on_progress=step
+                )
             ]
     else:
         with terminal.progress("Fitting") as step:
             outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
     _show(results, outcomes)
     if picture:
-        _draw(results, outcomes, sources or [], model, library)
+        _draw(results, outcomes, sources or [], model, library, colour)
     failures = [outcome.failure for outcome in outcomes if outcome.failure is not None]
     results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failures})
     if failures:
@@ -120,6 +137,7 @@ def _draw(
     sources: list[Path],
     model: Path,
     library: Path | None,
+    colour: ColourChoice,
 ) -> None:
     """A picture beside the JSON of every fit."""
     from manifold.workflows import fit_pictures, fits
@@ -136,7 +154,7 @@ def _draw(
             else:
                 latent = outcome.content["source"]["latent"]
                 made = fit_pictures.picture_of_prediction_fit(
-                    outcome.path, model, latent, target, library=library
+                    outcome.path, model, latent, target, library=library, colour=colour
                 )
             rows.append([made.path.name, f"{made.ciede2000:.2f}", f"{made.flip:.3f}"])
             if step is not None:

@@ -12,7 +12,14 @@ from manifold.errors import UsageError
 
 from . import terminal
 from .library_commands import MovedLibraryOption
-from .model_commands import DEFAULT_MODEL, ModelOption, parse_latent
+from .model_commands import (
+    DEFAULT_MODEL,
+    LikeOption,
+    ModelOption,
+    ReflectanceOption,
+    SrgbOption,
+    parse_latent,
+)
 
 PictureOption = Annotated[
     Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
@@ -48,6 +55,9 @@ def register(app: typer.Typer) -> None:
 
 def latent_map(
     mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y")] = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: PictureOption = Path("map.png"),
@@ -56,12 +66,18 @@ def latent_map(
 
     Balls are rendered once and remembered by the library.
     """
+    from manifold.colour_choice import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
 
     results = terminal.Results()
     marked = parse_latent(mark) if mark is not None else None
+    colour = ColourChoice(like, reflectance, srgb)
+    if marked is None and colour != NEAREST:
+        raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
     with terminal.progress("Rendering") as step:
-        ball_pictures.latent_map(model, output, library=library, marked=marked, on_progress=step)
+        ball_pictures.latent_map(
+            model, output, library=library, marked=marked, colour=colour, on_progress=step
+        )
     results.rows(f"Drawn {output}", {})
 
 
@@ -90,6 +106,9 @@ def slices(
     latent: Annotated[
         list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y")
     ] = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
     kind: Annotated[
         SliceKind,
         typer.Option(help="Plane of incidence; Rusinkiewicz theta_h and theta_d; or spectra."),
@@ -102,14 +121,20 @@ def slices(
     output: PictureOption = Path("slices.png"),
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
+    from manifold.colour_choice import NEAREST, ColourChoice
     from manifold.plots import figures
     from manifold.workflows import pictures
 
+    colour = ColourChoice(like, reflectance, srgb)
+    if not latent and colour != NEAREST:
+        raise UsageError(
+            "--like, --reflectance and --srgb go with --latent; materials have their own colours"
+        )
     results = terminal.Results()
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     latents = [parse_latent(text) for text in latent or []]
-    drawn = pictures.sources(names or [], latents, model, library)
+    drawn = pictures.sources(names or [], latents, model, library, colour)
     pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
     results.rows(f"Drawn {output}", {"materials": [source.label for source in drawn]})
 

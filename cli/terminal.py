@@ -82,7 +82,9 @@ class Results:
             self.text(_row(f"  {label:<{width}}  ", value) + "\n")
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print a table, never cut: numbers to the right, words to the left."""
+        """Print a table, never cut: numbers to the right, words to the left; nothing where there are no rows."""
+        if not rows:
+            return
         cells = [[str(cell) for cell in row] for row in rows]
         widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
         is_number = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]

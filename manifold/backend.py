@@ -46,6 +46,7 @@ INSTALL = "install libLLVM 16 or newer (Debian: apt install libllvm19)"
 
 _COLOURS = ("spectral", "rgb", "mono")
 _TIMEOUT_S = 60.0
+_NO_ANSWER, _NOT_TRIED, _STOPPED = "does not answer", "cannot be tried", "is stopped"
 _FOLDERS = (
     "/usr/lib/*-linux-gnu", "/usr/lib64", "/usr/lib", "/usr/lib/llvm*/lib", "/usr/local/lib", "/usr/local/opt/llvm/lib",
     "/opt/homebrew/opt/llvm*/lib",
@@ -152,7 +153,7 @@ def choose_among(
         key = _cache_key(library)
         remembered = answers.get(key)
         probes.append(Probe(library, remembered or attempt(library), remembered is not None))
-        if remembered is None:
+        if remembered is None and not _is_passing(probes[-1].outcome):
             _remember(key, probes[-1].outcome)
         if probes[-1].outcome == WORKS:
             return Backend("llvm", library, probes=tuple(probes))
@@ -292,17 +293,24 @@ def probe(library: Path, timeout_s: float = _TIMEOUT_S) -> str:
                 timeout=timeout_s, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            return f"does not answer within {timeout_s:g} s"
+            return f"{_NO_ANSWER} within {timeout_s:g} s"
         except OSError as error:
-            return f"cannot be tried ({error.strerror})"
+            return f"{_NOT_TRIED} ({error.strerror})"
     if child.returncode == 0:
         return WORKS
+    if child.returncode == -signal.SIGKILL:
+        return f"{_STOPPED} from outside (SIGKILL; was memory short?)"
     if child.returncode < 0:
         return f"kills the process ({_signal_name(-child.returncode)})"
     if old := re.search(r"version \((\d+)\) is too old", child.stderr):
         return f"is too old (version {old[1]})"
     lines = child.stderr.strip().splitlines() or ["no message"]
     return f"fails ({lines[-1][:80].strip()})"
+
+
+def _is_passing(outcome: str) -> bool:
+    """Whether an outcome tells of a busy machine rather than of the library, and is to be tried again."""
+    return outcome.startswith((_NO_ANSWER, _NOT_TRIED, _STOPPED))
 
 
 def _signal_name(number: int) -> str:

@@ -14,6 +14,7 @@ from manifold.cube_root import cube_root
 from manifold.directions import require_directions
 from manifold.errors import ShapeError, UsageError
 from manifold.pairs import DirectionPairs, elevation, locate, phi_to_u, signs, theta_to_u
+from manifold.parallel import in_turn
 from manifold.records import Array, Bands, BsdfFile
 from manifold.warp import Warp
 
@@ -120,6 +121,7 @@ def _eval_row(
                 )
 
 
+@in_turn
 @nb.njit(cache=True, parallel=True, fastmath=_FASTMATH)
 def _eval_loop(
     wi, wo, isotropic, reduction, jacobian, divide, ndf, sigma, data, conditional, marginal, phi_nodes,
@@ -177,6 +179,7 @@ def _add_located(
                 sums[b] += weight * row[b]
 
 
+@in_turn
 @nb.njit(cache=True, parallel=True)
 def _pdf_loop(
     wi, wo, isotropic, reduction, phi_nodes, theta_nodes, data, conditional, marginal, luminance, out
@@ -192,6 +195,7 @@ def _pdf_loop(
         out[k] = vndf_pdf * lum_pdf / _half_vector_jacobian(ux, theta_m, cos_im)
 
 
+@in_turn
 @nb.njit(cache=True, parallel=True)
 def _sample_loop(
     wi, uniforms, use_luminance, isotropic, reduction, phi_nodes, theta_nodes, data, conditional, marginal,

@@ -67,7 +67,8 @@ class DemoResult:
 def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     """Files, library, model, a prediction, renders, a fit, the report.
 
-    A folder with an earlier demo is used again: what is finished is not done twice.
+    A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
+    made anew.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL

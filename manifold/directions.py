@@ -15,17 +15,6 @@ def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
     return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
 
 
-def elevation(w: Array) -> Array:
-    """Angle from the normal in radians, shape (...), stable for directions near the normal."""
-    distance = np.sqrt(w[..., 0] ** 2 + w[..., 1] ** 2 + (w[..., 2] - 1.0) ** 2)
-    return 2.0 * np.arcsin(np.clip(0.5 * distance, 0.0, 1.0))
-
-
-def azimuth(w: Array) -> Array:
-    """Azimuth in radians, in (-pi, pi], shape (...)."""
-    return np.arctan2(w[..., 1], w[..., 0])
-
-
 def normalize(w: Array) -> Array:
     """Vectors (..., 3) scaled to unit length."""
     return w / np.linalg.norm(w, axis=-1, keepdims=True)

@@ -149,8 +149,10 @@ def measure(
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
         are marked as not measured.
     Raises:
-        UsageError: fewer than 2 nodes on an axis, or the BRDF reflects nothing back at any elevation.
+        UsageError: fewer than 2 nodes on an axis, 2 azimuths, or the BRDF reflects nothing back at any elevation.
     """
+    if n_phi_i == 2:
+        raise UsageError("2 incident azimuths make an isotropic file; give 1, or at least 3")
     if resolution < 2:
         raise UsageError(f"the outgoing grid has {resolution} nodes per axis, expected at least 2")
     theta_i = default_theta_i(n_theta_i) if theta_i_rad is None else np.asarray(theta_i_rad, dtype=float)

@@ -23,12 +23,12 @@ from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
-from threadpoolctl import threadpool_limits
 
 from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gpr import GPWeights, centre_gram
 from manifold.kernels import SquaredExponentialDelta
+from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 OPTIMIZERS = ("dls", "l-bfgs", "both")
@@ -730,8 +730,8 @@ def fix_gauge(X: Array) -> Array:
 
 
 def blas_threads(N: int) -> AbstractContextManager[Any]:
-    """One BLAS thread for small matrices: sharing out 200 x 200 entries costs ten times the work itself."""
-    return threadpool_limits(1, user_api="blas") if N <= 500 else nullcontext()
+    """One BLAS thread for small matrices."""
+    return one_blas_thread if N <= 500 else nullcontext()
 
 
 def _require_start(X0: Array, N: int, Q: int) -> Array:

@@ -15,6 +15,7 @@ that value instead of mapping it back and forth.
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -138,6 +139,14 @@ class LogRelative:
     floor: float = 1e-3
     reference: Array | None = None
     name = "log-relative"
+
+    def __repr__(self) -> str:
+        """All that decides what the mapping does: results are remembered by it."""
+        reference = "None"
+        if self.reference is not None:
+            values = np.ascontiguousarray(self.reference)
+            reference = f"{values.shape} {hashlib.sha256(values.tobytes()).hexdigest()}"
+        return f"LogRelative(epsilon={self.epsilon!r}, floor={self.floor!r}, reference={reference})"
 
     def __post_init__(self) -> None:
         _require_positive(self.epsilon)

@@ -6,11 +6,10 @@ import numpy as np
 
 from manifold.brdf import BRDF
 from manifold.directions import from_spherical
-from manifold.plausibility import quadrature_albedo
+from manifold.plausibility import AZIMUTHS_DEG, quadrature_albedo
 from manifold.records import Array, Bands
 
 _ELEVATIONS_DEG = np.linspace(0.0, 85.0, 18)  # where the albedo is looked at
-_AZIMUTHS_DEG = np.arange(0.0, 360.0, 45.0)  # of anisotropic materials
 
 
 class PhysicalBRDF:
@@ -28,7 +27,7 @@ class PhysicalBRDF:
         self._brdf = brdf
         self.sample, self.pdf = brdf.sample, brdf.pdf
         self.scale = np.ones(brdf.bands.count)
-        azimuths = [0.0] if brdf.is_isotropic else _AZIMUTHS_DEG
+        azimuths = (0,) if brdf.is_isotropic else AZIMUTHS_DEG
         wi = from_spherical(np.deg2rad(_ELEVATIONS_DEG)[:, None], np.deg2rad(azimuths)[None, :])
         self.scale = 1.0 / np.maximum(self.albedo(wi).max(axis=(0, 1)), 1.0)
 

@@ -17,6 +17,9 @@ Evaluate = Callable[[Array, Array], Array]
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 
+AZIMUTHS_DEG = tuple(range(0, 360, 45))
+"""From where anisotropic BRDFs are seen; isotropic ones look alike from all."""
+
 
 @dataclass(frozen=True)
 class Plausibility:
@@ -28,6 +31,8 @@ class Plausibility:
         reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
             of both. Measured materials have one too.
         max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees.
+
+    Anisotropic BRDFs are seen from eight azimuths, isotropic ones from one.
     """
 
     negative_share: float
@@ -37,20 +42,21 @@ class Plausibility:
 
 def plausibility(brdf: BRDF) -> Plausibility:
     """Measure one BRDF on fixed direction pairs."""
-    return plausibilities(lambda wi, wo: brdf.eval(wi, wo)[None])[0]
+    return plausibilities(lambda wi, wo: brdf.eval(wi, wo)[None], brdf.is_isotropic)[0]
 
 
-def plausibilities(evaluate: Evaluate) -> list[Plausibility]:
+def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
     """Measure M BRDFs that are evaluated together.
 
     Args:
         evaluate: called with a few thousand direction pairs in all, in blocks.
+        is_isotropic: of all of them; others are seen from eight azimuths.
     """
     wo, _ = hemisphere_quadrature(12, 16)
     wide, narrow = [], []
-    for wi in from_spherical(np.deg2rad(_INCIDENCES_DEG), 0.0):
+    for wi in _incident(_INCIDENCES_DEG, is_isotropic):
         wide.append(_Seen.of(evaluate, wi, wo, np.ones(len(wo))))
-    for wi in from_spherical(np.deg2rad(_ALBEDO_INCIDENCES_DEG), 0.0):
+    for wi in _incident(_ALBEDO_INCIDENCES_DEG, is_isotropic):
         mirrored, measure = mirrored_quadrature(wi)
         narrow.append(_Seen.of(evaluate, wi, mirrored, measure))
     negative = np.maximum(_negative(wide), _negative(narrow))
@@ -60,6 +66,12 @@ def plausibilities(evaluate: Evaluate) -> list[Plausibility]:
         Plausibility(float(n), float(r), float(a))
         for n, r, a in zip(negative, reciprocity, albedo, strict=True)
     ]
+
+
+def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
+    """Incident directions (K, 3)."""
+    azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
+    return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numba as nb
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from manifold.brdf import BRDF, MeasuredBRDF
+from manifold.directions import require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity, Mapping
 from manifold.metrics import cosine_weight
 from manifold.pairs import DirectionPairs
+from manifold.parallel import one_blas_thread
 from manifold.plausibility import quadrature_albedo
 from manifold.records import Array, Bands
 
@@ -64,7 +65,7 @@ class Mixture:
         blocks = [(block, out[rows]) for rows, block in pairs.blocks(_block_size(len(pairs)))]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
             # Every thread multiplies matrices of its own: a second level of threads costs more than it does.
-            with threadpool_limits(1, "blas"), ThreadPoolExecutor(nb.get_num_threads()) as pool:
+            with one_blas_thread, ThreadPoolExecutor(nb.get_num_threads()) as pool:
                 list(pool.map(self._combine, *zip(*blocks, strict=True)))
         else:  # other materials may have parallel loops of their own
             for block, values in blocks:
@@ -92,7 +93,9 @@ class Mixture:
         Raises:
             ShapeError: wi is not (..., 3), or u is not (..., 2).
         """
-        wi, u = np.asarray(wi, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
+        if u.shape[-1:] != (2,):
+            raise ShapeError(f"u has shape {u.shape}, expected (..., 2)")
         shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
         wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
         u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
@@ -146,11 +149,19 @@ class PredictedBRDF(Mixture):
         self._mapping = mapping
         super().__init__([materials[int(k)] for k in used], np.abs(self._weights), materials[0].bands)
 
+    def _measured(self) -> BRDF | None:
+        """The material that this is, if it is one."""
+        return self._materials[0] if len(self._materials) == 1 and self._weights[0] == 1.0 else None
+
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B); arguments and errors as in `Mixture.eval`."""
-        if len(self._materials) == 1 and self._weights[0] == 1.0:
-            return self._materials[0].eval(wi, wo)
-        return super().eval(wi, wo)
+        measured = self._measured()
+        return super().eval(wi, wo) if measured is None else measured.eval(wi, wo)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `Mixture.eval`."""
+        measured = self._measured()
+        return super().eval_cos(wi, wo) if measured is None else measured.eval_cos(wi, wo)
 
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""

@@ -114,9 +114,9 @@ class BsdfFile:
         """Which cells were measured, bool, shape (P, T, H, W).
 
         The bits mean "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on,
-        and RGB files do not say which: the reading that agrees with the non-zero cells more often wins. A few
-        all-zero cells of real files are marked as measured (0.6 % at most). Without bits, the non-zero cells
-        count as measured.
+        and RGB files do not say which. What is not zero was measured, a few per cent at the rim excepted (which
+        the database filled), so the reading that keeps more of these cells wins; zeros do not vote, since black and
+        lost cells hold them too. Without bits, the non-zero cells count as measured.
         """
         shape = self.luminance.shape
         count = int(np.prod(shape))
@@ -127,5 +127,5 @@ class BsdfFile:
             bits = self.valid.reshape(shape) != 0
         else:
             return non_zero
-        agreement = np.count_nonzero(bits == non_zero)
-        return bits if 2 * agreement >= count else ~bits
+        kept = np.count_nonzero(bits & non_zero)
+        return bits if 2 * kept >= np.count_nonzero(non_zero) else ~bits

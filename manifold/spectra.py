@@ -247,7 +247,7 @@ class Illuminant:
             raise FileFormatError(
                 f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0 and one above"
             )
-        return cls(path.stem, tuple(nm.tolist()), tuple(power.tolist()))
+        return cls(path.name, tuple(nm.tolist()), tuple(power.tolist()))
 
     @property
     def is_d65(self) -> bool:

@@ -17,6 +17,7 @@ import numba as nb
 import numpy as np
 
 from manifold.errors import ShapeError
+from manifold.parallel import in_turn
 from manifold.records import Array
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant
@@ -92,6 +93,7 @@ def bilinear(table, x, y):
     )
 
 
+@in_turn
 @nb.njit(cache=True, parallel=True)
 def interpolate(table, points):
     """Values of an (R, C) table at points (K, 2) of the unit square, shape (K,)."""
@@ -184,6 +186,7 @@ def sample(data, conditional, marginal, slices, weights, u, v):
     return (j + tx) / (n_cols - 1), (i + ty) / (n_rows - 1), pdf
 
 
+@in_turn
 @nb.njit(cache=True, parallel=True)
 def _map_points(mode, data, conditional, marginal, phi_nodes, theta_nodes, phi, theta, points, out):
     for k in nb.prange(points.shape[0]):

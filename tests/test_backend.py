@@ -70,6 +70,16 @@ def test_answers_are_remembered_until_the_file_changes(tmp_path):
     assert backend.choose_among([path], lambda _: "fails again").probes[0].outcome == "fails again"
 
 
+@pytest.mark.parametrize(
+    "outcome",
+    ["does not answer within 60 s", "cannot be tried (Cannot allocate memory)", "is stopped from outside"],
+)
+def test_what_tells_of_a_busy_machine_is_tried_again(tmp_path, outcome):
+    path = library_file(tmp_path, 18)
+    assert backend.choose_among([path], lambda _: outcome).kind == "scalar"
+    assert backend.choose_among([path], lambda _: backend.WORKS).is_llvm
+
+
 def test_a_cache_that_cannot_be_used_is_no_error(tmp_path, monkeypatch):
     path = library_file(tmp_path, 18)
     backend.choose_among([path], lambda _: "fails")
@@ -113,6 +123,9 @@ def test_a_child_that_aborts_or_hangs_is_an_answer(tmp_path, monkeypatch):
     assert backend.probe(library) == "kills the process (SIGABRT)"
     monkeypatch.setattr(sys, "executable", python_that(tmp_path, "import time; time.sleep(60)"))
     assert backend.probe(library, timeout_s=0.5) == "does not answer within 0.5 s"
+    kill = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
+    monkeypatch.setattr(sys, "executable", python_that(tmp_path, kill))
+    assert backend.probe(library).startswith("is stopped from outside")
 
 
 def test_newer_libraries_come_first_and_a_named_one_before_all(tmp_path, monkeypatch):

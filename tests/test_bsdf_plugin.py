@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,14 +15,16 @@ from small_library import small_library
 
 import manifold.render
 from manifold import backend
+from manifold.colour_choice import ColourChoice, choose_colour
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import Manifold, Settings
+from manifold.model import LibraryChangedWarning, Manifold, Settings
 from manifold.pictures import scenes
 from manifold.plugin import mixture
+from manifold.plugin.bsdf import load_model
 from manifold.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 from manifold.spectra import Illuminant
 from manifold.synthetic import corpus
@@ -41,18 +45,31 @@ def spectral_library(folder: Path) -> Path:
     return folder / "library.zarr"
 
 
+def library_of_six_bands(library: Path, folder: Path) -> Path:
+    """The same materials in every 38th band, as few as are read together."""
+    opened = Library.open(library)
+    for file in map(opened.read, opened.names):
+        assert file.wavelengths_nm is not None
+        few = replace(file, wavelengths_nm=file.wavelengths_nm[::38], spectra=file.spectra[:, :, ::38])
+        write_bsdf(folder / f"{file.name}_spec.bsdf", few)
+    assert not import_files(folder / "library.zarr", [folder]).failed
+    return folder / "library.zarr"
+
+
 @pytest.fixture(scope="module")
 def models(tmp_path_factory) -> dict[str, Path]:
     """Models by kind and bands."""
     folder = tmp_path_factory.mktemp("plugin")
     library = spectral_library(folder)
     rgb = small_library(tmp_path_factory.mktemp("rgb"))
+    few = library_of_six_bands(library, tmp_path_factory.mktemp("few"))
     paths = {}
     for name, source, settings in (
         ("rgb", rgb, Settings(kind="material")),
         ("material", library, Settings(kind="material")),
         ("monochrome", library, Settings(kind="monochrome")),
         ("many samples", library, Settings(kind="monochrome", sample_bands=11)),
+        ("six bands", few, Settings(kind="material")),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings).save(paths[name])
@@ -105,11 +122,11 @@ class InMitsuba:
         return np.array(record.wo).T.astype(np.float64), np.array(record.pdf).astype(np.float64)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples"])
+@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples", "six bands"])
 def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     model = Manifold.load(models[kind])
     mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
-    bands = [0, 1, 2] if kind == "rgb" else [15, 40, 77, 130]
+    bands = [0, 1, 2] if kind == "rgb" else [1, 2, 3, 4] if kind == "six bands" else [15, 40, 77, 130]
     nm = None if kind == "rgb" else np.array(model.bands.wavelengths_nm)[bands]
     x = model.between(model.names[0], model.names[2], 0.4)
     plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
@@ -267,6 +284,39 @@ def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):
     assert list(mixture.leave_out(weights, values @ values.T, 0.0)[0]) == list(range(12))
     with pytest.raises(UsageError, match="expected a share"):
         mixture.leave_out(weights, values @ values.T, 1.0)
+
+
+def test_a_reflectance_colours_a_prediction(models, rng, tmp_path):
+    model = Manifold.load(models["monochrome"])
+    x = model.between(model.names[0], model.names[2], 0.4)
+    spectrum = tmp_path / "blue.txt"
+    spectrum.write_text("380 0.6\n480 0.5\n550 0.1\n780 0.05\n")
+    chosen = choose_colour(model, x, ColourChoice(reflectance=spectrum))
+    mi, bands = backend.mitsuba("spectral"), [15, 40, 77, 130]
+    scene = {"type": "manifold", "model": str(models["monochrome"]), "latent": words(x)}
+    plugin = InMitsuba(
+        mi, scene | {"reflectance": str(spectrum)}, np.array(model.bands.wavelengths_nm)[bands]
+    )
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    expected = np.maximum(model.predict(x, chosen.colours).eval_cos(wi, wo), 0.0)[:, bands]
+    np.testing.assert_allclose(
+        plugin.eval_pdf(wi, wo)[0], expected, rtol=0.01, atol=0.01 * np.median(expected)
+    )
+
+
+def test_a_model_is_read_again_after_its_library_has_changed(models, tmp_path):
+    model = Manifold.load(models["rgb"])
+    shutil.copytree(model.library.path, tmp_path / "library.zarr")
+    shutil.copy(models["rgb"], tmp_path / "model.h5")
+    before = load_model(tmp_path / "model.h5", tmp_path / "library.zarr")
+    assert load_model(tmp_path / "model.h5", tmp_path / "library.zarr") is before
+    name = before.names[0]
+    file = before.library.read(name)
+    write_bsdf(tmp_path / f"{name}_rgb.bsdf", replace(file, spectra=0.5 * file.spectra))
+    import_files(tmp_path / "library.zarr", [tmp_path / f"{name}_rgb.bsdf"], replace=True)
+    with pytest.warns(LibraryChangedWarning):
+        after = load_model(tmp_path / "model.h5", tmp_path / "library.zarr")
+    assert after is not before
 
 
 @pytest.mark.parametrize(

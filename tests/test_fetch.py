@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import ssl
 import threading
 import time
 from collections.abc import Iterator
@@ -124,6 +125,23 @@ def server() -> Iterator[Server]:
 
 def table(*names: str) -> dict[str, Entry]:
     return {name: Entry(name, len(CONTENT), HASH) for name in names}
+
+
+def test_any_break_of_the_connection_is_tried_again(server, tmp_path, monkeypatch):
+    """Such as `ssl.SSLError`, an `OSError` that is no `ConnectionError`."""
+    server.behaviours["broken"] = Behaviour()
+    once, calls = fetch_module._Downloader._once, []
+
+    def breaking(self, entry: Entry, part: Path) -> None:
+        calls.append(entry.name)
+        if len(calls) == 1:
+            raise ssl.SSLError("record layer failure")
+        once(self, entry, part)
+
+    monkeypatch.setattr(fetch_module._Downloader, "_once", breaking)
+    fetch(["broken"], tmp_path, base_url=server.url, table=table("broken"), **QUICK)
+    assert calls == ["broken", "broken"]
+    assert files(tmp_path) == {"broken_spec.bsdf"}
 
 
 def files(folder: Path) -> set[str]:

@@ -113,6 +113,13 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
     assert FittedBRDF.read(target).eval(wi, wi) == pytest.approx(0.9 / np.pi, rel=0.01)
 
 
+def test_a_fit_of_another_version_is_made_anew(satin, fitted, tmp_path):
+    older = tmp_path / "older.fit.json"
+    content = json.loads(fitted.read_text())
+    older.write_text(json.dumps(content | {"program": "manifold 0.0.1"}))
+    assert not fits.fit_files([satin], older, SETTINGS)[0].was_there
+
+
 def test_a_prediction_names_its_model_and_latent(tmp_path):
     model = small_model(tmp_path)
     target = tmp_path / "between.fit.json"

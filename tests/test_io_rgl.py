@@ -148,6 +148,15 @@ def error_of(path: Path, content: bytes | None = None, read: Callable[[Path], ob
 # --- What is read is what was written ---
 
 
+def test_zeros_among_the_measured_cells_do_not_turn_the_mask_over(rng: np.random.Generator) -> None:
+    file, mask = masked_file(rng)
+    lost = rng.random(mask.shape) < 0.75
+    black = dataclasses.replace(file, spectra=np.where(lost[:, :, None], np.float32(0), file.spectra))
+    for bits in (mask, ~mask):
+        found = dataclasses.replace(black, valid=np.packbits(bits)).measured_mask
+        np.testing.assert_array_equal(found, mask)
+
+
 @needs_real_files
 @pytest.mark.parametrize("path", REAL_FILES, ids=lambda path: path.stem)
 def test_real_files_round_trip_byte_for_byte(path: Path, tmp_path: Path) -> None:

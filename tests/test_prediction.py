@@ -41,6 +41,15 @@ def test_a_unit_vector_gives_the_material_bit_for_bit(mapping, index, rng):
     wi, wo = directions(rng, 200)
     predicted = PredictedBRDF(MATERIALS, np.eye(3)[index], mapping_named(mapping))
     np.testing.assert_array_equal(predicted.eval(wi, wo), MATERIALS[index].eval(wi, wo))
+    np.testing.assert_array_equal(predicted.eval_cos(wi, wo), MATERIALS[index].eval_cos(wi, wo))
+
+
+def test_samples_need_unit_vectors_and_pairs_of_variates():
+    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.5, 0.0]), mapping_named("cube-root"))
+    up = np.array([0.0, 0.0, 1.0])
+    for wi, u in ((2.0 * up, np.zeros(2)), (up[:2], np.zeros(2)), (up, np.zeros(3))):
+        with pytest.raises(ShapeError):
+            predicted.sample(wi, u)
 
 
 @pytest.mark.parametrize("mapping", MAPPINGS)
@@ -169,6 +178,16 @@ def test_plausibility_sees_a_lack_of_reciprocity():
             return super().eval(wi, wo) * (1.0 + np.asarray(wi)[..., 2:])
 
     assert plausibility(OneSided(np.array([0.5]), RGB)).reciprocity_error > 0.1
+
+
+def test_plausibility_sees_energy_that_an_anisotropic_material_gains_from_the_side():
+    class FromTheSide(Lambert):
+        is_isotropic = False
+
+        def eval(self, wi, wo):
+            return super().eval(wi, wo) * (1.0 + 3.0 * np.abs(np.asarray(wi)[..., 1:2]))
+
+    assert plausibility(FromTheSide(np.array([0.5]), RGB)).max_albedo > 1.2
 
 
 def test_clipping_removes_and_counts_negative_values(rng):

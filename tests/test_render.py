@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -147,6 +148,7 @@ def test_an_illuminant_from_a_file_is_the_illuminant(tmp_path):
     read = renders.parse_illuminant(str(path))
     assert read.power == named.power
     assert not read.is_d65
+    assert not Illuminant.read(Path(shutil.copy(path, tmp_path / "D65.txt"))).is_d65
     path.write_text("400 -1\n500 1\n")
     with pytest.raises(FileFormatError, match="none below 0"):
         Illuminant.read(path)

@@ -215,7 +215,7 @@ def test_long_methods_are_left_out_unless_asked_for(models):
 
 def test_no_method_is_listed_twice(models, reports):
     assert replaced_keys(models["monochrome"]) == {"monochrome_2_1", "pca_3_log_relative"}
-    assert "gplvm_2" in replaced_keys(models["material"])
+    assert replaced_keys(models["material"]) == {"pca_2_log_relative"}  # gplvm_2 is by another optimizer
     for made in reports.values():
         keys = [m.key for m in made.methods]
         assert len(set(keys)) == len(keys)

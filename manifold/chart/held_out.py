@@ -17,6 +17,7 @@ from manifold.chart.registry import Setting
 from manifold.chart.storage_forms import Storage
 from manifold.combination import Combination
 from manifold.evaluation.tabulated import MAX_BANDS, Data
+from manifold.holes import close_holes
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import evenly_spaced
 from manifold.pairs import DirectionPairs
@@ -45,6 +46,7 @@ class HeldOut:
 
     def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Setting]) -> None:
         """Tabulate N files at the direction pairs of a grid, in the bands that the chosen settings need."""
+        files = [close_holes(file) for file in files]
         self._files, self.watch = files, Stopwatch()
         self.folds = min(_FOLDS, len(files))
         n_bands = files[0].bands.count
@@ -99,7 +101,7 @@ class HeldOut:
             times, warned = [], []
             for fold in range(self.folds):
                 if fold < _REPEATS:
-                    data = self._unmapped()
+                    data = self._data.unmapped()
                 out = everything[fold :: self.folds]
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", UserWarning)
@@ -110,11 +112,6 @@ class HeldOut:
                     times.append(self._tabulating + ratio)
             self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times), tuple(warned)
         return self._fits[setting.method]
-
-    def _unmapped(self) -> Data:
-        """The data without what methods share, values in a mapped domain and their products: each pays for its own."""
-        data = self._data
-        return Data(data.f, data.cosines, data.bands, data.n_bands, data.full_values)
 
     def _kept_as(self, storage: Storage) -> Kept:
         if self._kept is None or self._kept[0].key != storage.key:

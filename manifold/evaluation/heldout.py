@@ -17,8 +17,8 @@ from manifold.brdf import BRDF
 from manifold.combination import Combination
 from manifold.evaluation.methods import Method, standard_methods
 from manifold.evaluation.tabulated import Data
-from manifold.gplvm import blas_threads
 from manifold.metrics import RusinkiewiczGrid
+from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 __all__ = ["Data", "Encoded", "Method", "Result", "compare", "encode_all", "standard_methods"]
@@ -79,7 +79,7 @@ def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | 
     encode_seconds = 0.0
     encode = None
     for i in range(data.n_materials):
-        with blas_threads(0):  # the matrices are small: a second thread costs more than it does
+        with one_blas_thread:  # the matrices are small: a second thread costs more than it does
             if encode is None or method.refits:
                 start = time.perf_counter()
                 encode = method.fit(data, np.delete(everything, i) if method.refits else everything)

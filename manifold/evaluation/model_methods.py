@@ -59,9 +59,13 @@ def replaced_keys(model: Manifold) -> set[str]:
     """Keys of the standard methods that are the model's own under another name."""
     s = model.settings
     keys = {f"pca_{_pca_count(model)}_log_relative"}
-    if s == Settings(kind=s.kind, latent_dim=s.latent_dim):
-        keys.add(f"gplvm_{s.latent_dim}" if s.kind == "material" else f"monochrome_{s.latent_dim}_1")
-    return keys
+    standard = {
+        "gplvm_2": Settings(kind="material", latent_dim=2, optimizer="l-bfgs"),
+        "gplvm_6": Settings(kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1),
+        "monochrome_2_1": Settings(latent_dim=2),
+        "monochrome_3_1": Settings(latent_dim=3),
+    }
+    return keys | {key for key, settings in standard.items() if s == settings}
 
 
 def _pca_count(model: Manifold) -> int:

@@ -222,7 +222,7 @@ def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None)
             if on_progress is not None:
                 on_progress(before + done, len(methods) * data.n_materials, title)
 
-        encoded.append(encode_all(data, method, step))
+        encoded.append(encode_all(data.unmapped(), method, step))
     return encoded
 
 
@@ -243,7 +243,8 @@ class _Errors:
         return self.combinations[0].is_clipped
 
     def add(self, values: Values) -> None:
-        """Count a block of measured values."""
+        """Count a block of measured values; what their mapping costs counts for every method."""
+        values = Values(values.f, values.cosines)
         start = time.perf_counter()
         predicted = evaluate(self.combinations, values, clip=False)
         self.seconds += time.perf_counter() - start
@@ -369,7 +370,7 @@ def _plausibilities(
         values = Values(np.stack([m.eval(wi, wo) for m in thin]), cosine_weight(wi, wo))
         return np.concatenate([evaluate(each, values) for each in combinations])
 
-    found = plausibilities(predict)
+    found = plausibilities(predict, all(material.is_isotropic for material in materials))
     return [found[k : k + len(materials)] for k in range(0, len(found), len(materials))]
 
 

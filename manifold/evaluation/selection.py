@@ -15,11 +15,12 @@ import numpy as np
 from manifold.brdf import MeasuredBRDF
 from manifold.encoding import Decoder
 from manifold.errors import UsageError
-from manifold.gplvm import GPLVM, blas_threads
+from manifold.gplvm import GPLVM
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model import Settings, evenly_spaced
 from manifold.monochrome import MonochromeGPLVM
+from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
@@ -132,7 +133,7 @@ class _Trials:
         error = np.empty(len(self._f))
         for fold in self._folds:
             others = np.setdiff1d(np.arange(len(self._f)), fold)
-            with blas_threads(0):  # the matrices are small: a second thread costs more than it does
+            with one_blas_thread:  # the matrices are small: a second thread costs more than it does
                 decoder = self._fit(T[others], name, latent_dim)
                 for i in fold:
                     f = self._f[i] if self._is_curves else self._f[i].reshape(1, -1)

@@ -82,6 +82,10 @@ class Data(Values):
             lambda i: materials[i].eval(pairs.wi, pairs.wo),
         )
 
+    def unmapped(self) -> Data:
+        """The same without what methods share, values in a mapped domain and their products: each pays its own."""
+        return Data(self.f, self.cosines, self.bands, self.n_bands, self.full_values)
+
     @property
     def n_materials(self) -> int:
         """N."""

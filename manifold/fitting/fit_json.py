@@ -18,6 +18,7 @@ from manifold.fitting.bsdf_parameters import BsdfFamily
 from manifold.principled import FitResult
 
 FORMAT_VERSION = 1
+PROGRAM = f"manifold {__version__}"
 
 _TYPES: dict[str, tuple[type, ...]] = {
     "object": (dict,), "array": (list,), "string": (str,), "number": (int, float), "integer": (int,),
@@ -33,6 +34,7 @@ class Source:
         name: of the material.
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
+        colour: of a prediction, in words; None for a file, and where latents carry their colours.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Source:
     latent: tuple[float, ...] | None = None
     model: str | None = None
     model_sha256: str | None = None
+    colour: str | None = None
 
 
 def document(result: FitResult, source: Source) -> dict[str, Any]:
@@ -50,7 +53,7 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
     return {
         "format": "manifold fit",
         "format_version": FORMAT_VERSION,
-        "program": f"manifold {__version__}",
+        "program": PROGRAM,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "source": asdict(source) | {"latent": None if source.latent is None else list(source.latent)},
         "bsdf": result.family.to_json(),

@@ -237,7 +237,7 @@ class _Downloader:
                     raise FetchError(f"{problem} for {error.url}; check the name and the base URL") from error
             except urllib.error.URLError as error:
                 problem, unreachable = f"cannot reach {self.base_url} ({error.reason})", True
-            except (_Transient, TimeoutError, ConnectionError, http.client.HTTPException) as error:
+            except (_Transient, OSError, http.client.HTTPException) as error:
                 problem, unreachable = _describe(error, self.timeout_s), False
             size = _size(part)
             tries, best = (1, size) if size > best else (tries + 1, best)

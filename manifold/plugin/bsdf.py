@@ -14,7 +14,7 @@ Properties:
     library: where its library is, if it has moved.
     latent: coordinates with commas between, or
     latent_0, latent_1, ...: textures of the coordinates: one surface, a continuous field of materials.
-    like, srgb: the colour on a monochrome manifold, as in `manifold predict`.
+    like, reflectance, srgb: the colour on a monochrome manifold, as in `manifold predict`.
     tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
         weights of the others are fitted again. 0 by default, which keeps all.
 """
@@ -60,18 +60,24 @@ def _refuse(properties: Any) -> Any:
 
 
 @lru_cache(maxsize=4)
-def _model(path: Path, changed_ns: int, library: Path | None) -> Manifold:
-    """Models stay open: scenes are loaded often."""
-    return Manifold.load(path, library)
+def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
+    """Models stay open: scenes are loaded often. With the hash of what the library held then."""
+    loaded = Manifold.load(path, library)
+    return loaded, loaded.library.content_hash
 
 
 def load_model(path: Path, library: Path | None = None) -> Manifold:
-    """A model, read again only where its file has changed.
+    """A model, read again only where its file or its library has changed.
 
     Raises: as `Manifold.load`.
     """
     changed = path.stat().st_mtime_ns if path.exists() else 0
-    return _model(path.absolute(), changed, None if library is None else library.absolute())
+    key = path.absolute(), changed, None if library is None else library.absolute()
+    loaded, content_hash = _model(*key)
+    if loaded.library.content_hash != content_hash:
+        _model.cache_clear()
+        loaded, _ = _model(*key)
+    return loaded
 
 
 def _plugin_class(mi: Any, variant: str) -> Any:
@@ -142,7 +148,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
     if given:
         if len(given) < len(names) or "latent" in properties:
             raise UsageError(f"plugin manifold: found {', '.join(given)}, expected all of {', '.join(names)}")
-        for name in ("tolerance", "like", "srgb"):
+        for name in ("tolerance", "like", "reflectance", "srgb"):
             if name in properties:
                 raise UsageError(f"plugin manifold: {name} needs one latent, not textures; leave it out")
         return [properties.get_texture(name) for name in names], varying_mixture(model)
@@ -158,6 +164,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         ) from None
     colour = ColourChoice(
         like=str(properties["like"]) if "like" in properties else None,
+        reflectance=_optional_path(properties, "reflectance"),
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
     return [], fixed_mixture(model, latent, colour, tolerance)

@@ -63,7 +63,8 @@ class Evaluation:
         self._n_stored = tables.n_bands
         self._meta, self._nodes = mi.UInt32(tables.meta), mi.Float(tables.theta_nodes)
         self._grids = mi.Float(tables.grids)
-        self._spectra = (mi.Float16 if tables.spectra.dtype == np.float16 else mi.Float)(tables.spectra)
+        self._is_half = tables.spectra.dtype == np.float16
+        self._spectra = (mi.Float16 if self._is_half else mi.Float)(tables.spectra)
         self._warps = PackedWarps(
             mi, dr, mi.Float(tables.warps), mi.Float(tables.marginals), tables.most_nodes
         )
@@ -245,9 +246,8 @@ class Evaluation:
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
-        if self._n_stored <= MOST_BANDS_AT_ONCE or self._sample_weights is not None:
-            stored = self._all_bands(cell, corners, active)
-            mapped = [forward(value) for value in stored]
+        if self._is_rgb or self._sample_weights is not None:
+            mapped = [forward(value) for value in self._all_bands(cell, corners, active)]
             if self._sample_weights is None:
                 return mi.Spectrum(*mapped[:3]) * weight
             if self._is_rgb:
@@ -281,9 +281,9 @@ class Evaluation:
     def _band(self, index: Any, corners: list[Any], active: Any) -> Any:
         """Value of one band of a cell."""
         dr, mi = self._dr, self._mi
-        half = dr.float16_array_t(mi.ArrayXf)
+        stored = dr.float16_array_t(mi.ArrayXf) if self._is_half else mi.ArrayXf
         shape = (SPECTRUM_PACKET, dr.width(index))
-        packet = dr.gather(half, self._spectra, index, active, shape=shape)
+        packet = dr.gather(stored, self._spectra, index, active, shape=shape)
         return sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
 
     def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:

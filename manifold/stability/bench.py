@@ -29,7 +29,7 @@ from manifold.plausibility import plausibility
 from manifold.prediction import Mixture
 from manifold.records import Array, Bands, BsdfFile
 from manifold.spaces import CurveSpace, MaterialSpace
-from manifold.synthetic.microfacet import GGX, Lambert, Plastic
+from manifold.synthetic.microfacet import GGX, Plastic
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)
@@ -44,11 +44,6 @@ _GRID = RusinkiewiczGrid(24, 12, 8)
 def plastic(alpha: float, colour: Sequence[float] = GREY) -> Plastic:
     """A member of the family: GGX roughness alpha, diffuse reflectance per band."""
     return Plastic(GGX.isotropic(alpha), _ETA, np.array(colour), BANDS)
-
-
-def matte(reflectance: float) -> Lambert:
-    """A perfectly diffuse surface."""
-    return Lambert(np.array(reflectance), BANDS)
 
 
 def named(alpha: float, colour: int) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from manifold.parallel import in_turn
 from manifold.records import Array
 
 
@@ -60,6 +61,7 @@ def _same_shape(*values: Array) -> list[Array]:
     return [np.ascontiguousarray(a, float) for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
 
 
+@in_turn
 @njit(cache=True, parallel=True)
 def _conductor(cos_theta, eta, k):
     out = np.empty((cos_theta.size, eta.size))
@@ -83,6 +85,7 @@ def _conductor(cos_theta, eta, k):
     return out
 
 
+@in_turn
 @njit(cache=True, parallel=True)
 def _thin_film(cos_theta, phase, film, base):
     """`phase` is 2 pi thickness / wavelength, (B,); `base` the complex index, (B,)."""

@@ -21,6 +21,7 @@ from numba import njit, prange
 
 from manifold.directions import hemisphere_quadrature
 from manifold.errors import ShapeError, UsageError
+from manifold.parallel import in_turn
 from manifold.records import Array
 
 # Sizes of the table of directional albedo; with these it is within 5e-4 of the exact integral for
@@ -268,6 +269,7 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     return moments
 
 
+@in_turn
 @njit(cache=True, parallel=True)
 def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, n_phi, n_cosines):
     """Moments (n, n_cosines) of G2 / G1 over visible normals, for stretched directions (n, 3)."""

@@ -142,7 +142,7 @@ def example(
     name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
     output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
-    """Budget one of the package's own scenes. Raises: as `budget_scenes.write` and `budget_scene`."""
+    """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
     with tempfile.TemporaryDirectory() as folder:
         scene = example_scenes.write(name, Path(folder))
         return budget_scene(scene, tolerance, settings, output, on_progress, picture)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from manifold.brdf import MeasuredBRDF
+from manifold.colour_choice import NEAREST, ColourChoice
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
@@ -71,10 +72,11 @@ def picture_of_fit(
 
 
 def picture_of_prediction_fit(
-    fit: Path, model: Path, latent: Array | Sequence[float], output: Path, *, library: Path | None = None
-) -> FitPicture:
+    fit: Path, model: Path, latent: Array | Sequence[float], output: Path, *,
+    library: Path | None = None, colour: ColourChoice = NEAREST,
+) -> FitPicture:  # fmt: skip
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        pipeline.predict(model, latent, path, library=library)
+        pipeline.predict(model, latent, path, library=library, colour=colour)
         return picture_of_fit(fit, path, output)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold import atomic, backend
+from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
@@ -51,11 +52,12 @@ class FitSettings:
             )
 
     def made(self, content: dict[str, Any]) -> bool:
-        """Whether a written fit was asked for in the same way."""
+        """Whether a written fit was asked for in the same way, of the same version of this program."""
         wanted = asdict(METHODS[self.method]()) | {"noise": self.noise}
         families = [principled(), diffuse()] if self.family is None else [self.family]
         return (
-            content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]
+            content["program"] == fit_json.PROGRAM
+            and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]
             and (content["method"], content["metric"]) == (self.method, self.metric)
             and content["hyperparameters"] == wanted
         )
@@ -178,9 +180,9 @@ def fit_files(
 
 def fit_prediction(
     model: Path, latent: Array | Sequence[float], output: Path | None, settings: FitSettings, *,
-    library: Path | None = None, on_progress: Progress | None = None,
+    library: Path | None = None, colour: ColourChoice = NEAREST, on_progress: Progress | None = None,
 ) -> FitOutcome:  # fmt: skip
-    """Fit the material that a model predicts at a latent; arguments as in `workflows.predict` and `fit_files`.
+    """Fit the material that a model predicts at a latent; arguments as in `pipeline.predict` and `fit_files`.
 
     Raises:
         UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.
@@ -190,12 +192,14 @@ def fit_prediction(
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
     loaded.prepare(on_progress)
-    samples = fit_samples.from_brdf(loaded.predict(x))
+    chosen = choose_colour(loaded, x, colour)
+    samples = fit_samples.from_brdf(loaded.predict(x, chosen.colours))
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=tuple(float(v) for v in x),
         model=model.name,
         model_sha256=_sha256(model),
+        colour=chosen.words,
     )
     return _finish(path, source, _fit(samples, settings))
 
@@ -248,6 +252,8 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
         return _finish(target, source, _fit(samples, settings))
     except ManifoldError as error:
         return FitOutcome(name, target, None, failure=f"{name}: {error}")
+    except OSError as error:
+        return FitOutcome(name, target, None, failure=f"{name}: {path} cannot be read ({error.strerror})")
 
 
 def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:

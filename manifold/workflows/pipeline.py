@@ -130,7 +130,7 @@ def embed(
         with stage("Reading materials") as step:
             materials = []
             for name in opened.names:
-                materials.append(MeasuredBRDF(opened.read(name)))
+                materials.append(MeasuredBRDF(close_holes(opened.read(name))))
                 if step is not None:
                     step(len(materials), len(opened.names), name)
         with stage("Leaving materials out") as step:

@@ -139,7 +139,7 @@ def latent_source(
     """The prediction at a latent: through a `.bsdf` that lives as long as the block, or straight from the materials.
 
     Raises:
-        UsageError: `direct` without LLVM; and what `workflows.predict` raises.
+        UsageError: `direct` without LLVM; and what `pipeline.predict` raises.
     """
     name = "latent " + ", ".join(f"{v:.4g}" for v in latent)
     if direct:
@@ -156,7 +156,7 @@ def latent_source(
             "model": str(model),
             "latent": ",".join(repr(float(v)) for v in latent),
         }
-        material |= {key: value for key, value in (("like", colour.like), ("srgb", colour.srgb)) if value}
+        material |= {key: str(value) for key, value in vars(colour).items() if value is not None}
         if library is not None:
             material["library"] = str(library)
         yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly")

@@ -1,0 +1,57 @@
+"""Threads that meet: compiled kernels that are parallel in themselves, and the threads of BLAS."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_turn = threading.Lock()
+
+
+def in_turn(kernel: Callable[P, R]) -> Callable[P, R]:
+    """A kernel that is parallel in itself, entered by one thread at a time.
+
+    Where neither OpenMP nor TBB is installed, Numba runs such kernels on a pool of its own, which ends the process
+    when two threads enter it. With one of them it would start more threads than there are cores.
+    """
+
+    @wraps(kernel)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        with _turn:
+            return kernel(*args, **kwargs)
+
+    return call
+
+
+class _OneBlasThread:
+    """The limit of several users at once: set by the first, taken back by the last, since it is the process's."""
+
+    def __init__(self) -> None:
+        self._mutex, self._users = threading.Lock(), 0
+        self._limit: Any = None
+
+    def __enter__(self) -> None:
+        with self._mutex:
+            if self._users == 0:
+                self._limit = threadpool_limits(1, user_api="blas")
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._mutex:
+            self._users -= 1
+            if self._users == 0 and self._limit is not None:
+                self._limit.restore_original_limits()
+
+
+one_blas_thread = _OneBlasThread()
+"""A context in which BLAS keeps to one thread; threads may enter it at the same time, and it may be nested.
+
+Sharing out 200 x 200 entries costs ten times the work itself, and every level of threads above it once more.
+"""

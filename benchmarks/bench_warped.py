@@ -22,7 +22,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
 from trial_models import CUBE_ROOT, TrialDecoder, fit, priors
 
-from manifold import gonio
+from manifold import cells, gonio
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.evaluation.methods import sample_columns
@@ -96,7 +96,7 @@ def _incident(theta: Array) -> Array:
 def _area_matrix(fine: int = 2048, n_phi: int = 256) -> Array:
     """From D at its nodes to the projected area at the incident elevations of the nodes, (128, 128)."""
     u = (np.arange(fine) + 0.5) / fine
-    theta, incident = gonio.u_to_theta(u), gonio.u_to_theta(_U)
+    theta, incident = cells.u_to_theta(u), cells.u_to_theta(_U)
     cos_phi = np.cos((np.arange(n_phi) + 0.5) * 2.0 * np.pi / n_phi)
     measure = np.pi * u * np.sin(theta) * 2.0 * np.pi / fine
     hats = np.maximum(1.0 - np.abs(u[:, None] * (NODES - 1) - np.arange(NODES)), 0.0)
@@ -183,7 +183,7 @@ class Held:
         self.spectra = T.reshape(N * self.group, -1)
         self.profiles = np.repeat(forward(np.stack([w.profile for w in warped])), self.group, axis=0)
         left = (T * np.sqrt(elevations)[:, None, None]).reshape(N * self.group, -1)
-        right = self.profiles * np.sqrt(_U * np.sin(gonio.u_to_theta(_U)) + 1e-3)
+        right = self.profiles * np.sqrt(_U * np.sin(cells.u_to_theta(_U)) + 1e-3)
         left, right = left - left.mean(axis=0), right - right.mean(axis=0)
         self.features = np.hstack([left, right * np.sqrt(share * np.sum(left**2) / np.sum(right**2))])
         self.S = self.features @ self.features.T

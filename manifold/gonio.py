@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.brdf import BRDF
+from manifold.cells import HORIZON, Cells, u_to_phi, u_to_theta
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile
@@ -18,22 +19,11 @@ from manifold.spectra import luminance as luminance_of
 from manifold.warp import Warp, bilinear, interpolate
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
-_GRAZING = np.deg2rad(89.9)  # where the limit at the horizon is read off
 # Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
 # orders of magnitude within its last cell cannot be interpolated in single precision.
 _RETRO_LIMIT = np.deg2rad(85.0)
 _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
-
-
-def u_to_theta(u: Array) -> Array:
-    """Elevation in radians of the unit-square coordinate u in [0, 1]: u^2 pi / 2."""
-    return np.square(u) * (0.5 * np.pi)
-
-
-def u_to_phi(v: Array) -> Array:
-    """Azimuth in radians of the unit-square coordinate v in [0, 1]: (2 v - 1) pi."""
-    return (2.0 * np.asarray(v) - 1.0) * np.pi
 
 
 def default_theta_i(n: int) -> Array:
@@ -173,7 +163,7 @@ def measure(
     vndf = np.empty((*shape, WARP_NODES, WARP_NODES), dtype=np.float32)
     dense_ndf = np.broadcast_to(ndf[:1], (WARP_NODES, WARP_NODES)) if isotropic else ndf
     for p, t in np.ndindex(shape):
-        vndf[p, t] = _visible_normals(dense_ndf, from_spherical(min(theta_i[t], _GRAZING), phi_i[p]))
+        vndf[p, t] = _visible_normals(dense_ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
     warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
 
     spectra = np.empty((*shape, resolution, resolution, brdf.bands.count), dtype=np.float32)
@@ -215,20 +205,13 @@ def _measure_incidence(
     brdf: BRDF, warp: Warp, ndf: Array, sigma: Array, phi_i: float, theta_i: float, isotropic: bool, n: int
 ) -> tuple[Array, Array]:
     """Stored values (n, n, B) and which of them were measured (n, n), for one incident direction."""
-    t = np.linspace(0.0, 1.0, n)
-    variates = np.stack(np.meshgrid(t, t, indexing="xy"), axis=-1)  # (rows, columns, (x, y))
-    points, _ = warp.sample(variates, phi_i, theta_i)
-    m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + (phi_i if isotropic else 0.0))
-    wi = from_spherical(min(theta_i, _GRAZING), phi_i)
-    cos_im = m @ wi
-    wo = 2.0 * cos_im[..., None] * m - wi
-    measured = (cos_im > 0) & (wo[..., 2] > 0)
+    cells = Cells.seen_from(warp, phi_i, theta_i, (n, n), is_isotropic=isotropic)
     f_cos = np.zeros((n, n, brdf.bands.count))
-    f_cos[measured] = brdf.eval_cos(wi, wo[measured])
-    D = interpolate(ndf, np.ascontiguousarray(points).reshape(-1, 2)).reshape(n, n)
+    f_cos[cells.is_above] = brdf.eval_cos(cells.wi, cells.wo[cells.is_above])
+    D = interpolate(ndf, np.ascontiguousarray(cells.points).reshape(-1, 2)).reshape(n, n)
     area = bilinear(sigma, np.sqrt(theta_i * 2.0 / np.pi), (phi_i + np.pi) / (2.0 * np.pi))
     scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
-    return f_cos * scale[..., None], measured
+    return f_cos * scale[..., None], cells.is_above
 
 
 def _second_difference(values: Array, axis: int, nodes: Array) -> Array:

@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import convolve
 
-from manifold.directions import from_spherical
-from manifold.gonio import u_to_phi, u_to_theta
+from manifold.cells import Cells
 from manifold.records import Array, BsdfFile
 from manifold.warp import Warp
 
@@ -47,17 +46,13 @@ def find_rim(file: BsdfFile) -> Array:
 
 def _outgoing_cosines(file: BsdfFile, slices: Array) -> Iterator[tuple[int, int, Array]]:
     """Of slices (n, 2) of azimuth and elevation: their indices, and cos(theta_o) of their cells (H, W); -1 below."""
-    rows, columns = (np.linspace(0.0, 1.0, n) for n in file.spectra.shape[3:])
-    variates = np.stack(np.meshgrid(columns, rows), axis=-1)
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     for p, t in slices:
-        phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
-        points, _ = warp.sample(variates, phi_i, theta_i)
-        turn = phi_i if file.is_isotropic else 0.0
-        m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
-        wi = from_spherical(theta_i, phi_i)
-        cos_im = m @ wi
-        yield int(p), int(t), np.where(cos_im > 0, 2.0 * cos_im * m[..., 2] - wi[2], -1.0)
+        cells = Cells.seen_from(
+            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), file.spectra.shape[3:],
+            is_isotropic=file.is_isotropic,
+        )  # fmt: skip
+        yield int(p), int(t), np.where(cells.is_above, cells.wo[..., 2], -1.0)
 
 
 def share_of_holes(file: BsdfFile, holes: Array) -> float:

@@ -8,14 +8,13 @@ import numpy as np
 
 from manifold import gonio, spectra
 from manifold.brdf import MeasuredBRDF
-from manifold.directions import from_spherical
+from manifold.cells import HORIZON, Cells
 from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
 from manifold.warp import Warp, bilinear, interpolate
 
 _SEEN_NM = np.arange(380.0, 781.0, 1.0)
 _COLOUR_WEIGHT = 30.0  # of colours against spectra, in standard deviations
-_GRAZING = np.deg2rad(89.9)
 
 
 def band_nodes(bands: Bands, light: Array, count: int) -> Array:
@@ -91,24 +90,22 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
     vndf = _resampled(file.vndf[:, theta_i], warp_nodes)
     theta, phi = file.theta_i_rad[theta_i], file.phi_i_rad
     warp = Warp.from_values(vndf, phi, theta)
-    grid = np.linspace(0.0, 1.0, resolution)
-    variates = np.stack(np.meshgrid(grid, grid, indexing="xy"), axis=-1)
     shape = (len(phi), len(theta), resolution, resolution)
     values = np.zeros((*shape, file.bands.count), dtype=np.float32)
     measured = np.zeros(shape, dtype=bool)
     for p, t in np.ndindex(shape[:2]):
-        theta_i_rad, phi_i_rad = min(float(theta[t]), _GRAZING), float(phi[p])
-        wi = from_spherical(theta_i_rad, phi_i_rad)
-        points, _ = warp.sample(variates, phi_i_rad, float(theta[t]))
-        turned = phi_i_rad if file.is_isotropic else 0.0
-        m = from_spherical(gonio.u_to_theta(points[..., 0]), gonio.u_to_phi(points[..., 1]) + turned)
-        wo = 2.0 * (m @ wi)[..., None] * m - wi
-        above = (m @ wi > 0.0) & (wo[..., 2] > 0.0)
-        f_cos = brdf.eval_cos(wi, wo[above])
+        phi_i_rad, theta_i_rad = float(phi[p]), float(theta[t])
+        cells = Cells.seen_from(
+            warp, phi_i_rad, theta_i_rad, (resolution, resolution), is_isotropic=file.is_isotropic
+        )
+        above = cells.is_above
+        f_cos = brdf.eval_cos(cells.wi, cells.wo[above])
         if file.jacobian:
-            D = interpolate(np.asarray(file.ndf, float), np.ascontiguousarray(points[above]))
+            D = interpolate(np.asarray(file.ndf, float), np.ascontiguousarray(cells.points[above]))
             area = bilinear(
-                file.sigma, np.sqrt(theta_i_rad * 2.0 / np.pi), (phi_i_rad + np.pi) / (2.0 * np.pi)
+                file.sigma,
+                np.sqrt(min(theta_i_rad, HORIZON) * 2.0 / np.pi),
+                (phi_i_rad + np.pi) / (2.0 * np.pi),
             )
             f_cos *= np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)[:, None]
         values[p, t, above], measured[p, t] = np.maximum(f_cos, 0.0), above

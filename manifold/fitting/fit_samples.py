@@ -8,9 +8,9 @@ import numpy as np
 
 from manifold import spectra
 from manifold.brdf import BRDF, MeasuredBRDF
-from manifold.directions import from_spherical, normalize, require_directions
+from manifold.cells import Cells
+from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
-from manifold.gonio import u_to_phi, u_to_theta
 from manifold.holes import find_holes
 from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
 from manifold.records import Array, Bands, BsdfFile
@@ -127,20 +127,16 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
     """
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     mask = file.measured_mask & ~find_holes(file)
-    rows, columns = mask.shape[2:]
-    axes = np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows), indexing="xy")
-    variates = np.stack(axes, axis=-1)  # (rows, columns, (x, y))
     all_wi, all_wo = [], []
     for p, t in np.ndindex(mask.shape[:2]):
-        theta_i, phi_i = float(file.theta_i_rad[t]), float(file.phi_i_rad[p])
-        wi = from_spherical(theta_i, phi_i)
-        points, _ = warp.sample(variates, phi_i, theta_i)
-        phi_m = u_to_phi(points[..., 1]) + (phi_i if file.is_isotropic else 0.0)
-        m = from_spherical(u_to_theta(points[..., 0]), phi_m)
-        wo = 2.0 * (m @ wi)[..., None] * m - wi
-        wo = wo[mask[p, t] & (wo[..., 2] >= _GRAZING_COS) & (wi[2] >= _GRAZING_COS)]
+        cells = Cells.seen_from(
+            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), mask.shape[2:],
+            is_isotropic=file.is_isotropic,
+        )  # fmt: skip
+        far = (cells.wo[..., 2] >= _GRAZING_COS) & (cells.wi[2] >= _GRAZING_COS)
+        wo = cells.wo[mask[p, t] & cells.is_above & far]
         all_wo.append(normalize(wo))
-        all_wi.append(np.broadcast_to(wi, wo.shape))
+        all_wi.append(np.broadcast_to(cells.wi, wo.shape))
     return np.concatenate(all_wi), np.concatenate(all_wo)
 
 

@@ -31,15 +31,13 @@ from manifold.monochrome import MonochromeGPLVM
 from manifold.pairs import DirectionPairs
 from manifold.plausibility import mirrored_quadrature
 from manifold.prediction import Mixture, MonochromePrediction, PredictedBRDF
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, Progress, evenly_spaced
 from manifold.spaces import KINDS, CurveSpace, MaterialSpace
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
 _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spaced
-
-Progress = Callable[[int, int, str], None]
 
 
 class LibraryChangedWarning(UserWarning):
@@ -371,7 +369,7 @@ class Manifold:
             return self.gp.variance_fraction(X)
         if colours is None:
             latents = self._sample_latents(X)
-        elif len(X) == 1 and self._owner(X[0], self._require_colours(colours)) is not None:
+        elif len(X) == 1 and self.owner(X[0], self._require_colours(colours)) is not None:
             return np.zeros(1)
         else:
             latents = self.space.join(
@@ -539,13 +537,13 @@ class Manifold:
         if colours is None:
             colours = self.colours_like(x, self.nearest(x)[0][0])
         colours = self._require_colours(colours)
-        owner = self._owner(x, colours)
+        owner = self.owner(x, colours)
         if owner is not None:
             return self._predict_from_materials(np.eye(len(self.names))[owner])
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
         return MonochromePrediction(self._thinned(), weights, self.mapping, self.bands)
 
-    def _owner(self, x: Array, colours: Array) -> int | None:
+    def owner(self, x: Array, colours: Array) -> int | None:
         """The material whose structure x (Q,) and colours (B,) these are."""
         own = np.all(x == self.X, axis=1) & np.all(colours == self._require_curves().colours, axis=1)
         return int(np.argmax(own)) if np.any(own) else None
@@ -689,11 +687,6 @@ class Manifold:
                 stacklevel=2,
             )
         return cls(library, stored.names, space, settings, stored.statistics)
-
-
-def evenly_spaced(n_bands: int, count: int) -> Array:
-    """Indices of at most `count` of the bands, both ends among them."""
-    return np.unique(np.linspace(0, n_bands - 1, min(n_bands, count)).round().astype(int))
 
 
 def _reflectance_pairs() -> tuple[EncodingPairs, Array]:

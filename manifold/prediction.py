@@ -17,6 +17,7 @@ from manifold.pairs import DirectionPairs
 from manifold.parallel import one_blas_thread
 from manifold.plausibility import quadrature_albedo
 from manifold.records import Array, Bands
+from manifold.synthetic.analytic import choose_lobe
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
 BLOCK_PAIRS = 2048
@@ -99,17 +100,14 @@ class Mixture:
         shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
         wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
         u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
-        edges = np.concatenate([[0.0], np.cumsum(self._lobes)])
-        lobe = np.clip(np.searchsorted(edges, u[:, 0], side="right") - 1, 0, len(self._lobes) - 1)
-        # The variate that chose the material is stretched over [0, 1) and used again.
-        rest = np.clip((u[:, 0] - edges[lobe]) / self._lobes[lobe], 0.0, 1.0 - 1e-12)
+        lobe, u = choose_lobe(self._lobes, u)
         wo = np.zeros_like(wi)
         wo[:, 2] = 1.0
         usable = np.zeros(len(wi), dtype=bool)
         for k, material in enumerate(self._materials):
             mine = lobe == k
             if np.any(mine):
-                wo[mine], pdf = material.sample(wi[mine], np.stack([rest[mine], u[mine, 1]], axis=-1))
+                wo[mine], pdf = material.sample(wi[mine], u[mine])
                 usable[mine] = pdf > 0
         density = np.where(usable, self.pdf(wi, wo), 0.0)
         return wo.reshape(*shape, 3), density.reshape(shape)

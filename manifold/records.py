@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from manifold.errors import BandMismatchError
 
 Array = NDArray[Any]
+
+Progress = Callable[[int, int, str], None]
+"""Called with how much is done, of how much in all, and the name of what was done last."""
 
 RGB_NAMES = ("R", "G", "B")
 
@@ -129,3 +132,8 @@ class BsdfFile:
             return non_zero
         kept = np.count_nonzero(bits & non_zero)
         return bits if 2 * kept >= np.count_nonzero(non_zero) else ~bits
+
+
+def evenly_spaced(n_bands: int, count: int) -> Array:
+    """Indices of at most `count` of the bands, both ends among them."""
+    return np.unique(np.linspace(0, n_bands - 1, min(n_bands, count)).round().astype(int))

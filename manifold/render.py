@@ -7,7 +7,7 @@ and the spikes of fluorescent lamps are sampled where they are. White is adapted
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,10 +17,8 @@ from manifold import backend, spectra
 from manifold.errors import UsageError
 from manifold.pictures import scenes
 from manifold.plugin import bsdf
-from manifold.records import Array
+from manifold.records import Array, Progress
 from manifold.spectra import Illuminant
-
-Progress = Callable[[int, int, str], None]
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once

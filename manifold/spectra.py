@@ -357,28 +357,13 @@ def xyz_weights(bands: Bands, illuminant: str = "D65") -> Array:
 def _xyz_weights(bands: Bands, illuminant: str) -> Array:
     if bands.is_rgb:
         return _frozen(_srgb_to_xyz().T.copy())
-    nodes, matching = _spectral_distribution(_colour().MSDS_CMFS[OBSERVER])
-    lamp_nm, lamp = _spectral_distribution(_colour().SDS_ILLUMINANTS[illuminant])
-    # A lamp is dark where its table ends; all but a few photographic ones reach past the observer's range.
-    stimulus = np.interp(nodes, lamp_nm, lamp, left=0.0, right=0.0)[:, None] * matching
-    total = stimulus[:, 1].sum()
-    if total <= 0.0:
-        raise UsageError(f"illuminant {illuminant!r} gives no visible light; choose another, such as D65")
-    return _frozen(_hat_functions(nodes, np.asarray(bands.wavelengths_nm)).T @ stimulus / total)
+    nodes, weights = sensor_responses(Illuminant.named(illuminant))
+    return _frozen(interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ weights)
 
 
-def _hat_functions(x: Array, nodes: Array) -> Array:
-    """Linear interpolation as a matrix (len(x), len(nodes)), constant outside the nodes; rows sum to 1."""
-    hats = np.zeros((x.size, nodes.size))
-    if nodes.size == 1:
-        hats[:] = 1.0
-        return hats
-    left = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, nodes.size - 2)
-    t = np.clip((x - nodes[left]) / (nodes[left + 1] - nodes[left]), 0.0, 1.0)
-    rows = np.arange(x.size)
-    hats[rows, left] = 1.0 - t
-    hats[rows, left + 1] = t
-    return hats
+def interpolation_matrix(nodes: Array, at: Array) -> Array:
+    """The matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
+    return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], axis=1)
 
 
 @lru_cache(maxsize=1)

@@ -172,7 +172,7 @@ def test_the_pre_pass_predicts_the_render_of_direct_light(tmp_path):
     f_cos = np.zeros((len(asked.wi), len(nm)))
     f_cos[asked.lit] = (
         brdf.eval_cos(asked.wi[asked.lit], asked.wo[asked.lit])
-        @ reduced_file.interpolation(np.asarray(BANDS.wavelengths_nm), nm).T
+        @ spectra.interpolation_matrix(np.asarray(BANDS.wavelengths_nm), nm).T
     )
     predicted = asked.radiance(f_cos).mean(axis=0)
     mi = backend.mitsuba("spectral", backend.Backend("scalar"))
@@ -208,7 +208,7 @@ def test_few_bands_keep_the_colour_under_the_light(illuminant, count):
     nodes = reduced_file.band_nodes(bands, light, count)
     few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
     fine = Bands.from_array(source)
-    kept = reduced_file.interpolation(nodes, source) @ few
+    kept = spectra.interpolation_matrix(nodes, source) @ few
     xyz, xyz_few = (spectra.to_xyz(values, fine, illuminant) for values in (reflectance, kept))
     white = spectra.to_xyz(np.ones(len(source)), fine, illuminant)
     assert float(spectra.delta_e_2000(xyz, xyz_few, white)) < 0.5
@@ -224,7 +224,7 @@ def test_more_bands_keep_more_of_the_spectrum():
     for count in representations.BANDS:
         nodes = reduced_file.band_nodes(bands, light, count)
         few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
-        errors.append(np.abs(reduced_file.interpolation(nodes, source) @ few - reflectance).mean())
+        errors.append(np.abs(spectra.interpolation_matrix(nodes, source) @ few - reflectance).mean())
     assert errors == sorted(errors, reverse=True)
 
 

@@ -48,13 +48,8 @@ def band_projection(source: Array, nodes: Array, bands: Bands, light: Array) -> 
     sensed = _sensed(bands, light)
     level = np.sqrt(sensed.sum(axis=1) / sensed.sum() + 1e-3 / len(_SEEN_NM))[:, None]
     rows = np.concatenate([_COLOUR_WEIGHT * sensed.T / sensed[:, 1].sum(), level * np.eye(len(_SEEN_NM))])
-    fine = [interpolation(of, _SEEN_NM) for of in (nodes, source)]
+    fine = [spectra.interpolation_matrix(of, _SEEN_NM) for of in (nodes, source)]
     return np.linalg.lstsq(rows @ fine[0], rows @ fine[1], rcond=None)[0]
-
-
-def interpolation(nodes: Array, at: Array) -> Array:
-    """The matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
-    return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], axis=1)
 
 
 def _sensed(bands: Bands, light: Array) -> Array:
@@ -122,8 +117,9 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
 
 def _resampled(values: Array, n: int) -> Array:
     """Node values (..., R, C) interpolated to n nodes per axis, float32."""
+    at = np.linspace(0.0, 1.0, n)
     rows, columns = (
-        interpolation(np.linspace(0.0, 1.0, size), np.linspace(0.0, 1.0, n)) for size in values.shape[-2:]
+        spectra.interpolation_matrix(np.linspace(0.0, 1.0, size), at) for size in values.shape[-2:]
     )
     return np.ascontiguousarray(rows @ values @ columns.T, dtype=np.float32)
 

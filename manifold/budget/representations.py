@@ -96,7 +96,7 @@ class _Builder:
         """Values (..., B) in the bands of the light, (..., L)."""
         if bands.is_rgb:
             return values
-        return values @ reduced_file.interpolation(_nm(bands), _nm(self.asked.bands)).T
+        return values @ spectra.interpolation_matrix(_nm(bands), _nm(self.asked.bands)).T
 
     def difference(self, seen: Array) -> float:
         """Mean CIEDE2000 to the reference."""

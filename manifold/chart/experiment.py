@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -15,9 +15,7 @@ from manifold.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measured, Tim
 from manifold.chart.registry import Setting, settings
 from manifold.errors import UsageError
 from manifold.metrics import RusinkiewiczGrid
-from manifold.records import BsdfFile
-
-Progress = Callable[[int, int, str], None]
+from manifold.records import BsdfFile, Progress
 
 ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relative_error": "relative error"}
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}

@@ -10,10 +10,9 @@ import numpy as np
 from manifold import principled
 from manifold.chart.instruments import Measured, Stopwatch, Target, Timed
 from manifold.fitting.bsdf_evaluation import evaluator
-from manifold.model import evenly_spaced
 from manifold.pairs import DirectionPairs
 from manifold.principled import FitResult
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, evenly_spaced
 
 METHODS = {"gauss-newton": "Gauss-Newton", "adam": "Adam", "swarm": "swarm"}
 """Of `principled.METHODS`, with titles for people."""

@@ -19,10 +19,9 @@ from manifold.combination import Combination
 from manifold.evaluation.tabulated import MAX_BANDS, Data
 from manifold.holes import close_holes
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model import evenly_spaced
 from manifold.pairs import DirectionPairs
 from manifold.prediction import MonochromePrediction, PredictedBRDF
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, evenly_spaced
 
 _FOLDS = 10
 _TIMED, _REPEATS = 3, 5

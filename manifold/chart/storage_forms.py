@@ -77,7 +77,7 @@ def few_angles(*, outgoing: int = 1, incident: int = 1) -> Storage:
 def interpolation(bands: Bands, count: int) -> Array:
     """The matrix (B, r) from r kept bands back to all."""
     nodes, _ = _projection(bands, count)
-    return reduced_file.interpolation(nodes, np.asarray(bands.wavelengths_nm))
+    return spectra.interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
 
 
 def _projection(bands: Bands, count: int) -> tuple[Array, Array]:

@@ -19,11 +19,9 @@ from manifold.evaluation.methods import Method, standard_methods
 from manifold.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid
 from manifold.parallel import one_blas_thread
-from manifold.records import Array
+from manifold.records import Array, Progress
 
 __all__ = ["Data", "Encoded", "Method", "Result", "compare", "encode_all", "standard_methods"]
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,10 @@ from manifold.evaluation.methods import SAMPLE_BANDS, Method, baseline_methods, 
 from manifold.evaluation.model_methods import model_methods, replaced_keys
 from manifold.evaluation.tabulated import MAX_BANDS, Data
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.model import Manifold, evenly_spaced
+from manifold.model import Manifold
 from manifold.plausibility import Plausibility, plausibilities
-from manifold.records import Array
+from manifold.records import Array, Progress, evenly_spaced
 from manifold.spaces import CurveSpace
-
-Progress = Callable[[int, int, str], None]
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together

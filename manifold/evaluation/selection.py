@@ -7,7 +7,7 @@ and is judged by what it decodes; up to twenty materials every fold holds one, w
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +18,10 @@ from manifold.errors import UsageError
 from manifold.gplvm import GPLVM
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.model import Settings, evenly_spaced
+from manifold.model import Settings
 from manifold.monochrome import MonochromeGPLVM
 from manifold.parallel import one_blas_thread
-from manifold.records import Array
+from manifold.records import Array, Progress, evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # of a whole material
@@ -30,8 +30,6 @@ PAYS = 0.05  # an added dimension has to take this share off the error
 LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
 FOLDS = 5
 _TOLERANCE = 1e-4  # of the fits: finer ones move no error by more than it varies between folds
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from manifold.combination import Values
 from manifold.encoding import PAIR_STRIDE, EncodingPairs
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.model import evenly_spaced
-from manifold.records import Array
+from manifold.records import Array, evenly_spaced
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
 

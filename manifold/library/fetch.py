@@ -16,7 +16,7 @@ import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from email.message import Message
@@ -29,13 +29,13 @@ from urllib.parse import quote, urlsplit
 from manifold import __version__
 from manifold.errors import FetchError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.records import Progress
 
 BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
 BLOCK_BYTES = 1 << 18
 MAX_BYTES = 1 << 30  # For files whose size no table knows; the largest in the database have 111 MB.
 MIN_BYTES_PER_TIMEOUT = 4096  # A server that drips slower than this per `timeout_s` counts as stalled.
 
-Progress = Callable[[int, int, str], None]
 """Called with (bytes done, bytes expected as far as known, file name), over all files together."""
 
 

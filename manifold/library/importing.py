@@ -15,8 +15,8 @@ from manifold.errors import LibraryError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
 from manifold.library.identity import require_material_name
-from manifold.library.store import Library, Progress, open_or_create, write_material
-from manifold.records import Bands, BsdfFile
+from manifold.library.store import Library, open_or_create, write_material
+from manifold.records import Bands, BsdfFile, Progress
 
 Outcome = Literal["imported", "skipped", "replaced"]
 

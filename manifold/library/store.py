@@ -19,7 +19,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -42,13 +42,12 @@ from manifold.library.identity import (
     is_material_name,
     present_arrays,
 )
-from manifold.records import RGB_NAMES, Array, Bands, BsdfFile
+from manifold.records import RGB_NAMES, Array, Bands, BsdfFile, Progress
 
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 1
 MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
 
-Progress = Callable[[int, int, str], None]
 """Called with (done, total, name of the material)."""
 
 # Field of BsdfFile -> (array name and dimension names in the store, units).

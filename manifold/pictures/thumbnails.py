@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,11 @@ from manifold.model import Manifold
 from manifold.pictures import scenes
 from manifold.pictures.images import tone_map
 from manifold.prediction import ClippedBRDF
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, Progress
 
 SIZE, SAMPLES = 96, 64
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
 _LOOK = "thumbnail-1"  # raise where scene, size or tone mapping change
-
-Progress = Callable[[int, int, str], None]
 
 
 def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[Array]:

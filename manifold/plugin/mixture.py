@@ -86,9 +86,9 @@ def fixed_mixture(
         )
     assert chosen.colours is not None
     space = model.space
-    own = np.all(x == space.X, axis=1) & np.all(space.colours == chosen.colours, axis=1)
-    if np.any(own):
-        return _of_materials(model, np.array([np.argmax(own)]), np.ones(1), 0, 0.0)
+    owner = model.owner(x, chosen.colours)
+    if owner is not None:
+        return _of_materials(model, np.array([owner]), np.ones(1), 0, 0.0)
     flat = model.gp.weights(space.join(x[None], chosen.colours[None]))
     files = _read(model, range(len(model.names)))
     order = _by_size(files)

@@ -17,11 +17,10 @@ from threadpoolctl import threadpool_limits
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
+from manifold.records import Progress
 from manifold.stability.bench import Bench
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import UsageError
 from manifold.model import Manifold
 from manifold.pictures import thumbnails
-from manifold.pictures.thumbnails import Progress, cropped
+from manifold.pictures.thumbnails import cropped
 from manifold.plots import figures, plot_balls
-from manifold.records import Array
+from manifold.records import Array, Progress
 
 MOST_STEPS = 25
 

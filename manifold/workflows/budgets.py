@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,8 @@ from manifold.io_rgl import material_name, read_bsdf
 from manifold.pictures import image_metrics
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
-from manifold.records import Array
+from manifold.records import Array, Progress
 from manifold.workflows import pipeline
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold.chart.experiment import Chart, Progress, make_chart
+from manifold.chart.experiment import Chart, make_chart
 from manifold.library.store import Library
 from manifold.model import Manifold
+from manifold.records import Progress
 
 
 def chart(

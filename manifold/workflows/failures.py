@@ -7,9 +7,10 @@ from pathlib import Path
 
 from manifold import atomic
 from manifold.plots import figures, plot_stability
+from manifold.records import Progress
 from manifold.stability import advice_page
 from manifold.stability.catalogue import MODES
-from manifold.stability.trials import Progress, Stability, chosen, try_modes
+from manifold.stability.trials import Stability, chosen, try_modes
 
 
 def stability(

@@ -6,7 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,12 +19,10 @@ from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import material_name, read_bsdf
 from manifold.model import Manifold
 from manifold.principled import METHODS, FitResult, fit
-from manifold.records import Array
-
-Progress = Callable[[int, int, str], None]
+from manifold.records import Array, Progress
 
 
 @dataclass(frozen=True)
@@ -215,7 +213,7 @@ def _targets(paths: Sequence[Path], output: Path | None) -> dict[Path, Path]:
             f"{folder}: is a file, expected a folder for {len(paths)} fits; name a folder with -o"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    targets = {path: folder / f"{_material_name(path)}.fit.json" for path in paths}
+    targets = {path: folder / f"{material_name(path)}.fit.json" for path in paths}
     taken: dict[Path, Path] = {}
     for path, target in targets.items():
         atomic.require_writable(target)
@@ -225,10 +223,6 @@ def _targets(paths: Sequence[Path], output: Path | None) -> dict[Path, Path]:
             )
         taken[target] = path
     return targets
-
-
-def _material_name(path: Path) -> str:
-    return path.name.removesuffix(".bsdf").removesuffix("_spec").removesuffix("_rgb")
 
 
 def _sha256(path: Path) -> str:
@@ -242,7 +236,7 @@ def _use_one_thread() -> None:
 
 
 def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
-    name = _material_name(path)
+    name = material_name(path)
     try:
         source = Source(name=name, file=path.name, sha256=_sha256(path))
         there = _earlier(target, source, settings)

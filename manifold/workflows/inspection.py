@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,7 @@ from manifold.holes import find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import Manifold
-from manifold.records import BsdfFile
-
-Progress = Callable[[int, int, str], None]
+from manifold.records import BsdfFile, Progress
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 

@@ -17,7 +17,7 @@ from manifold.evaluation import selection
 from manifold.evaluation.report import Report, make_report
 from manifold.evaluation.selection import Candidate
 from manifold.holes import close_holes, find_holes, share_of_holes
-from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
 from manifold.model import Manifold, Settings
@@ -25,10 +25,9 @@ from manifold.physical import PhysicalBRDF
 from manifold.plausibility import Plausibility, plausibility
 from manifold.plots import figures, plot_latents
 from manifold.prediction import ClippedBRDF
-from manifold.records import Array
+from manifold.records import Array, Progress
 from manifold.synthetic import corpus
 
-Progress = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
@@ -171,7 +170,7 @@ def predict(
         UsageError: the name of the output does not end in `.bsdf`, or the file cannot be written.
         LatentError: the latent does not have Q finite coordinates.
     """
-    name = output.name.removesuffix(".bsdf").removesuffix("_spec").removesuffix("_rgb")
+    name = material_name(output)
     if output.suffix != ".bsdf" or not name:
         raise UsageError(f"{output}: predictions are written as .bsdf files; name one with -o NAME.bsdf")
     atomic.require_writable(output)

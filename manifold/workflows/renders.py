@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,12 +20,10 @@ from manifold.io_rgl import material_name, read_bsdf
 from manifold.pictures import image_metrics, images, scenes
 from manifold.pictures.image_metrics import Summary
 from manifold.plots import figures, plot_comparison
-from manifold.records import Array
+from manifold.records import Array, Progress
 from manifold.render import RenderSettings, render_ball, require_d65
 from manifold.spectra import Illuminant
 from manifold.workflows import pipeline
-
-Progress = Callable[[int, int, str], None]
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
 

@@ -1,8 +1,8 @@
 """Mitsuba scenes as documents: which measured materials they hold, and the same scene with others in their place.
 
 A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
-may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth; files that an XML
-file includes are left as they are.
+may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth, in included files
+too: these become part of the document.
 """
 
 from __future__ import annotations
@@ -13,13 +13,22 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from manifold import atomic
-from manifold.errors import FileFormatError, UsageError
+from manifold.budget import scene_files
+from manifold.errors import UsageError
 
-KINDS = ("measured", "manifold")
-_FILES = ("filename", "model", "library")
+KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "measured": ("filename",),
+        "manifold": ("model", "library", "latent", "like", "reflectance", "srgb", "tolerance"),
+    }
+)
+"""What measured materials are called, and their properties."""
+
+_FILES = ("filename", "model", "library", "reflectance")
 _FILM_SIZE = (768, 576)  # Mitsuba's own default
 _NUMBERS = {"float": float, "integer": int}
 
@@ -46,20 +55,15 @@ class SceneDocument:
         """Take the tree of an XML file or a dictionary; `folder` is what its relative paths start from.
 
         Raises:
-            UsageError: there is no sensor, no measured material, or one of a varying latent.
+            UsageError: there is no sensor, no measured material, or one with other properties than the plugin's.
         """
         self._content, self.origin = content, origin
         self._is_xml = isinstance(content, ET.Element)
         self._defaults = _defaults(content) if isinstance(content, ET.Element) else {}
         self._resolve(folder)
         found = [_material(self._properties(node)) for node in _bsdfs(content)]
-        unreadable = next(
-            (m for m in found if any(name.startswith("latent_") for name in m.properties)), None
-        )
-        if unreadable is not None:
-            raise UsageError(
-                f"{origin}: a manifold BSDF with textures of latents; expected one latent, as 'x,y'"
-            )
+        for material in found:
+            _require_known(material, origin)
         self.materials = tuple({material.key: material for material in found}.values())
         if not self.materials:
             raise UsageError(
@@ -74,32 +78,17 @@ class SceneDocument:
 
         Raises:
             UsageError: there is no such file, or nothing in it to work with.
-            FileFormatError: it is neither XML nor JSON of a scene.
+            FileFormatError: it is neither XML nor JSON of a scene; see `scene_files.read_tree`.
         """
         if isinstance(scene, Mapping):
             try:
                 content = json.loads(json.dumps(dict(scene)))
-            except (TypeError, ValueError) as error:
+            except (TypeError, ValueError, RecursionError) as error:
                 raise UsageError(
                     f"the scene holds what is no plain value ({error}); expected numbers, texts, lists and dictionaries"
                 ) from error
-            return cls(_require_scene(content, "the scene"), "the scene", Path())
-        try:
-            text = scene.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "no text"
-            raise UsageError(
-                f"{scene}: cannot be read ({reason}); name a Mitsuba scene, .xml or .json"
-            ) from error
-        try:
-            if scene.suffix.lower() == ".json":
-                return cls(_require_scene(json.loads(text), str(scene)), str(scene), scene.parent.absolute())
-            tree = ET.fromstring(text)
-        except (ET.ParseError, json.JSONDecodeError) as error:
-            raise FileFormatError(f"{scene}: {error}; expected a Mitsuba scene, XML or JSON") from error
-        if tree.tag != "scene":
-            raise FileFormatError(f"{scene}: found <{tree.tag}>, expected <scene>; name a Mitsuba scene")
-        return cls(tree, str(scene), scene.parent.absolute())
+            return cls(scene_files.require_scene(content, "the scene"), "the scene", Path())
+        return cls(scene_files.read_tree(scene), str(scene), scene.parent.absolute())
 
     @property
     def suffix(self) -> str:
@@ -120,6 +109,10 @@ class SceneDocument:
             raise UsageError(
                 f"{self.origin}: size of the film: {error}; expected numbers of pixels"
             ) from error
+        if min(width, height) < 1:
+            raise UsageError(
+                f"{self.origin}: size of the film: found {width} x {height}, expected at least 1 x 1 pixels"
+            )
         return width, height
 
     def load(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any]) -> Any:
@@ -169,11 +162,16 @@ class SceneDocument:
     def _resolve(self, folder: Path) -> None:
         """Make paths of files absolute where they start from the folder."""
 
+        folders = [folder]
+
         def absolute(value: str) -> str:
-            path = folder / self._substituted(value)
-            return str(path.absolute()) if path.exists() else value
+            paths = (f / self._substituted(value) for f in folders)
+            return next((str(path.absolute()) for path in paths if path.exists()), value)
 
         if isinstance(self._content, ET.Element):
+            for node in self._content.iter("path"):
+                node.set("value", absolute(node.get("value", "")))
+                folders.append(Path(node.get("value", "")))
             for node in self._content.iter():
                 if node.tag == "string" and node.get("name") in _FILES:
                     node.set("value", absolute(node.get("value", "")))
@@ -187,26 +185,28 @@ class SceneDocument:
 
     def _substituted(self, text: str) -> str:
         """A text with `$name` replaced by the XML file's defaults."""
-        for name in sorted(self._defaults, key=len, reverse=True):
-            text = text.replace(f"${name}", self._defaults[name])
-        return text
+        return scene_files.substituted(text, self._defaults)
 
     def _properties(self, node: Any) -> dict[str, str]:
-        """Type and plain properties of a plugin, as text."""
+        """Type and properties of a plugin, as text; nothing for those that are plugins themselves."""
         if not isinstance(node, ET.Element):
-            return {k: str(v) for k, v in node.items() if isinstance(v, str | int | float)} | {
-                k: "" for k in node if k.startswith("latent_")
-            }
+            return {k: "" if isinstance(v, dict) else str(v) for k, v in node.items()}
         own = {child.get("name", ""): self._substituted(child.get("value", "")) for child in node}
         return own | {"type": self._substituted(node.get("type", ""))}
 
 
-def _require_scene(content: Any, origin: str) -> dict[str, Any]:
-    if not isinstance(content, dict) or content.get("type") != "scene":
-        raise FileFormatError(
-            f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
-        )
-    return content
+def _require_known(material: SceneMaterial, origin: str) -> None:
+    """Raise UsageError where a property would be ignored."""
+    for name in material.properties:
+        if name.startswith("latent_"):
+            raise UsageError(
+                f"{origin}: a manifold BSDF with textures of latents; expected one latent, as 'x,y'"
+            )
+        if name not in KINDS[material.kind]:
+            raise UsageError(
+                f"{origin}: a {material.kind} BSDF has a property '{name}', "
+                f"expected {', '.join(KINDS[material.kind])} only; leave it out"
+            )
 
 
 def _material(properties: Mapping[str, str]) -> SceneMaterial:
@@ -217,7 +217,10 @@ def _material(properties: Mapping[str, str]) -> SceneMaterial:
 
 
 def _defaults(tree: ET.Element) -> dict[str, str]:
-    return {node.get("name", ""): node.get("value", "") for node in tree.iter("default")}
+    found: dict[str, str] = {}
+    for node in tree.iter("default"):
+        found.setdefault(node.get("name", ""), node.get("value", ""))  # Mitsuba takes the first
+    return found
 
 
 def _dictionaries(content: Any) -> Iterator[dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 A pre-pass of primary rays and direct light in Mitsuba's scalar variants, which pick up single rays faster than any
 kernel compiles. Materials seen only in mirrors or through glass, and light that arrives by way of other surfaces, are
-left to the renders that verify.
+left to the renders that verify. A surface of several materials, as in a blend, shows all of them, each as if it were
+alone: its share is left to those renders too.
 """
 
 from __future__ import annotations
@@ -180,9 +181,9 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
 def _primary_hits(
     mi: Any, scene: Any, width: int, height: int, names: Mapping[str, str]
 ) -> list[tuple[str, int, int, Any]]:
-    """Pixels that show a material: its key, column, row, and the interaction."""
+    """Pixels that show a material, once for each that they show: its key, column, row, and the interaction."""
     sensor = scene.sensors()[0]
-    keys: dict[int, str | None] = {}
+    keys: dict[tuple[int, bool], list[str]] = {}
     alive = []  # BSDFs whose identities are in `keys`
     hits = []
     for y, x in np.ndindex(height, width):
@@ -191,15 +192,19 @@ def _primary_hits(
         si = scene.ray_intersect(ray)
         if not si.is_valid():
             continue
-        bsdf = si.shape.bsdf()
-        if id(bsdf) not in keys:
+        bsdf, is_front = si.shape.bsdf(), si.wi.z >= 0.0
+        if (id(bsdf), is_front) not in keys:
             alive.append(bsdf)
-            text = str(bsdf)
-            keys[id(bsdf)] = next((key for name, key in names.items() if name in text), None)
-        key = keys[id(bsdf)]
-        if key is not None:
-            hits.append((key, x, y, si))
+            text = _side(str(bsdf), is_front)
+            keys[id(bsdf), is_front] = [key for name, key in names.items() if name in text]
+        hits += [(key, x, y, si) for key in keys[id(bsdf), is_front]]
     return hits
+
+
+def _side(description: str, is_front: bool) -> str:
+    """Of Mitsuba's description of a two-sided BSDF, what it says of one side."""
+    front, back, rest = description.partition("\n  brdf[1] = ")
+    return rest if back and not is_front else front
 
 
 def _ask(

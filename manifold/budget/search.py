@@ -92,6 +92,7 @@ def search(
     tolerance: Tolerance,
     verify: Verify,
     milliseconds: Callable[[Candidate], float] | None = None,
+    others: int = 0,
 ) -> Answer:
     """Find the cheapest choice within a tolerance.
 
@@ -100,6 +101,7 @@ def search(
         tolerance: see there.
         verify: renders a choice; called once for each.
         milliseconds: time of a candidate; needed where the tolerance limits it.
+        others: bytes of materials that stay as they are; they count where the tolerance limits bytes.
     Raises:
         UsageError: nothing within the limits keeps the tolerance; the message says what comes closest.
     """
@@ -121,7 +123,7 @@ def search(
             # One material together with none is what it is alone.
             seen[names] = verify(choice) if len(choice) > 1 else {k: look(k, c) for k, c in choice.items()}
         if all(tolerance.admits(found) for found in seen[names].values()):
-            _require_size(choice, tolerance)
+            _require_size(choice, tolerance, others)
             return Answer(choice, seen[names], alone)
     raise UsageError(
         f"no choice keeps a CIEDE2000 of {tolerance.delta_e:g} with all materials together; raise the tolerance"
@@ -156,8 +158,8 @@ def _first(
     )
 
 
-def _require_size(choice: Choice, tolerance: Tolerance) -> None:
-    total = sum(candidate.size for candidate in choice.values())
+def _require_size(choice: Choice, tolerance: Tolerance, others: int) -> None:
+    total = others + sum(candidate.size for candidate in choice.values())
     if tolerance.size is not None and total > tolerance.size:
         raise UsageError(
             f"a CIEDE2000 of {tolerance.delta_e:g} takes {total} bytes, at most {tolerance.size} are wanted; "

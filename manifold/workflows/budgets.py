@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -10,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from manifold import __version__, backend, render
-from manifold.budget import example_scenes, representations, scene_survey, search
+from manifold.budget import example_scenes, output_folder, representations, scene_survey, search
+from manifold.budget.output_folder import OutputFolder
 from manifold.budget.pictures import Pictures, Times, only_errors
 from manifold.budget.representations import Candidate
 from manifold.budget.scene_document import SceneDocument, SceneMaterial
@@ -90,7 +90,8 @@ class Budget:
     Attributes:
         scene: its name.
         tolerance: what was asked for.
-        chosen: per material.
+        chosen: per material that is seen.
+        unseen: bytes of the materials that no pixel shows, by name; they stay as they are.
         notes: what a user should know, one line each.
         output: the scene that was written.
         backend: `llvm` or `scalar`.
@@ -100,6 +101,7 @@ class Budget:
     scene: str
     tolerance: Tolerance
     chosen: tuple[Chosen, ...]
+    unseen: tuple[tuple[str, int], ...]
     notes: tuple[str, ...]
     output: Path | None
     backend: str
@@ -107,13 +109,13 @@ class Budget:
 
     @property
     def size(self) -> int:
-        """Bytes of all materials."""
-        return sum(one.size for one in self.chosen)
+        """Bytes of all materials, those that stay among them."""
+        return sum(one.size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     @property
     def full_size(self) -> int:
         """Bytes of all whole files."""
-        return sum(one.full_size for one in self.chosen)
+        return sum(one.full_size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
@@ -127,6 +129,7 @@ class Budget:
             "bytes": self.size,
             "full_bytes": self.full_size,
             "materials": materials,
+            "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
             "notes": list(self.notes),
             "output": _text(self.output),
         }
@@ -164,21 +167,30 @@ def budget_scene(
         on_progress: called with (done, total, what).
         picture: also draw both renders, and what every representation costs.
     Raises:
-        UsageError: see `SceneDocument`, `scene_survey.survey` and `budget.search`; or bands are mixed.
+        UsageError: see `SceneDocument`, `scene_survey.survey`, `budget.search` and `OutputFolder`; or bands are mixed.
         FileFormatError: the scene or a measured file is damaged.
     """
     document = SceneDocument.read(scene)
     if picture is not None:
         figures.require_writable(picture)
     if output is not None:
-        _make_folder(output)
-        _require_apart(document, output)
+        output_folder.require_makeable(output)
+        read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
+        output_folder.require_apart(output, read)
     step = on_progress or (lambda _done, _total, _what: None)
     with tempfile.TemporaryDirectory() as name, only_errors():
         folder = Path(name)
         step(0, 4, "reading")
-        files = {m.key: _measured_file(m, folder) for m in document.materials}
+        files = {}
+        for k, material in enumerate(document.materials):
+            (folder / f"predicted_{k}").mkdir()
+            files[material.key] = _measured_file(material, folder / f"predicted_{k}")
         is_rgb = _common_kind(files)
+        names = output_folder.asset_names(files, is_rgb)
+        target = None
+        if output is not None:
+            scene_name = f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
+            target = OutputFolder(output, scene_name, names.values())
         step(1, 4, "looking at the scene")
         survey = scene_survey.survey(document, files, is_rgb, settings.size)
         step(2, 4, "representations")
@@ -189,7 +201,11 @@ def budget_scene(
         step(3, 4, "rendering")
         times = Times(is_rgb)
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
-        answer = search.search(ladders, tolerance, pictures.differences, times)
+        unseen = tuple(
+            (material_name(path), path.stat().st_size) for key, path in files.items() if key not in ladders
+        )
+        others = sum(size for _, size in unseen)
+        answer = search.search(ladders, tolerance, pictures.differences, times, others)
         noise = pictures.noise()
         chosen = tuple(
             _chosen(material_name(files[key]), survey.asked[key], ladders[key], answer, key, noise, times)
@@ -197,19 +213,18 @@ def budget_scene(
         )
         if picture is not None:
             _draw(picture, pictures.beside(answer.choice), chosen, tolerance)
-        written: Path | None = None
-        assets: list[Path | None] = [None] * len(chosen)
-        if output is not None:
-            written, assets = _write(document, output, dict(zip(ladders, chosen, strict=True)))
-        chosen = tuple(_with_asset(one, asset) for one, asset in zip(chosen, assets, strict=True))
+        assets: dict[str, Path] = {}
+        if target is not None:
+            assets = _write(document, target, names, dict(zip(ladders, chosen, strict=True)))
+        chosen = tuple(_with_asset(one, assets.get(key)) for key, one in zip(ladders, chosen, strict=True))
     step(4, 4, "done")
-    hidden = [material_name(path) for key, path in files.items() if key not in ladders]
     return Budget(
         scene=document.origin,
         tolerance=tolerance,
         chosen=chosen,
-        notes=_notes(chosen, tolerance, hidden),
-        output=written,
+        unseen=unseen,
+        notes=_notes(chosen, tolerance, [name for name, _ in unseen]),
+        output=None if target is None else target.scene,
         backend=backend.choose().kind,
         settings=settings,
     )
@@ -219,24 +234,6 @@ def _draw(path: Path, both: tuple[Array, Array], chosen: tuple[Chosen, ...], tol
     delta_e = image_metrics.ciede2000_map(*both)
     figure = budget_figure(*both, delta_e, [vars(one) for one in chosen], tolerance.delta_e)
     figures.save(figure, path)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
-
-
-def _require_apart(document: SceneDocument, output: Path) -> None:
-    """Raise UsageError where what is written would replace what is read."""
-    folder = output.resolve()
-    read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
-    taken = next(
-        (path for path in read if Path(path).resolve().parent == folder and Path(path).is_file()), None
-    )
-    if taken is not None:
-        raise UsageError(f"{taken}: might be overwritten; name another --output than the scene's folder")
 
 
 def _measured_file(material: SceneMaterial, folder: Path) -> Path:
@@ -256,8 +253,10 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
             f"a manifold BSDF has the latent '{properties['latent']}', expected numbers like '-0.3,1.2'"
         ) from None
     path = folder / f"predicted_{'_'.join(f'{v:g}' for v in latent)}.bsdf"
-    colour = ColourChoice(like=properties.get("like"), srgb=properties.get("srgb"))
-    library = Path(properties["library"]) if "library" in properties else None
+    reflectance, library = (
+        Path(properties[n]) if n in properties else None for n in ("reflectance", "library")
+    )
+    colour = ColourChoice(properties.get("like"), reflectance, properties.get("srgb"))
     pipeline.predict(Path(properties["model"]), latent, path, library=library, colour=colour)
     return path
 
@@ -348,26 +347,16 @@ def _with_asset(one: Chosen, asset: Path | None) -> Chosen:
 
 
 def _write(
-    document: SceneDocument, output: Path, chosen: Mapping[str, Chosen]
-) -> tuple[Path, list[Path | None]]:
-    """Copy the chosen files and write a scene that uses them; its path, and an asset or None per material."""
-    bsdfs: dict[str, Mapping[str, Any]] = {}
-    assets: list[Path | None] = []
-    names: set[str] = set()
-    for key, one in chosen.items():
-        bsdfs[key] = one.bsdf
-        asset = None
-        if one.asset is not None:
-            kind = "rgb" if read_bsdf(one.asset).bands.is_rgb else "spec"
-            base, k = one.material, 2
-            while f"{base}_{kind}.bsdf" in names:
-                base, k = f"{one.material}_{k}", k + 1
-            asset = output / f"{base}_{kind}.bsdf"
-            names.add(asset.name)
-            shutil.copyfile(one.asset, asset)
-            filename = asset.name if document.suffix == ".xml" else str(asset.absolute())
-            bsdfs[key] = {"type": "measured", "filename": filename}
-        assets.append(asset)
-    scene = output / f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
-    document.write(scene, bsdfs)
-    return scene, assets
+    document: SceneDocument, target: OutputFolder, names: Mapping[str, str], chosen: Mapping[str, Chosen]
+) -> dict[str, Path]:
+    """Copy the chosen files and write a scene that uses them; the files that were written, by key."""
+    bsdfs = {key: one.bsdf for key, one in chosen.items()}
+    sources = {key: one.asset for key, one in chosen.items() if one.asset is not None}
+    target.prepare(names[key] for key in sources)
+    assets = {}
+    for key, source in sources.items():
+        assets[key] = target.copy(source, names[key])
+        filename = names[key] if document.suffix == ".xml" else str(assets[key].absolute())
+        bsdfs[key] = {"type": "measured", "filename": filename}
+    document.write(target.scene, bsdfs)
+    return assets

@@ -1,0 +1,190 @@
+"""What `manifold budget` reads and writes: files of scenes with their includes, and the folder of the answer."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from manifold import backend
+from manifold.budget import output_folder
+from manifold.budget.output_folder import OutputFolder
+from manifold.budget.scene_document import SceneDocument
+from manifold.errors import FileFormatError, UsageError
+
+SENSOR = '<sensor type="perspective"/>'
+BALL = '<shape type="sphere"><bsdf type="measured"><string name="filename" value="{}"/></bsdf></shape>'
+
+
+def xml(path, *parts):
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f'<scene version="3.0.0">{"".join(parts)}</scene>', encoding="utf-8")
+    return path
+
+
+def filenames(document):
+    return [material.properties["filename"] for material in document.materials]
+
+
+# -- reading --------------------------------------------------------------------------------------------------
+
+
+def test_materials_of_included_files_are_found_from_the_folder_of_the_scene(tmp_path):
+    """As in Mitsuba 3.9: paths in included files start there too, and an earlier default goes before a later one."""
+    for name in ("plain.bsdf", "inner.bsdf"):
+        (tmp_path / name).touch()
+    xml(tmp_path / "parts" / "inner.xml", '<default name="what" value="plain"/>', BALL.format("$what.bsdf"))
+    xml(tmp_path / "parts" / "outer.xml", '<include filename="parts/$what.xml"/>', BALL.format("plain.bsdf"))
+    head = '<default name="what" value="inner"/>'
+    scene = xml(tmp_path / "scene.xml", head, SENSOR, '<include filename="parts/outer.xml"/>')
+    document = SceneDocument.read(scene)
+    assert filenames(document) == [str(tmp_path / "inner.bsdf"), str(tmp_path / "plain.bsdf")]
+
+
+def test_a_scene_with_includes_is_written_so_that_it_loads_from_elsewhere(tmp_path):
+    (tmp_path / "grey.bsdf").touch()
+    xml(tmp_path / "objects.xml", BALL.format("grey.bsdf"))
+    (tmp_path / "matte.xml").write_text('<bsdf version="3.0.0" type="diffuse"/>', encoding="utf-8")
+    floor = '<shape type="disk"><include filename="matte.xml"/></shape>'
+    document = SceneDocument.read(
+        xml(tmp_path / "scene.xml", SENSOR, '<include filename="objects.xml"/>', floor)
+    )
+    (tmp_path / "out").mkdir()
+    document.write(tmp_path / "out" / "scene.xml", {document.materials[0].key: {"type": "plastic"}})
+    loaded = backend.mitsuba("rgb", backend.Backend("scalar")).load_file(str(tmp_path / "out" / "scene.xml"))
+    assert sorted(str(shape.bsdf()).split("[")[0] for shape in loaded.shapes()) == [
+        "SmoothDiffuse",
+        "SmoothPlastic",
+    ]
+
+
+def test_files_are_looked_for_in_the_paths_of_the_scene(tmp_path):
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "grey.bsdf").touch()
+    scene = xml(tmp_path / "scene.xml", '<path value="files"/>', SENSOR, BALL.format("grey.bsdf"))
+    assert filenames(SceneDocument.read(scene)) == [str(tmp_path / "files" / "grey.bsdf")]
+
+
+@pytest.mark.parametrize("name", ["deep.json", "deeper.json", "deep.xml"])
+def test_scenes_nested_without_end_are_refused(tmp_path, name):
+    n = 400 if name == "deep.json" else 100_000  # the parser of JSON gives up itself beyond a thousand
+    path = tmp_path / name
+    text = "[" * n + "]" * n if path.suffix == ".json" else "<scene>" * n + "</scene>" * n
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FileFormatError, match=f"{name}: nested more than 100 deep"):
+        SceneDocument.read(path)
+
+
+def test_includes_that_cannot_be_followed_say_why(tmp_path):
+    def fails(kind, match, *parts):
+        with pytest.raises(kind, match=match) as caught:
+            SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, *parts))
+        assert "\n" not in str(caught.value)
+
+    fails(UsageError, r"none.xml: cannot be read .*scene.xml includes it", '<include filename="none.xml"/>')
+    fails(FileFormatError, "include each other, scene.xml last", '<include filename="scene.xml"/>')
+    (tmp_path / "torn.xml").write_text("<scene><shape", encoding="utf-8")
+    fails(FileFormatError, r"torn.xml: .*expected a Mitsuba scene", '<include filename="torn.xml"/>')
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 0), (0, 8), (-5, 10)])
+def test_a_film_without_pixels_is_refused(tmp_path, width, height):
+    sizes = f'<integer name="width" value="{width}"/><integer name="height" value="{height}"/>'
+    sensor = f'<sensor type="perspective"><film type="hdrfilm">{sizes}</film></sensor>'
+    document = SceneDocument.read(xml(tmp_path / "scene.xml", sensor, BALL.format("x.bsdf")))
+    with pytest.raises(UsageError, match=f"found {width} x {height}, expected at least 1 x 1 pixels"):
+        _ = document.film_size
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [("manifold", "colour", "#ff0000"), ("manifold", "srgb_", {"type": "rgb"}), ("measured", "alpha", 0.1)],
+)
+def test_properties_that_would_be_ignored_are_refused(kind, name, value):
+    bsdf = {"type": kind, name: value}
+    content = {"type": "scene", "camera": {"type": "perspective"}, "ball": {"type": "sphere", "bsdf": bsdf}}
+    with pytest.raises(UsageError, match=f"{kind} BSDF has a property '{name}', expected .* only"):
+        SceneDocument.read(content)
+
+
+# -- writing --------------------------------------------------------------------------------------------------
+
+
+def test_a_file_that_no_earlier_budget_wrote_is_not_replaced(tmp_path):
+    (tmp_path / "scene.xml").write_text("mine", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"scene.xml: already there, and not from an earlier budget"):
+        OutputFolder(tmp_path, "scene.xml", [])
+    (tmp_path / "scene.xml.budget.json").write_text("[" * 100_000, encoding="utf-8")  # nobody's list
+    with pytest.raises(UsageError, match="already there"):
+        OutputFolder(tmp_path, "scene.xml", [])
+    original = tmp_path / "original"
+    original.touch()
+    (tmp_path / "grey_spec.bsdf").symlink_to(tmp_path / "gone")
+    with pytest.raises(UsageError, match=r"grey_spec.bsdf: already there"):
+        OutputFolder(tmp_path, "other.xml", ["grey_spec.bsdf"])
+
+
+def test_a_later_budget_of_the_scene_replaces_the_files_of_the_earlier_alone(tmp_path):
+    source = tmp_path / "source"
+    source.write_bytes(b"first")
+    folder = OutputFolder(tmp_path / "out", "scene.xml", ["a.bsdf"])
+    folder.prepare(["a.bsdf"])
+    folder.copy(source, "a.bsdf")
+    source.write_bytes(b"second")
+    again = OutputFolder(tmp_path / "out", "scene.xml", ["a.bsdf"])
+    again.prepare(["a.bsdf"])
+    assert again.copy(source, "a.bsdf").read_bytes() == b"second"
+    listed = json.loads((tmp_path / "out" / "scene.xml.budget.json").read_text(encoding="utf-8"))
+    assert listed["files"] == ["a.bsdf", "scene.xml", "scene.xml.budget.json"]
+    with pytest.raises(UsageError, match=r"a.bsdf: already there"):
+        OutputFolder(tmp_path / "out", "another.xml", ["a.bsdf"])
+
+
+def test_a_link_in_the_folder_is_replaced_and_what_it_names_is_not(tmp_path):
+    original, source = tmp_path / "original", tmp_path / "source"
+    original.write_bytes(b"measured")
+    source.write_bytes(b"reduced")
+    folder = OutputFolder(tmp_path / "out", "scene.xml", ["a.bsdf"])
+    folder.prepare(["a.bsdf"])
+    (tmp_path / "out" / "a.bsdf").symlink_to(original)
+    assert folder.copy(source, "a.bsdf").read_bytes() == b"reduced"
+    assert original.read_bytes() == b"measured"
+
+
+def test_a_file_that_is_read_through_a_link_in_the_folder_is_noticed(tmp_path):
+    (tmp_path / "original").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "original" / "a.bsdf").touch()
+    link = tmp_path / "out" / "a.bsdf"
+    link.symlink_to("../original/a.bsdf")
+    for folder in ("out", "original"):
+        with pytest.raises(UsageError, match=r"a.bsdf: might be overwritten"):
+            output_folder.require_apart(tmp_path / folder, [str(link)])
+    output_folder.require_apart(tmp_path, [str(link)])
+
+
+def test_a_copy_that_fails_leaves_nothing_and_names_the_file_that_could_not_be_written(tmp_path, monkeypatch):
+    source = tmp_path / "source"
+    source.write_bytes(b"reduced")
+    folder = OutputFolder(tmp_path / "out", "scene.xml", ["a.bsdf"])
+    folder.prepare(["a.bsdf"])
+
+    def full(_source, target):
+        target.write_bytes(b"red")
+        raise OSError(28, "No space left on device", str(source))
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(UsageError, match=r"out/a.bsdf: cannot write this file \(No space left"):
+        folder.copy(source, "a.bsdf")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["scene.xml.budget.json"]
+
+
+def test_folders_that_cannot_be_made_are_told_before_they_are_needed(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to("nowhere")
+    for name in ("file", "file/below", "dangling", "n" * 300):
+        with pytest.raises(UsageError, match="cannot make this folder"):
+            output_folder.require_makeable(tmp_path / name)
+    output_folder.require_makeable(tmp_path / "new" / "below")
+    assert not (tmp_path / "new").exists()

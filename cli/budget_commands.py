@@ -121,4 +121,4 @@ def _show(results: terminal.Results, made: Budget) -> None:
 
 def _share(made: Budget) -> str:
     percent = 100.0 * made.size / made.full_size
-    return f"{percent:.2g} %"
+    return f"{percent:.0f} %" if percent >= 10.0 else f"{percent:.2g} %"

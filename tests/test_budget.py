@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.image import imread
+from small_library import small_model
 
 from manifold import backend, gonio, render, spectra
 from manifold.brdf import MeasuredBRDF
@@ -16,9 +18,11 @@ from manifold.budget import example_scenes, reduced_file, representations, scene
 from manifold.budget.pictures import Pictures
 from manifold.budget.scene_document import SceneDocument
 from manifold.budget.search import Tolerance
+from manifold.cli import budget_commands
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.model import Manifold
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Bands
 from manifold.synthetic.analytic import Lambert
@@ -158,6 +162,39 @@ def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_pa
     assert content["b"]["bsdf"]["nested"]["type"] == "measured"  # what was given is left alone
 
 
+def test_files_that_stay_count_among_the_bytes(tmp_path):
+    grey, hidden = (lambert_file(tmp_path, name, (0.5, 0.5, 0.5), rgb=True) for name in ("grey", "hidden"))
+    content = scene(a=sphere(0.0, grey), b=sphere(50.0, hidden))
+    made = budgets.budget_scene(content, Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out")
+    stays = hidden.stat().st_size
+    assert made.unseen == (("hidden", stays),)
+    assert made.size == made.chosen[0].size + stays
+    assert made.full_size == grey.stat().st_size + stays
+    assert made.to_json()["unseen"] == [{"material": "hidden", "bytes": stays}]
+    with pytest.raises(UsageError, match=f"takes {made.size} bytes, at most {stays} are wanted"):
+        budgets.budget_scene(content, Tolerance(5.0, size=stays), BudgetSettings(16, 4))
+
+
+def test_predictions_of_one_latent_in_two_colours_are_two_materials(tmp_path):
+    model = small_model(tmp_path)
+    latent = ",".join(f"{v:.6g}" for v in Manifold.load(model).latent("syn_felt_green"))
+    (tmp_path / "red.csv").write_text("400, 0.05\n570, 0.05\n610, 0.5\n700, 0.5\n", encoding="utf-8")
+    common = {"type": "manifold", "model": "model.h5", "latent": latent}
+    red = {"type": "sphere", "center": [-1.1, 0.0, 0.0], "bsdf": common | {"reflectance": "red.csv"}}
+    blue = {"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": common | {"srgb": "#2040c0"}}
+    source = tmp_path / "scene.json"
+    source.write_text(json.dumps(scene(a=red, b=blue)), encoding="utf-8")
+    made = budgets.budget_scene(source, Tolerance(20.0), BudgetSettings(32, 4))
+    a, b = (one.bsdf["reflectance"]["value"] for one in made.chosen)
+    assert a[0] > 3.0 * a[2]
+    assert b[2] > 3.0 * b[0]
+
+
+@pytest.mark.parametrize(("size", "words"), [(996, "100 %"), (1000, "100 %"), (120, "12 %"), (1, "0.1 %")])
+def test_shares_are_written_without_exponents(size, words):
+    assert budget_commands._share(SimpleNamespace(size=size, full_size=1000)) == words
+
+
 # -- what a scene asks ----------------------------------------------------------------------------------------
 
 
@@ -193,6 +230,29 @@ def test_the_survey_finds_the_spectrum_of_the_light(tmp_path):
     nm = np.asarray(asked.bands.wavelengths_nm)
     np.testing.assert_allclose(asked.spectrum[nm <= 500], 0.2, rtol=1e-4)
     np.testing.assert_allclose(asked.spectrum[nm > 501], 1.0, rtol=1e-4)
+
+
+def two_materials(folder, kind, **more):
+    """A survey of a ball of two materials, and their keys."""
+    red = lambert_file(folder, "red", (0.6, 0.2, 0.1), rgb=True)
+    blue = lambert_file(folder, "blue", (0.1, 0.2, 0.5), rgb=True)
+    parts = {name: {"type": "measured", "filename": str(path)} for name, path in (("a", red), ("b", blue))}
+    content = scene(ball={"type": "sphere", "bsdf": {"type": kind, **more, **parts}})
+    document = SceneDocument.read(content)
+    keys = [material.key for material in document.materials]
+    return scene_survey.survey(document, dict(zip(keys, (red, blue), strict=True)), True, 24), keys
+
+
+def test_a_blend_shows_both_of_its_materials(tmp_path):
+    survey, keys = two_materials(tmp_path, "blendbsdf", weight=0.5)
+    first, second = (survey.asked[key].mask for key in keys)
+    assert first.any()
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_two_sided_surface_shows_the_side_that_is_seen(tmp_path):
+    survey, keys = two_materials(tmp_path, "twosided")
+    assert list(survey.asked) == keys[:1]
 
 
 # -- representations ------------------------------------------------------------------------------------------
@@ -286,6 +346,30 @@ def test_the_scene_is_never_overwritten(tmp_path):
     with pytest.raises(UsageError, match="might be overwritten"):
         budgets.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
     assert source.read_bytes() == before
+
+
+def test_an_original_behind_a_link_in_the_output_is_never_overwritten(tmp_path):
+    (tmp_path / "out").mkdir()
+    path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
+    before = path.read_bytes()
+    link = tmp_path / "out" / path.name
+    link.symlink_to(path)
+    with pytest.raises(UsageError, match="might be overwritten"):
+        budgets.budget_scene(
+            scene(a=sphere(0.0, link)), Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out"
+        )
+    with pytest.raises(UsageError, match="already there"):
+        budgets.budget_scene(
+            scene(a=sphere(0.0, path)), Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out"
+        )
+    assert path.read_bytes() == before
+
+
+def test_a_scene_that_fails_leaves_no_folder(tmp_path):
+    content = scene(ball=sphere(0.0, tmp_path / "none.bsdf"))
+    with pytest.raises(UsageError, match="no such file"):
+        budgets.budget_scene(content, Tolerance(1.0), BudgetSettings(16, 1), tmp_path / "new" / "out")
+    assert not (tmp_path / "new").exists()
 
 
 def test_names_of_xml_defaults_are_followed(tmp_path):

@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
 
 def fit(
     sources: Annotated[
-        list[Path] | None, typer.Argument(help=".bsdf files, or folders of them.", metavar="FILE")
+        list[Path] | None, typer.Argument(help=".bsdf files, or folders, searched at every depth.", metavar="FILE")
     ] = None,
     latent: Annotated[
         str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y")
@@ -123,34 +123,46 @@ def fit(
             outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
     _show(results, outcomes)
     if picture:
-        _draw(results, outcomes, sources or [], model, library, colour)
-    failures = [outcome.failure for outcome in outcomes if outcome.failure is not None]
-    results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failures})
-    if failures:
-        more = f"; and {len(failures) - 3} more (--json lists them)" if failures[3:] else ""
-        raise FileFormatError("; ".join(failures[:3]) + more)
+        _draw(results, outcomes, model, library, colour)
+    failed = [f"{outcome.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]
+    results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failed})
+    if failed:
+        raise FileFormatError(_failures(outcomes))
+
+
+def _failures(outcomes: list[FitOutcome]) -> str:
+    """All that went wrong, in one line; what failed alike together."""
+    names: dict[str, list[str]] = {}
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            names.setdefault(outcome.failure, []).append(outcome.name)
+    said = [f"{_first_three(failed)}: {failure}" for failure, failed in names.items()]
+    return _first_three(said, "; ")
+
+
+def _first_three(words: list[str], between: str = ", ") -> str:
+    more = f"{between}and {len(words) - 3} more (--json lists them)" if words[3:] else ""
+    return between.join(words[:3]) + more
 
 
 def _draw(
     results: terminal.Results,
     outcomes: list[FitOutcome],
-    sources: list[Path],
     model: Path,
     library: Path | None,
     colour: ColourChoice,
 ) -> None:
     """A picture beside the JSON of every fit."""
-    from manifold.workflows import fit_pictures, fits
+    from manifold.workflows import fit_pictures
 
-    files = fits.find_files(sources) if sources else [None] * len(outcomes)
     rows = []
     with terminal.progress("Drawing") as step:
-        for done, (file, outcome) in enumerate(zip(files, outcomes, strict=True), start=1):
+        for done, outcome in enumerate(outcomes, start=1):
             if outcome.content is None:
                 continue
             target = outcome.path.with_suffix(".png")
-            if file is not None:
-                made = fit_pictures.picture_of_fit(outcome.path, file, target)
+            if outcome.file is not None:
+                made = fit_pictures.picture_of_fit(outcome.path, outcome.file, target)
             else:
                 latent = outcome.content["source"]["latent"]
                 made = fit_pictures.picture_of_prediction_fit(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,9 @@ from typer.testing import CliRunner
 from manifold import backend, gonio
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, UsageError
-from manifold.fitting import fit_json
+from manifold.fitting import fit_check, fit_json
 from manifold.fitting.bsdf_evaluation import evaluator
-from manifold.fitting.bsdf_parameters import principled
+from manifold.fitting.bsdf_parameters import diffuse, principled
 from manifold.fitting.fit_samples import FitSamples, from_file
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
@@ -97,7 +99,7 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
     assert content["source"]["file"] == satin.name
     assert content["hyperparameters"]["noise"] == SETTINGS.noise
     assert content["minima"][0]["values"] == content["values"]
-    assert set(fit_json.schema()["required"]) == set(content)
+    assert set(fit_check.schema()["required"]) == set(content)
     assert not list(fitted.parent.glob(".*"))
 
 
@@ -155,6 +157,32 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     ]  # fmt: skip
 
 
+def test_folders_are_searched_at_every_depth_and_only_for_files(satin, tmp_path):
+    (tmp_path / "a" / "deep").mkdir(parents=True)
+    shutil.copy(satin, tmp_path / "a" / "deep" / "satin_rgb.bsdf")
+    (tmp_path / "folder_rgb.bsdf").mkdir()
+    (tmp_path / "dangling_rgb.bsdf").symlink_to(tmp_path / "nowhere")
+    assert fits.find_files([tmp_path]) == [tmp_path / "a" / "deep" / "satin_rgb.bsdf"]
+
+
+def test_a_black_file_an_unusable_name_and_a_name_taken_fail_alone(satin, tmp_path):
+    folder = tmp_path / "files"
+    (folder / "other").mkdir(parents=True)
+    black = measured("syn_felt_green")
+    write_bsdf(folder / "black_rgb.bsdf", replace(black, spectra=np.zeros_like(black.spectra)))
+    for name in ("_rgb.bsdf", "red\n\x1b[31m_rgb.bsdf", "satin_rgb.bsdf", "other/satin_rgb.bsdf"):
+        shutil.copy(satin, folder / name)
+    words = ["fit", str(folder), "-o", str(tmp_path / "fits"), "--free", "base_color", "-j", "1"]
+    result = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "all.json")])
+    assert [path.name for path in (tmp_path / "fits").iterdir()] == ["satin.fit.json"]
+    failed = json.loads((tmp_path / "all.json").read_text())["failed"]
+    assert len(failed) == 4
+    for words in ("'' cannot be the name", "cannot be the name", "nothing to fit", "have the same name"):
+        assert any(words in line for line in failed)
+    assert all(line.isprintable() for line in failed)
+    assert str(result.exception).isprintable()
+
+
 def test_the_command_fits_and_says_what_it_knows(satin, tmp_path):
     target = tmp_path / "out.json"
     arguments = ["fit", str(satin), "-o", str(target), "--free", "base_color,roughness", "--json", "-"]
@@ -191,6 +219,25 @@ def test_a_described_bsdf_is_fitted_by_the_command(satin, tmp_path):
         (lambda c: c.update(n_pairs="many"), "n_pairs"),
         (lambda c: c["minima"][0].update(as_good=1), r"minima\[0\].as_good"),
         (lambda c: c["source"].pop("sha256"), "'sha256'"),
+        (lambda c: c.update(values={}), "values has nothing"),
+        (lambda c: c["values"].update(roughness="rough"), 'values.roughness is "rough"'),
+        (lambda c: c["values"].update(roughness=True), "values.roughness is true"),
+        (
+            lambda c: c["values"].update(roughness=-0.5),
+            "values.roughness is -0.5, expected a number from 0.02",
+        ),
+        (lambda c: c["values"].update(roughness=10**400), "values.roughness"),
+        (
+            lambda c: c["values"].update(base_color=[0.1, 0.2]),
+            r"values.base_color is \[0.1, 0.2\], expected 3",
+        ),
+        (lambda c: c["values"].update(base_color=[0.1, 0.2, "x"]), "values.base_color is an array"),
+        (lambda c: c["values"].update(roughness=0.123), "mitsuba and the values differ in roughness"),
+        (lambda c: c["mitsuba"].update(type="diffuse"), "mitsuba and the values differ in type"),
+        (lambda c: c.update(mitsuba_spectral={}), "mitsuba_spectral is an object, expected null"),
+        (lambda c: c.update(residuals={}), "residuals.cube-root is null"),
+        (lambda c: c.update(diffuse_residual=float("nan")), "NaN is no number of JSON"),
+        (lambda c: c["bsdf"]["parameters"][0].update(minimum=2.0), "minimum < maximum"),
     ],
 )
 def test_a_changed_document_is_refused_by_name(fitted, tmp_path, change, words):
@@ -203,6 +250,74 @@ def test_a_changed_document_is_refused_by_name(fitted, tmp_path, change, words):
     assert "\n" not in str(raised.value)
 
 
+def test_spectral_values_must_agree_with_what_is_rendered():
+    bands = Bands((450.0, 550.0, 650.0))
+    wi = wo = np.array([[0.0, np.sin(t), np.cos(t)] for t in np.linspace(0.0, 1.2, 12)])
+    samples = FitSamples.from_arrays(wi, wo, np.tile([0.05, 0.1, 0.2], (12, 1)), bands=bands)
+    made = fit_json.document(fit(samples, diffuse()), fit_json.Source("flat"))
+    made = json.loads(json.dumps(made))
+    fit_check.require_fit(made, "x.json")
+    for change, words in (
+        (
+            lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2]),
+            "expected 3 numbers from 0 to 1.25",
+        ),
+        (lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2, -0.1]), "expected 3 numbers from 0"),
+        (lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2, 0.3]), "differ in reflectance"),
+        (lambda c: c["spectra"].update(wavelengths_nm=[500.0, 450.0, 600.0]), "do not increase"),
+        (lambda c: c["spectra"].update(values={}), "spectra.values has nothing"),
+        (lambda c: c.update(spectra=None), "mitsuba_spectral is an object"),
+    ):
+        content = copy.deepcopy(made)
+        change(content)
+        with pytest.raises(FileFormatError, match=words):
+            fit_check.require_fit(content, "x.json")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "1" * 5000, '"\\x"', "", "\xff"])
+def test_what_is_no_json_is_one_clear_error_and_no_fit_to_keep(satin, tmp_path, text):
+    path = tmp_path / "bad.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(FileFormatError, match=r"bad\.json") as raised:
+        fit_json.read(path)
+    assert "\n" not in str(raised.value)
+    with pytest.raises(UsageError, match=r"bad\.json"):
+        fits.read_family(path)
+    plain = FitSettings(principled(["base_color"]))
+    assert fits.fit_files([satin], path, plain)[0].failure is None
+    assert fit_json.read(path)["source"]["name"] == "satin"
+
+
+PLAIN = {"name": "reflectance", "minimum": 0, "maximum": 1, "default": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"type": "diffuse", "parameters": [PLAIN | {"minimum": False}]}, "expected finite numbers"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"maximum": "1"}]}, "expected finite numbers"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"maximum": 10**400}]}, "expected finite numbers"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"per_band": "no"}]}, "per_band is 'no'"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"name": 3}]}, "parameter 3"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"transform": []}]}, "transform"),
+        ({"type": "diffuse", "parameters": 5}, "description of a BSDF"),
+        ({"type": ["diffuse"], "parameters": [PLAIN]}, "name of a Mitsuba plugin"),
+        (
+            {"type": "diffuse", "parameters": [PLAIN], "fixed": {"a": {"type": "rgb", "value": None}}},
+            "a null",
+        ),
+        ([], "description of a BSDF"),
+    ],
+)
+def test_a_wrong_description_of_a_bsdf_is_one_clear_error_that_names_the_file(tmp_path, content, words):
+    path = tmp_path / "family.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(UsageError, match=words) as raised:
+        fits.read_family(path)
+    assert str(raised.value).startswith(str(path))
+    assert "\n" not in str(raised.value)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -210,7 +325,7 @@ def test_a_changed_document_is_refused_by_name(fitted, tmp_path, change, words):
         (lambda p: fits.find_files([p / "none.bsdf"]), "no such file"),
         (lambda p: fits.find_files([p]), "no .bsdf file"),
         (lambda p: fits.family_of("base_color", p), "cannot be used together"),
-        (lambda p: fits.read_family(p / "none.json"), "No such file"),
+        (lambda p: fits.read_family(p / "none.json"), "no such file"),
         (lambda p: FitSettings(principled(), method="simplex"), "simplex"),
         (lambda p: FitSettings(principled(), noise=2.0), "noise 2"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import real_rgl_files
@@ -393,6 +395,12 @@ def test_samples_of_a_file_are_its_own_values():
     )
 
 
+def test_a_file_without_a_usable_cell_is_refused():
+    file = measured("syn_satin_gold")
+    with pytest.raises(UsageError, match="nothing to fit"):
+        fit_samples.file_pairs(replace(file, spectra=np.zeros_like(file.spectra)))
+
+
 def test_the_best_diffuse_is_exact_for_a_diffuse_material():
     wi, wo = grid_pairs(50)
     samples = FitSamples.from_arrays(wi, wo, np.tile([0.1, 0.2, 0.3], (len(wi), 1)))
@@ -446,6 +454,9 @@ def test_bad_samples_are_one_clear_error_each(kind, error, words):
     assert "\n" not in str(raised.value)
 
 
+ETA = FreeParameter("eta", 0.5, 3.0, 1.0, per_band=True)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -456,6 +467,7 @@ def test_bad_samples_are_one_clear_error_each(kind, error, words):
         (lambda s: fit(s, principled(["colour"])), "no free parameter 'colour'"),
         (lambda s: fit(s, BsdfFamily("no_such", (FreeParameter("a", 0, 1, 0.5),))), "no_such"),
         (lambda s: fit(s, BsdfFamily("principled", (FreeParameter("shine", 0, 1, 0.5),))), "shine"),
+        (lambda s: fit(s, BsdfFamily("conductor", (ETA,))), "conductor reflects in single directions"),
         (lambda s: FreeParameter("a", 1, 0, 0.5), "minimum < maximum"),
         (lambda s: FreeParameter("a", 0, 1, 0.5, transform="cube"), "transform 'cube'"),
         (lambda s: BsdfFamily.from_json({"type": "principled"}), "parameters"),

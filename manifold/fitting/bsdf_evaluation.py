@@ -111,12 +111,18 @@ def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
     """Mitsuba's key of every free parameter: `name` for a plain number, `name.value` for a texture.
 
     Raises:
-        UsageError: Mitsuba has no such plugin, or the plugin no such parameter.
+        UsageError: Mitsuba has no such plugin, the plugin no such parameter, or it only mirrors and transmits.
     """
     defaults = {
         o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default for o in family.parameters
     }
-    keys = mi.traverse(_load(mi, bsdf_dict(family, defaults))).keys()
+    bsdf = _load(mi, bsdf_dict(family, defaults))
+    if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
+        raise UsageError(
+            f"BSDF {family.type} reflects in single directions only, which samples cannot show; take a rough one, "
+            "such as roughconductor"
+        )
+    keys = mi.traverse(bsdf).keys()
     slots = {}
     for parameter in family.parameters:
         found = [key for key in (parameter.name, f"{parameter.name}.value") if key in keys]

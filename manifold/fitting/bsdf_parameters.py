@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -19,6 +19,11 @@ of its distance from the maximum (and a hundredth of the range more), as a gloss
 
 _LOG_FLOOR = 1e-6  # what log takes a minimum of 0 for
 _GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gloss 1
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a JSON document is a finite number that a float can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,10 @@ class FreeParameter:
     tolerance: float = 0.02
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise UsageError(f"parameter {self.name!r}: expected a name, as in Mitsuba's dictionaries")
         numbers = (self.minimum, self.maximum, self.default, self.tolerance)
-        if not all(math.isfinite(number) for number in numbers) or self.tolerance <= 0:
+        if not all(map(is_number, numbers)) or self.tolerance <= 0:
             raise UsageError(f"parameter {self.name}: {numbers}, expected finite numbers, tolerance above 0")
         if not self.minimum < self.maximum or not self.minimum <= self.default <= self.maximum:
             raise UsageError(
@@ -57,6 +64,11 @@ class FreeParameter:
             raise UsageError(
                 f"parameter {self.name}: transform {self.transform!r}, expected one of {', '.join(TRANSFORMS)}"
             )
+        for key in ("per_band", "affine"):
+            if not isinstance(getattr(self, key), bool):
+                raise UsageError(
+                    f"parameter {self.name}: {key} is {getattr(self, key)!r}, expected true or false"
+                )
         if self.transform == "log" and self.minimum < 0:
             raise UsageError(
                 f"parameter {self.name}: log needs a minimum of at least 0, found {self.minimum}"
@@ -116,6 +128,10 @@ class BsdfFamily:
     fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.type, str) or not self.type:
+            raise UsageError(f"BSDF {self.type!r}: expected the name of a Mitsuba plugin as its type")
+        if _holds_none(self.fixed):  # which ends Mitsuba's process
+            raise UsageError(f"BSDF {self.type}: fixed holds a null, expected values; leave that entry out")
         names = [parameter.name for parameter in self.parameters]
         if not names or len(set(names)) != len(names) or set(names) & set(self.fixed):
             raise UsageError(
@@ -152,14 +168,23 @@ class BsdfFamily:
         """
         try:
             parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
-            return cls(str(content["type"]), parameters, dict(content.get("fixed", {})))
+            return cls(content["type"], parameters, dict(content.get("fixed", {})))
         except (KeyError, TypeError, AttributeError, ValueError) as error:
-            if isinstance(error, UsageError):
-                raise
             raise UsageError(
                 f"description of a BSDF: {error}; expected type, parameters (name, minimum, maximum, default, "
                 "transform, per_band, affine, tolerance) and fixed"
             ) from error
+
+
+def _holds_none(entries: Mapping[str, Any]) -> bool:
+    waiting = [entries]
+    while waiting:
+        for value in waiting.pop().values():
+            if value is None:
+                return True
+            if isinstance(value, Mapping):
+                waiting.append(value)
+    return False
 
 
 class Layout:

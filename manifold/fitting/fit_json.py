@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from manifold import __version__, atomic
 from manifold.errors import FileFormatError, UsageError
+from manifold.fitting import fit_check
 from manifold.fitting.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily
 from manifold.principled import FitResult
 
 FORMAT_VERSION = 1
 PROGRAM = f"manifold {__version__}"
-
-_TYPES: dict[str, tuple[type, ...]] = {
-    "object": (dict,), "array": (list,), "string": (str,), "number": (int, float), "integer": (int,),
-    "boolean": (bool,), "null": (type(None),),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -80,24 +73,50 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
 
 def write(path: Path, result: FitResult, source: Source) -> None:
     """Write a fit. Raises: as `atomic.replacing`."""
-    atomic.write_text(path, json.dumps(document(result, source), indent=2, allow_nan=False) + "\n")
+    write_document(path, document(result, source))
+
+
+def write_document(path: Path, content: dict[str, Any]) -> None:
+    """Write what `document` has made. Raises: as `atomic.replacing`."""
+    atomic.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The plain values of a written fit, checked against the schema.
+    """The plain values of a written fit, checked as in `fit_check.require_fit`.
 
     Raises:
         UsageError: there is no such file.
-        FileFormatError: it is no fit, or an entry is missing or of the wrong type.
+        FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
+    """
+    content = load_json(path, "the JSON of a fit")
+    fit_check.require_fit(content, path.name)
+    return content
+
+
+def load_json(path: Path, expected: str) -> Any:
+    """The content of a JSON file.
+
+    Args:
+        path: the file.
+        expected: what it should be, in words.
+    Raises:
+        UsageError: there is no such file, or it cannot be read.
+        FileFormatError: it is no JSON.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except FileNotFoundError as error:
-        raise UsageError(f"{path}: no such file; name the JSON of a fit") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileFormatError(f"{path}: {error}, expected JSON; name the JSON of a fit") from error
-    _check(content, schema(), path.name, "the document")
-    return content
+        raise UsageError(f"{path}: no such file; name {expected}") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); name {expected}") from error
+    except RecursionError as error:
+        raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error
+    except ValueError as error:  # no UTF-8, no JSON, or a number of thousands of digits
+        raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def read_bsdf(path: Path) -> Any:
@@ -108,36 +127,3 @@ def read_bsdf(path: Path) -> Any:
     """
     content = read(path)
     return load_bsdf(BsdfFamily.from_json(content["bsdf"]), content["values"])
-
-
-@lru_cache(maxsize=1)
-def schema() -> dict[str, Any]:
-    """The JSON schema of a fit."""
-    return json.loads(files("manifold").joinpath("data/fit.schema.json").read_text(encoding="utf-8"))
-
-
-def _check(value: Any, rule: Mapping[str, Any], file: str, where: str) -> None:
-    """Raise FileFormatError unless a value follows a schema of the words that ours uses."""
-    expected = rule.get("type", [])
-    names = [expected] if isinstance(expected, str) else expected
-    kinds = tuple(kind for name in names for kind in _TYPES[name])
-    if not isinstance(value, kinds) or (isinstance(value, bool) and "boolean" not in names):
-        raise FileFormatError(f"{file}: {where} is {_short(value)}, expected {' or '.join(names)}; fit again")
-    if "enum" in rule and value not in rule["enum"]:
-        known = " or ".join(str(v) for v in rule["enum"])
-        raise FileFormatError(f"{file}: {where} is {_short(value)}, expected {known}; fit again")
-    if isinstance(value, dict):
-        for name in rule.get("required", ()):
-            if name not in value:
-                raise FileFormatError(f"{file}: {where} has no {name!r}, expected one; fit again")
-        for name, inner in rule.get("properties", {}).items():
-            if name in value:
-                _check(value[name], inner, file, f"{where}.{name}".removeprefix("the document."))
-    if isinstance(value, list) and "items" in rule:
-        for k, one in enumerate(value):
-            _check(one, rule["items"], file, f"{where}[{k}]")
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 40 else text[:37] + "..."

@@ -124,6 +124,9 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
     """The direction pairs at which a file was measured: wi and wo, each (M, 3).
 
     Left out are cells that the file marks as unmeasured or that hold nothing, and elevations above 87 degrees.
+
+    Raises:
+        UsageError: nothing is left.
     """
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     mask = file.measured_mask & ~find_holes(file)
@@ -137,6 +140,10 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
         wo = cells.wo[mask[p, t] & cells.is_above & far]
         all_wo.append(normalize(wo))
         all_wi.append(np.broadcast_to(cells.wi, wo.shape))
+    if not any(map(len, all_wo)):
+        raise UsageError(
+            "no measured cell below 87 degrees is above 0: there is nothing to fit; check the file"
+        )
     return np.concatenate(all_wi), np.concatenate(all_wo)
 
 

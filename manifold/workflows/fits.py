@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
+import unicodedata
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,16 @@ from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
+from manifold.fitting.processes import in_processes
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.library.identity import require_material_name
 from manifold.model import Manifold
 from manifold.principled import METHODS, FitResult, fit
 from manifold.records import Array, Progress
+
+_KILLED = (
+    "not fitted, since a process was killed (out of memory?); use fewer --jobs, and run again for the rest"
+)
 
 
 @dataclass(frozen=True)
@@ -66,11 +72,12 @@ class FitOutcome:
     """One material of a run.
 
     Attributes:
-        name: of the material.
-        path: its JSON.
+        name: of the material; of the file where that is no name of a material.
+        path: its JSON, which is there where the fit did not fail.
         content: what it holds; None where the fit failed.
         was_there: whether an earlier run had made it.
         failure: why there is none, else None.
+        file: what was fitted; None for a prediction.
     """
 
     name: str
@@ -78,6 +85,7 @@ class FitOutcome:
     content: dict[str, Any] | None
     was_there: bool = False
     failure: str | None = None
+    file: Path | None = None
 
 
 def read_family(path: Path) -> BsdfFamily:
@@ -87,11 +95,9 @@ def read_family(path: Path) -> BsdfFamily:
         UsageError: the file is missing, or is no such description.
     """
     try:
-        return BsdfFamily.from_json(json.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}; name a JSON description of a BSDF") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UsageError(f"{path}: {error}, expected a JSON description of a BSDF") from error
+        return BsdfFamily.from_json(fit_json.load_json(path, "a JSON description of a BSDF"))
+    except ManifoldError as error:
+        raise UsageError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
 def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
@@ -112,19 +118,21 @@ def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
 
 
 def find_files(sources: Sequence[Path]) -> list[Path]:
-    """The .bsdf files among files and folders, in order, folders sorted.
+    """The .bsdf files among files and folders, in order; folders are searched at every depth and sorted.
+
+    In folders, what is no regular file is left out.
 
     Raises:
         UsageError: a source is missing, or a folder holds none.
     """
     found: list[Path] = []
     for source in sources:
-        if source.is_dir():
-            inside = sorted(source.glob("*.bsdf"))
+        if os.path.isdir(source):
+            inside = sorted(path for path in source.rglob("*.bsdf") if os.path.isfile(path))
             if not inside:
                 raise UsageError(f"{source}: no .bsdf file in this folder; name another")
             found += inside
-        elif source.is_file():
+        elif os.path.isfile(source):
             found.append(source)
         else:
             raise UsageError(f"{source}: no such file or folder; name .bsdf files or folders of them")
@@ -137,42 +145,44 @@ def fit_files(
 ) -> list[FitOutcome]:  # fmt: skip
     """Fit files, one JSON each, several at once; fits that an earlier run made alike are kept.
 
+    Every JSON is written as soon as its fit is done.
+
     Args:
-        sources: .bsdf files, or folders of them.
+        sources: .bsdf files, or folders searched at every depth for them.
         output: the JSON of a single file, or the folder for several; the working folder if None.
         settings: how.
         jobs: processes; one per core if None.
         on_progress: called after each material.
     Returns:
-        One outcome per file, in order; a file that cannot be fitted does not stop the others.
+        One outcome per file, in order; a file that cannot be fitted does not stop the others, nor does a process
+        that is killed make those undone that were finished.
     Raises:
         UsageError: a source or the output cannot be used.
     """
     paths = find_files(sources)
-    targets = _targets(paths, output)
-    outcomes: dict[Path, FitOutcome] = {}
+    tasks, outcomes = _plan(paths, output)
 
-    def done(path: Path, outcome: FitOutcome) -> None:
-        outcomes[path] = outcome
+    def done(outcome: FitOutcome) -> None:
+        outcome = _written(outcome)
+        assert outcome.file is not None
+        outcomes[outcome.file] = outcome
         if on_progress is not None:
             on_progress(len(outcomes), len(paths), outcome.name)
 
-    n = min(jobs or os.cpu_count() or 1, len(paths))
+    n = min(jobs or os.cpu_count() or 1, len(tasks))
     if n <= 1:
-        for path in paths:
-            done(path, _fit_file(path, targets[path], settings))
-        return [outcomes[path] for path in paths]
-    # Spawned, not forked: Dr.Jit's threads do not survive a fork. The backend is probed once, here.
-    backend.choose()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(n, context, initializer=_use_one_thread) as pool:
-        futures = {pool.submit(_fit_file, path, targets[path], settings): path for path in paths}
-        try:
-            for future in as_completed(futures):
-                done(futures[future], future.result())
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for path, target in tasks.items():
+            done(_fit_file(path, target, settings))
+    else:
+        # The backend is probed once, here.
+        backend.choose()
+        calls = [(path, target, settings) for path, target in tasks.items()]
+        with closing(in_processes(_fit_file, calls, n, initializer=_use_one_thread)) as fitted:
+            for outcome in fitted:
+                done(outcome)
+    for path, target in tasks.items():
+        if path not in outcomes:
+            outcomes[path] = FitOutcome(material_name(path), target, None, failure=_KILLED, file=path)
     return [outcomes[path] for path in paths]
 
 
@@ -199,30 +209,52 @@ def fit_prediction(
         model_sha256=_sha256(model),
         colour=chosen.words,
     )
-    return _finish(path, source, _fit(samples, settings))
+    content = fit_json.document(_fit(samples, settings), source)
+    fit_json.write_document(path, content)
+    return FitOutcome(source.name, path, content)
 
 
-def _targets(paths: Sequence[Path], output: Path | None) -> dict[Path, Path]:
-    """The JSON of every file."""
-    if output is not None and len(paths) == 1 and not output.is_dir():
-        atomic.require_writable(output)
-        return {paths[0]: output}
+def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path], dict[Path, FitOutcome]]:
+    """The JSON of every file, and the outcomes of those that cannot have one."""
+    is_single = output is not None and len(paths) == 1 and not output.is_dir()
     folder = Path() if output is None else output
-    if folder.exists() and not folder.is_dir():
+    if is_single:
+        atomic.require_writable(folder)
+    elif folder.exists() and not folder.is_dir():
         raise UsageError(
             f"{folder}: is a file, expected a folder for {len(paths)} fits; name a folder with -o"
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    targets = {path: folder / f"{material_name(path)}.fit.json" for path in paths}
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise UsageError(f"{folder}: cannot write into this folder; name another with -o")
+    targets: dict[Path, Path] = {}
+    refused: dict[Path, FitOutcome] = {}
     taken: dict[Path, Path] = {}
-    for path, target in targets.items():
-        atomic.require_writable(target)
-        if target in taken:
-            raise UsageError(
-                f"{path} and {taken[target]} would both become {target}; fit them into two folders"
-            )
-        taken[target] = path
-    return targets
+    for path in paths:
+        name = material_name(path)
+        target = folder if is_single else folder / f"{name}.fit.json"
+        try:
+            _require_printable(name)
+            if taken.setdefault(target, path) != path:
+                raise UsageError(f"{path} and {taken[target]} have the same name; fit them into two folders")
+            atomic.require_writable(target)
+            targets[path] = target
+        except UsageError as error:
+            refused[path] = FitOutcome(_printable(path.name), target, None, failure=str(error), file=path)
+    return targets, refused
+
+
+def _require_printable(name: str) -> None:
+    """A name must be one in a library too, and show as one line on a terminal."""
+    require_material_name(name)
+    if _printable(name) != name:
+        raise UsageError(f"{name!a} cannot be the name of a material; rename the file: it does not print")
+
+
+def _printable(name: str) -> str:
+    """The name, what does not print as an escape."""
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in name)
 
 
 def _sha256(path: Path) -> str:
@@ -236,27 +268,36 @@ def _use_one_thread() -> None:
 
 
 def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
+    """The fit of a file, not yet written: whoever is killed here leaves nothing behind."""
     name = material_name(path)
     try:
         source = Source(name=name, file=path.name, sha256=_sha256(path))
         there = _earlier(target, source, settings)
         if there is not None:
-            return FitOutcome(name, target, there, was_there=True)
+            return FitOutcome(name, target, there, was_there=True, file=path)
         samples = fit_samples.from_file(read_bsdf(path))
-        return _finish(target, source, _fit(samples, settings))
+        content = fit_json.document(_fit(samples, settings), source)
+        return FitOutcome(name, target, content, file=path)
     except ManifoldError as error:
-        return FitOutcome(name, target, None, failure=f"{name}: {error}")
+        return FitOutcome(name, target, None, failure=str(error), file=path)
     except OSError as error:
-        return FitOutcome(name, target, None, failure=f"{name}: {path} cannot be read ({error.strerror})")
+        reason = f"{path} cannot be read ({error.strerror})"
+        return FitOutcome(name, target, None, failure=reason, file=path)
 
 
 def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:
     return fit(samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise)
 
 
-def _finish(path: Path, source: Source, result: FitResult) -> FitOutcome:
-    fit_json.write(path, result, source)
-    return FitOutcome(source.name, path, fit_json.document(result, source))
+def _written(outcome: FitOutcome) -> FitOutcome:
+    """The outcome, its JSON written unless it is there; a failure where that is impossible."""
+    if outcome.content is None or outcome.was_there:
+        return outcome
+    try:
+        fit_json.write_document(outcome.path, outcome.content)
+    except ManifoldError as error:
+        return replace(outcome, content=None, failure=str(error))
+    return outcome
 
 
 def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, Any] | None:

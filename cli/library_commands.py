@@ -62,15 +62,26 @@ def corpus(
         bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
     ] = False,
     rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
+    json: JsonOption = None,
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
+    from manifold import __version__
     from manifold.workflows import pipeline
 
     with terminal.progress("Measuring synthetic materials") as step:
         paths = pipeline.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
     size = sum(path.stat().st_size for path in paths)
-    terminal.Results().rows(
+    results = terminal.Results(json)
+    results.rows(
         f"Synthetic corpus in {folder}", {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
+    )
+    results.document(
+        {
+            "program": f"manifold {__version__}",
+            "seed": seed,
+            "bytes": size,
+            "files": [str(path) for path in paths],
+        }
     )
 
 

@@ -11,7 +11,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import terminal
-from .library_commands import MovedLibraryOption
+from .library_commands import JsonOption, MovedLibraryOption
 from .model_commands import (
     DEFAULT_MODEL,
     LikeOption,
@@ -61,15 +61,17 @@ def latent_map(
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: PictureOption = Path("map.png"),
+    json: JsonOption = None,
 ) -> None:
     """Draw the first two latent dimensions: every material as a rendered ball, over the uncertainty.
 
     Balls are rendered once and remembered by the library.
     """
+    from manifold import __version__
     from manifold.colour_choice import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
 
-    results = terminal.Results()
+    results = terminal.Results(json)
     marked = parse_latent(mark) if mark is not None else None
     colour = ColourChoice(like, reflectance, srgb)
     if marked is None and colour != NEAREST:
@@ -79,6 +81,7 @@ def latent_map(
             model, output, library=library, marked=marked, colour=colour, on_progress=step
         )
     results.rows(f"Drawn {output}", {})
+    results.document({"program": f"manifold {__version__}", "picture": str(output), "marked": marked})
 
 
 def walk(
@@ -88,14 +91,21 @@ def walk(
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: PictureOption = Path("walk.png"),
+    json: JsonOption = None,
 ) -> None:
     """Draw the way between two materials along the manifold, and beside it their linear interpolation."""
+    from manifold import __version__
     from manifold.workflows import ball_pictures
 
-    results = terminal.Results()
+    results = terminal.Results(json)
     with terminal.progress("Rendering") as step:
-        ball_pictures.walk(model, start, end, output, steps=steps, library=library, on_progress=step)
-    results.rows(f"Drawn {output}", {})
+        cautions = ball_pictures.walk(
+            model, start, end, output, steps=steps, library=library, on_progress=step
+        )
+    results.rows(f"Drawn {output}", {"caution": list(cautions)} if cautions else {})
+    results.document(
+        {"program": f"manifold {__version__}", "picture": str(output), "cautions": list(cautions)}
+    )
 
 
 def slices(
@@ -119,8 +129,10 @@ def slices(
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: PictureOption = Path("slices.png"),
+    json: JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
+    from manifold import __version__
     from manifold.colour_choice import NEAREST, ColourChoice
     from manifold.plots import figures
     from manifold.workflows import pictures
@@ -130,13 +142,15 @@ def slices(
         raise UsageError(
             "--like, --reflectance and --srgb go with --latent; materials have their own colours"
         )
-    results = terminal.Results()
+    results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     latents = [parse_latent(text) for text in latent or []]
     drawn = pictures.sources(names or [], latents, model, library, colour)
     pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
-    results.rows(f"Drawn {output}", {"materials": [source.label for source in drawn]})
+    labels = [source.label for source in drawn]
+    results.rows(f"Drawn {output}", {"materials": labels})
+    results.document({"program": f"manifold {__version__}", "picture": str(output), "materials": labels})
 
 
 def parse_wavelengths(text: str) -> list[float]:

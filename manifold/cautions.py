@@ -9,6 +9,7 @@ MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_MISSED = 0.02  # of a reflectance
 MOST_HOLES = 0.01  # of the cells that should hold something
+_BRIGHTER = 1.1  # of a file against what it was written from; elsewhere interpolation errs by a few per cent
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not given back
 
 
@@ -38,6 +39,16 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
     if missed > MOST_MISSED:
         cautions.append(f"this structure misses the reflectance asked for by up to {missed:.2f}")
     return tuple(cautions)
+
+
+def of_file(predicted_albedo: float, file_albedo: float) -> tuple[str, ...]:
+    """Of a written prediction, by its largest albedo beside that of what it was written from."""
+    if file_albedo <= max(MOST_ALBEDO, _BRIGHTER * predicted_albedo):
+        return ()
+    return (
+        f"its file returns up to {file_albedo:.2f} times the light it gets, the prediction itself "
+        f"{predicted_albedo:.2f}: write more --incidences, or render it with --direct",
+    )
 
 
 def of_holes(share: float) -> tuple[str, ...]:

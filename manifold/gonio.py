@@ -24,6 +24,9 @@ WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured fi
 _RETRO_LIMIT = np.deg2rad(85.0)
 _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
+_TURNS_DEG = (20.0, 40.0, 60.0)  # of incident and outgoing directions away from a normal, to its sides
+_LEAST_SHARE = 0.2  # of what a normal reflects to the side; GGX sends more than that back, from alpha 0.05 on
+_STEEPEST = np.sqrt(2.0)  # factor by which retro-reflection may fall from one node to the next
 
 
 def default_theta_i(n: int) -> Array:
@@ -46,9 +49,35 @@ def default_phi_i(n: int) -> Array:
 
 
 def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
-    """Band mean of f_cos(w, w), shape of theta and phi broadcast."""
-    w = from_spherical(np.minimum(theta, _RETRO_LIMIT), phi)
-    return np.maximum(brdf.eval_cos(w, w).mean(axis=-1), 0.0)
+    """Band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
+
+    A prediction may send nothing back where it is bright elsewhere, and a normal distribution without the normals
+    that reflect would give them no cells: a share of what they reflect to the side is the least that is taken.
+    """
+    theta = np.minimum(theta, _RETRO_LIMIT)
+    w = from_spherical(theta, phi)
+    side = np.stack(np.broadcast_arrays(-np.sin(phi), np.cos(phi), np.zeros(w.shape[:-1])), axis=-1)
+    retro = np.maximum(brdf.eval_cos(w, w).mean(axis=-1), 0.0)
+    aside = np.zeros_like(retro)
+    for turn in np.deg2rad(_TURNS_DEG):
+        wi, wo = (np.cos(turn) * w + sign * np.sin(turn) * side for sign in (1.0, -1.0))
+        aside += np.maximum(brdf.eval(wi, wo).mean(axis=-1), 0.0) * w[..., 2] / len(_TURNS_DEG)
+    return _without_pits(np.maximum(retro, _LEAST_SHARE * aside))
+
+
+def _without_pits(retro: Array) -> Array:
+    """The least values (..., n) above `retro` that change by no more than `_STEEPEST` from node to node.
+
+    A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
+    beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
+    is raised only takes a few more samples.
+    """
+    with np.errstate(divide="ignore"):
+        height = np.log(retro)
+    slope = np.arange(retro.shape[-1]) * np.log(_STEEPEST)
+    outward = np.maximum.accumulate(height + slope, axis=-1) - slope
+    inward = np.maximum.accumulate((height - slope)[..., ::-1], axis=-1)[..., ::-1] + slope
+    return np.where(np.maximum(outward, inward) > height, np.exp(np.maximum(outward, inward)), retro)
 
 
 def _azimuthal_projection(cos_w: Array, cos_m: Array) -> Array:

@@ -37,6 +37,7 @@ from manifold.spaces import KINDS, CurveSpace, MaterialSpace
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
+_SHOWN_NAMES = 4  # of a model's materials, in messages
 _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spaced
 
 
@@ -291,9 +292,19 @@ class Manifold:
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            near = difflib.get_close_matches(name, self.names, 3) or self.names
-            raise UsageError(f"no material '{name}' in this model; near are {', '.join(near)}")
+            raise UsageError(f"no material '{name}' in this model; {self._names_like(name)}")
         return self.names.index(name)
+
+    def _names_like(self, name: str) -> str:
+        """What somebody may have meant by a name: those that contain it, or nearly are it, a few at most."""
+        within = [known for known in self.names if name and name.lower() in known.lower()]
+        near = (within or difflib.get_close_matches(name, self.names))[:_SHOWN_NAMES]
+        if near:
+            return f"near are {', '.join(near)}"
+        shown = ", ".join(self.names[:_SHOWN_NAMES])
+        return f"it holds {shown}" + f" and {len(self.names) - _SHOWN_NAMES} more" * (
+            len(self.names) > _SHOWN_NAMES
+        )
 
     def load_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         """All measured materials in the order of the latents, holes closed; see `holes`."""
@@ -337,18 +348,22 @@ class Manifold:
 
     # -- latents -------------------------------------------------------------------------------------------
 
-    def weights(self, x: Array) -> Array:
+    def weights(self, x: Array, colours: Array | None = None) -> Array:
         """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
 
-        Of a monochrome manifold: summed over the samples of a material, averaged over bands, in the colours of
-        the materials around.
+        Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
+        given, or in the colours of the materials around.
         """
-        return self._at(x, self._weights)
+        return self._at(x, lambda X: self._weights(X, colours))
 
-    def _weights(self, X: Array) -> Array:
+    def _weights(self, X: Array, colours: Array | None) -> Array:
         if isinstance(self.space, MaterialSpace):
             return self.gp.weights(X)
-        V = self.gp.weights(self._sample_latents(X))
+        if len(X) == 1 and colours is not None:
+            owner = self.owner(X[0], self._require_colours(colours))
+            if owner is not None:
+                return np.eye(len(self.names))[[owner]]
+        V = self.gp.weights(self._coloured(X, colours))
         V = V.reshape(len(X), -1, len(self.names), len(self.space.sample_bands)).sum(axis=3).mean(axis=1)
         return V
 
@@ -367,15 +382,20 @@ class Manifold:
     def _variance_fraction(self, X: Array, colours: Array | None) -> Array:
         if isinstance(self.space, MaterialSpace):
             return self.gp.variance_fraction(X)
-        if colours is None:
-            latents = self._sample_latents(X)
-        elif len(X) == 1 and self.owner(X[0], self._require_colours(colours)) is not None:
+        if (
+            len(X) == 1
+            and colours is not None
+            and self.owner(X[0], self._require_colours(colours)) is not None
+        ):
             return np.zeros(1)
-        else:
-            latents = self.space.join(
-                X, np.broadcast_to(self._require_colours(colours), (len(X), self.bands.count))
-            )
-        return self.gp.variance_fraction(latents).reshape(len(X), -1).mean(axis=1)
+        return self.gp.variance_fraction(self._coloured(X, colours)).reshape(len(X), -1).mean(axis=1)
+
+    def _coloured(self, X: Array, colours: Array | None) -> Array:
+        """Latents of structures X (M, Q) in all bands of colours (B,), or of `_sample_latents`; M times as many."""
+        if colours is None:
+            return self._sample_latents(X)
+        everywhere = np.broadcast_to(self._require_colours(colours), (len(X), self.bands.count))
+        return self._require_curves().join(X, everywhere)
 
     def _sample_latents(self, X: Array) -> Array:
         """Latents of the sample bands at structures X (M, Q), in colours blended from those of the materials around.
@@ -395,9 +415,9 @@ class Manifold:
         distance = np.linalg.norm(self.X - self.require_latent(x), axis=1)
         return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
 
-    def largest_weights(self, x: Array, count: int) -> list[tuple[str, float]]:
+    def largest_weights(self, x: Array, count: int, colours: Array | None = None) -> list[tuple[str, float]]:
         """The materials with the largest weights at a latent x (Q,), by magnitude; none that is zero."""
-        weights = self.weights(self.require_latent(x))
+        weights = self.weights(self.require_latent(x), colours)
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 

@@ -39,3 +39,10 @@ def test_holes_are_said_from_one_percent_on():
     assert cautions.of_holes(0.005) == ()
     (sentence,) = cautions.of_holes(0.12)
     assert "12%" in sentence
+
+
+def test_a_file_that_is_brighter_than_its_prediction_is_said_to_be():
+    assert cautions.of_file(0.9, 1.04) == ()
+    assert cautions.of_file(1.5, 1.6) == ()
+    (said,) = cautions.of_file(0.9, 2.0)
+    assert "2.00 times the light it gets, the prediction itself 0.90" in said

@@ -125,3 +125,20 @@ def test_what_cannot_be_measured_is_refused():
         gonio.measure(Lambert(0.5, RGB), "coarse", resolution=1)
     with pytest.raises(UsageError, match="at least 2 nodes"):
         gonio.measure(Lambert(0.5, RGB), "coarse", n_theta_i=1)
+
+
+class DarkBackwards(Lambert):
+    """Sends nothing back to where the light comes from, beyond 40 degrees, as predictions may."""
+
+    def eval(self, wi, wo):
+        wi, wo = np.broadcast_arrays(wi, wo)
+        dark = (np.sum(wi * wo, axis=-1) > 0.98) & (wi[..., 2] < np.cos(np.deg2rad(40.0)))
+        return np.where(dark[..., None], 0.0, super().eval(wi, wo))
+
+
+def test_a_file_does_not_glow_where_nothing_is_reflected_back():
+    truth = DarkBackwards(np.array([0.5, 0.6, 0.7]), Bands(None))
+    file = MeasuredBRDF(gonio.measure(truth, "dark"))
+    for degrees in (0.0, 30.0, 42.0, 60.0, 75.0, 80.0, 85.0, 88.0):
+        wi = from_spherical(np.deg2rad(degrees), 0.0)
+        np.testing.assert_allclose(file.albedo(wi), [0.5, 0.6, 0.7], rtol=0.15)

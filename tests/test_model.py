@@ -261,6 +261,10 @@ def test_monochrome_predictions_agree_with_the_sum_written_out(library):
     V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
     T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.load_materials()])
     np.testing.assert_allclose(model.predict(x, colours).eval(wi, wo), (V @ T) ** 3, rtol=1e-9)
+    of_materials = V.reshape(3, len(model.names), -1).sum(axis=2).mean(axis=0)
+    np.testing.assert_allclose(model.weights(x, colours), of_materials, rtol=1e-9)
+    own = model.weights(model.X[1], model.space.colours[1])
+    np.testing.assert_array_equal(own, np.eye(len(model.names))[1])
 
 
 def test_a_structure_takes_the_reflectance_it_is_given(library):

@@ -12,6 +12,7 @@ from manifold.brdf import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.model import Manifold
 from manifold.pictures import thumbnails
+from manifold.plausibility import Plausibility
 from manifold.plots.plot_balls import ball_map, spread, walk_strip
 from manifold.workflows import ball_pictures
 
@@ -83,7 +84,7 @@ def test_spread_points_keep_apart_and_inside(rng):
     points = rng.normal(size=(30, 2)) * 5 + 200
     places = spread(points, np.array([20.0, 30.0]), np.array([0.0, 0.0, 400.0, 400.0]))
     distance = np.max(np.abs(places[:, None] - places[None]) / [20.0, 30.0], axis=2) + 9 * np.eye(30)
-    assert distance.min() > 0.7
+    assert distance.min() > 0.95
     assert places.min() >= 10
     assert places.max() <= 390
     far = np.array([[100.0, 100.0], [300.0, 300.0]])
@@ -105,6 +106,37 @@ def test_strips_name_their_rows_and_steps(balls):
     figure = walk_strip("way", [0.0, 1.0], [("manifold", balls[:2]), ("linear", balls[:2])])
     assert [axes.get_ylabel() for axes in figure.axes[::2]] == ["manifold", "linear"]
     assert [axes.get_xlabel() for axes in figure.axes[2:]] == ["t = 0", "t = 1"]
+
+
+def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
+    rows = [("manifold", balls[:2]), ("linear", balls[:2])]
+    figure = walk_strip("way", [0.0, 1.0], rows, [False, True])
+    assert [axes.get_title() for axes in figure.axes] == ["", "!", "", ""]
+    assert "do not support" in figure.get_supxlabel()
+    assert walk_strip("way", [0.0, 1.0], rows, [False, False]).get_supxlabel() == ""
+
+
+def test_a_walk_says_what_speaks_against_its_steps(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        ball_pictures,
+        "plausibility",
+        lambda brdf: Plausibility(0.3, 0.0, 0.5),
+    )
+    said = ball_pictures.walk(
+        folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
+    )
+    assert [line for line in said if "30% of the values were negative" in line] == [
+        "t = 0.5: 30% of the values were negative: the data do not support this point"
+    ]
+
+
+def test_long_names_are_broken_where_they_have_spaces(model, balls):
+    figure = ball_map(model, balls)
+    texts = {text.get_text() for axes in figure.axes for text in axes.texts}
+    assert {name.removeprefix("syn_").replace("_", " ") for name in model.names} == {
+        text.replace("\n", " ") for text in texts if text
+    }
+    assert all(len(line) <= 13 for text in texts for line in text.split("\n"))
 
 
 def test_walks_to_nowhere_are_refused(folder, tmp_path):

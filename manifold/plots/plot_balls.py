@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,13 +14,14 @@ from matplotlib.patheffects import withStroke
 
 from manifold.model import Manifold
 from manifold.plots.figures import new_figure
-from manifold.plots.plot_latents import draw_uncertainty, latent_axes, two_dimensions
+from manifold.plots.plot_latents import MARK, draw_uncertainty, latent_axes, two_dimensions
 from manifold.records import Array
 
 _BALL_POINTS = 30.0  # diameter of a ball on the map
-_ROOM = (1.7, 1.55)  # width and height that a ball and its name take, in diameters
+_LINE = 13  # letters of a name before it is broken
 _PUSHES = 400
-_PULL = 0.02  # towards the true place, per push
+_PULL = 0.02  # towards the true place, per push; less and less, so that the last pushes only part
+_GAP = 1.06  # of boxes, in their sizes
 
 
 def ball_map(
@@ -37,7 +40,7 @@ def ball_map(
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
     X = two_dimensions(model.X)
-    names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
+    names = [_in_lines(name.removeprefix("syn_").replace("_", " ")) for name in model.names]
     shown = list(images)
     if marked is not None and marked_image is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
@@ -51,52 +54,71 @@ def ball_map(
     latent_axes(axes, model)
     figure.draw_without_rendering()  # the layout decides where pixels are
     point = figure.dpi / 72.0
-    room = np.array(_ROOM) * _BALL_POINTS * point
-    places = axes.transData.inverted().transform(
-        spread(axes.transData.transform(X), room, np.array(axes.bbox.extents))
-    )
     outline = [withStroke(linewidth=2.5, foreground="white")]
-    for k, (place, true, name, image) in enumerate(zip(places, X, names, shown, strict=True)):
-        is_marked = k >= len(images)
+    style: dict[str, Any] = {"fontsize": 7.5, "linespacing": 1.05, "ha": "center", "va": "top"}
+    labels = [
+        axes.annotate(
+            name, (0, 0), (0, -0.52 * _BALL_POINTS), textcoords="offset points", zorder=6,
+            weight="bold" if k >= len(images) else "normal", path_effects=outline, **style,
+        )
+        for k, name in enumerate(names)
+    ]  # fmt: skip
+    ball_pixels = _BALL_POINTS * point
+    text = np.array([[box.width, box.height] for box in (label.get_window_extent() for label in labels)])
+    room = np.column_stack([np.maximum(text[:, 0], 0.8 * ball_pixels), ball_pixels + text[:, 1]])
+    below = np.column_stack([np.zeros(len(text)), 0.5 * text[:, 1]])  # names hang under their balls
+    centres = spread(axes.transData.transform(X) - below, room, np.array(axes.bbox.extents))
+    places = axes.transData.inverted().transform(centres + below)
+    for place, true, label, image in zip(places, X, labels, shown, strict=True):
+        label.xy = tuple(place)
         axes.plot(*zip(true, place, strict=True), color="0.3", linewidth=0.7, zorder=2)
         axes.plot(*true, "o", color="0.2", markersize=2.5, zorder=2)
         ball = OffsetImage(
             image, zoom=_BALL_POINTS / image.shape[0], resample=True, interpolation="antialiased"
         )
         axes.add_artist(AnnotationBbox(ball, place, frameon=False, pad=0, zorder=3))
-        axes.annotate(
-            name, place, (0, -0.52 * _BALL_POINTS), textcoords="offset points", ha="center", va="top", zorder=4,
-            fontsize=7.5, weight="bold" if is_marked else "normal", path_effects=outline,
-        )  # fmt: skip
     return figure
 
 
+def _in_lines(name: str) -> str:
+    """A name broken into lines of at most `_LINE` letters where it has spaces."""
+    return "\n".join(textwrap.wrap(name, _LINE, break_long_words=False))
+
+
 def spread(points: Array, room: Array, frame: Array) -> Array:
-    """Points (N, 2) pushed apart until boxes of size `room` (2,) around them hardly overlap, near where they were.
+    """Points (N, 2) pushed apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were.
 
     All end up within a frame (left, bottom, right, top), a box's half away from its edge.
     """
     rng = np.random.default_rng(0)
+    room = np.broadcast_to(room, points.shape)
+    between = 0.5 * _GAP * (room[:, None] + room[None])
     places = points + rng.normal(scale=1e-3, size=points.shape)
-    for _ in range(_PUSHES):
-        apart = (places[:, None] - places[None]) / room
+    for k in range(_PUSHES):
+        apart = (places[:, None] - places[None]) / between
         distance = np.max(np.abs(apart), axis=2)
         np.fill_diagonal(distance, np.inf)
         overlap = np.maximum(1.0 - distance, 0.0)
         length = np.maximum(np.linalg.norm(apart, axis=2), 1e-9)
         push = np.sum(0.5 * overlap[..., None] * apart / length[..., None], axis=1) * room
-        places += push + _PULL * (points - places)
+        places += push + _PULL * (1.0 - k / _PUSHES) * (points - places)
         places = np.clip(places, frame[:2] + 0.5 * room, frame[2:] - 0.5 * room)
     return places
 
 
-def walk_strip(title: str, steps: Sequence[float], rows: Sequence[tuple[str, Sequence[Array]]]) -> Figure:
+def walk_strip(
+    title: str,
+    steps: Sequence[float],
+    rows: Sequence[tuple[str, Sequence[Array]]],
+    doubtful: Sequence[bool] = (),
+) -> Figure:
     """Balls side by side, a row per method, on the way from one material (t = 0) to another (t = 1).
 
     Args:
         title: above all.
         steps: t of every column.
         rows: name of the method, and one ball per step, RGBA (H, W, 4).
+        doubtful: steps of the first row that the data do not support: marked, and explained below.
     """
     figure = new_figure(1.25 * len(steps) + 1.1, 1.35 * len(rows) + 0.9)
     figure.suptitle(title, fontsize=12)
@@ -107,6 +129,12 @@ def walk_strip(title: str, steps: Sequence[float], rows: Sequence[tuple[str, Seq
         grid[row, 0].set_ylabel(name, fontsize=11)
     for axes, t in zip(grid[-1], steps, strict=True):
         axes.set_xlabel(f"t = {t:.2g}", fontsize=9)
+    for axes, is_doubtful in zip(grid[0], doubtful, strict=False):
+        if is_doubtful:
+            axes.set_title("!", fontsize=11, color=MARK, fontweight="bold", pad=1.0)
+    if any(doubtful):
+        figure.supxlabel("! the data do not support this step: values were negative, too bright, or extrapolated",
+                         fontsize=9, color=MARK)  # fmt: skip
     return figure
 
 

@@ -23,8 +23,8 @@ def comparison(
         axis.set_title(title, fontsize=10)
     scale = min(_LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
     maps = (
-        (delta_e, scale, f"CIEDE2000, mean {delta_e.mean():.2f}"),
-        (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean {flip.mean():.3f}"),
+        (delta_e, scale, f"CIEDE2000, mean over the picture {delta_e.mean():.2f}"),
+        (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean over the picture {flip.mean():.3f}"),
     )
     for axis, (values, largest, title) in zip(axes[1], maps, strict=True):
         shown = axis.imshow(values, cmap="magma", vmin=0.0, vmax=largest, interpolation="nearest")

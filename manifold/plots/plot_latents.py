@@ -15,7 +15,7 @@ from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
-_MARK = "#d55e00"
+MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
 _GRID = 120  # background samples per axis
 _MARGIN = 0.18  # of the range of the latents, around them
@@ -39,21 +39,25 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     if marked is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
         names.append("predicted")
-        axes.scatter(
-            X[-1:, 0], X[-1:, 1], 3 * _DOT_POINTS**2, _MARK, marker="*", edgecolors="white", zorder=5
-        )
+        axes.scatter(X[-1:, 0], X[-1:, 1], 3 * _DOT_POINTS**2, MARK, marker="*", edgecolors="white", zorder=5)
     latent_axes(axes, model)
     _label(figure, axes, X, names)
     return figure
 
 
 def latent_axes(axes: Axes, model: Manifold) -> None:
-    """Title and labels of a map of latents."""
+    """Title and labels of a map of latents; it says what a map of two dimensions cannot show."""
+    dims = model.settings.latent_dim
     synthetic = all(model.library.attributes(name).is_synthetic for name in model.names)
-    kind = "synthetic corpus" if synthetic else "measured materials"
-    axes.set_title(f"Material manifold: {len(model.names)} materials ({kind}), {model.bands}", fontsize=12)
+    kind = "synthetic materials" if synthetic else "measured materials"
+    title = f"Material manifold: {len(model.names)} {kind}, {model.bands}"
+    title += f"; 2 of {dims} dimensions" if dims > 2 else "; one dimension" if dims == 1 else ""
+    axes.set_title(title + " (uncertainty is drawn for two only)" * (dims != 2), fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")
-    axes.set_ylabel("latent $x_2$ (length scales)" if model.settings.latent_dim > 1 else "")
+    if dims > 1:
+        axes.set_ylabel("latent $x_2$ (length scales)")
+    else:
+        axes.set_yticks([])
 
 
 def two_dimensions(X: Array) -> Array:

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import cautions
 from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
 from manifold.errors import UsageError
 from manifold.model import Manifold
 from manifold.pictures import thumbnails
 from manifold.pictures.thumbnails import cropped
+from manifold.plausibility import plausibility
 from manifold.plots import figures, plot_balls
 from manifold.records import Array, Progress
 
@@ -57,9 +59,11 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
     on_progress: Progress | None = None,
-) -> None:
+) -> tuple[str, ...]:
     """Draw the way between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
 
+    Returns:
+        What speaks against predictions on the way, with their t; their steps are marked in the picture.
     Raises:
         UsageError: a material is unknown, or there are fewer than 2 or more than 25 steps.
     """
@@ -69,11 +73,18 @@ def walk(
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
     rows: list[tuple[str, list[Array]]] = []
+    said: dict[float, tuple[str, ...]] = {}
     for name, along in (("manifold", loaded.interpolate), ("linear", loaded.blend)):
         images: list[Array] = []
-        for value in t:
-            images.append(cropped(thumbnails.of_brdf(along(start, end, float(value)))))
+        for value in t.tolist():
+            brdf = along(start, end, value)
+            images.append(cropped(thumbnails.of_brdf(brdf)))
+            if name == "manifold" and 0.0 < value < 1.0:
+                is_extrapolation = bool(loaded.is_extrapolation(loaded.between(start, end, value)))
+                said[value] = cautions.of_prediction(is_extrapolation, plausibility(brdf))
             if on_progress is not None:
                 on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
         rows.append((name, images))
-    figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows), output)
+    doubtful = [bool(said.get(value)) for value in t.tolist()]
+    figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows, doubtful), output)
+    return tuple(f"t = {value:.2g}: {caution}" for value, found in said.items() for caution in found)

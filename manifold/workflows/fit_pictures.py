@@ -59,10 +59,10 @@ def picture_of_fit(
     )
     delta_e, flip = image_metrics.ciede2000_map(seen, fitted), image_metrics.flip_map(seen, fitted)
     inside = scenes.ball_interior(settings.size, RIM)
+    file = read_bsdf(material)
     sources = [
         Source(
-            "measured" if content["source"]["latent"] is None else "predicted",
-            MeasuredBRDF(read_bsdf(material)),
+            "predicted" if file.description.startswith(pipeline.PREDICTED) else "measured", MeasuredBRDF(file)
         ),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]

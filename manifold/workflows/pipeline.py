@@ -9,9 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from manifold import __version__, atomic, cautions, gonio
 from manifold.brdf import MeasuredBRDF
 from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.evaluation import selection
 from manifold.evaluation.report import Report, make_report
@@ -37,6 +40,11 @@ Stage = Callable[[str], AbstractContextManager[Progress | None]]
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
 
+PREDICTED = "Predicted at latent"
+"""How the descriptions of predicted files begin."""
+
+_FILE_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)  # where the albedo of a written file is looked at
+
 
 def no_stage(title: str) -> AbstractContextManager[None]:
     """A stage nobody watches."""
@@ -56,8 +64,9 @@ class Prediction:
         std: posterior standard deviation as a fraction of the prior's, 0 to 1.
         is_extrapolation: whether the data say little at this latent.
         nearest: the three nearest materials with their distances.
-        weights: the materials with the largest weights, by magnitude.
+        weights: the materials with the largest weights, by magnitude, in this colour.
         plausibility: of the prediction, before negative values are clipped for the file.
+        file_albedo: largest directional albedo of the written file, over bands and incidences.
         cautions: what a user should know before trusting it, in sentences.
         clipped_share: share of the file's values that were negative and became zero.
         seconds: evaluating and writing, without loading the library.
@@ -73,6 +82,7 @@ class Prediction:
     nearest: tuple[tuple[str, float], ...]
     weights: tuple[tuple[str, float], ...]
     plausibility: Plausibility
+    file_albedo: float
     cautions: tuple[str, ...]
     clipped_share: float
     seconds: float
@@ -193,6 +203,8 @@ def predict(
     write_bsdf(output, file)
     seconds = time.perf_counter() - start
     found = plausibility(clipped if physical else brdf)
+    incident = from_spherical(np.deg2rad(_FILE_INCIDENCES_DEG), 0.0)
+    file_albedo = float(MeasuredBRDF(file).albedo(incident).max())
     is_extrapolation = bool(model.is_extrapolation(x, chosen.colours))
     return Prediction(
         latent=tuple(float(v) for v in x),
@@ -203,9 +215,11 @@ def predict(
         std=float(model.std(x, chosen.colours)),
         is_extrapolation=is_extrapolation,
         nearest=tuple(model.nearest(x, 3)),
-        weights=tuple(model.largest_weights(x, 5)),
+        weights=tuple(model.largest_weights(x, 5, chosen.colours)),
         plausibility=found,
+        file_albedo=file_albedo,
         cautions=cautions.of_prediction(is_extrapolation, found, chosen.missed)
+        + cautions.of_file(found.max_albedo, file_albedo)
         + cautions.of_holes(model.hole_share(x)),
         clipped_share=clipped.clipped_share,
         seconds=seconds,
@@ -218,7 +232,7 @@ def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> 
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
     at = ", ".join(f"{v:.4g}" for v in x)
     how = (f", coloured {colour}" if colour else "") + ", projected to be physical" * physical
-    return f"Predicted at latent ({at}){how} from {origin} by manifold {__version__}"
+    return f"{PREDICTED} ({at}){how} from {origin} by manifold {__version__}"
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,9 @@ def _interrupts_held_back() -> Iterator[None]:
 
     The mask is what they inherit; a handler of their own would come too late, after their imports.
     """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
     held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

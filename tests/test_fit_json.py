@@ -301,6 +301,7 @@ PLAIN = {"name": "reflectance", "minimum": 0, "maximum": 1, "default": 0.5}
         ({"type": "diffuse", "parameters": [PLAIN | {"name": 3}]}, "parameter 3"),
         ({"type": "diffuse", "parameters": [PLAIN | {"transform": []}]}, "transform"),
         ({"type": "diffuse", "parameters": 5}, "description of a BSDF"),
+        ({"type": "diffuse", "parameters": [PLAIN | {"name": "a\nb"}]}, "as in Mitsuba's dictionaries"),
         ({"type": ["diffuse"], "parameters": [PLAIN]}, "name of a Mitsuba plugin"),
         (
             {"type": "diffuse", "parameters": [PLAIN], "fixed": {"a": {"type": "rgb", "value": None}}},

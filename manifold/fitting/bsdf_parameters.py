@@ -26,6 +26,10 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
+def _is_word(value: Any) -> bool:
+    return isinstance(value, str) and value != "" and value.isprintable()
+
+
 @dataclass(frozen=True)
 class FreeParameter:
     """One parameter of a Mitsuba BSDF that a fit may change.
@@ -50,7 +54,7 @@ class FreeParameter:
     tolerance: float = 0.02
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
+        if not _is_word(self.name):
             raise UsageError(f"parameter {self.name!r}: expected a name, as in Mitsuba's dictionaries")
         numbers = (self.minimum, self.maximum, self.default, self.tolerance)
         if not all(map(is_number, numbers)) or self.tolerance <= 0:
@@ -128,7 +132,7 @@ class BsdfFamily:
     fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.type, str) or not self.type:
+        if not _is_word(self.type):
             raise UsageError(f"BSDF {self.type!r}: expected the name of a Mitsuba plugin as its type")
         if _holds_none(self.fixed):  # which ends Mitsuba's process
             raise UsageError(f"BSDF {self.type}: fixed holds a null, expected values; leave that entry out")

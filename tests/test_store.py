@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -408,6 +409,46 @@ def test_many_materials_are_replaced_at_once(
     for seed, name in enumerate(names, start=90):
         assert_same(library.read(name), sample_file(name, seed))
     assert beside(library.path) == set()
+
+
+def test_a_reader_meets_the_old_material_or_the_new_one_and_never_both(
+    library: Library, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_arrays, replaced = Library._read, []
+
+    def replaced_meanwhile(self: Library, name: str) -> BsdfFile:
+        if not replaced:
+            replaced.append(name)
+            (folder / "m00_spec.bsdf").unlink()
+            write_bsdf(folder / "m00_spec.bsdf", sample_file("m00", 99))
+            import_files(library.path, [folder], replace=True)
+        return read_arrays(self, name)
+
+    monkeypatch.setattr(Library, "_read", replaced_meanwhile)
+    assert_same(library.read("m00"), sample_file("m00", 99))
+    assert library.verify() == []
+
+
+def test_readers_and_a_writer_that_replaces_do_not_disturb_each_other(library: Library, folder: Path) -> None:
+    versions = [sample_file("m00", seed).spectra for seed in (0, 99)]
+    done = threading.Event()
+
+    def replace() -> None:
+        for k in range(6):
+            (folder / "m00_spec.bsdf").unlink()
+            write_bsdf(folder / "m00_spec.bsdf", sample_file("m00", 99 * ((k + 1) % 2)))
+            import_files(library.path, [folder / "m00_spec.bsdf"], replace=True)
+        done.set()
+
+    with ThreadPoolExecutor(1) as pool:
+        writer = pool.submit(replace)
+        reads = 0
+        while not done.is_set() and not writer.done():
+            found = library.read("m00").spectra
+            assert any(np.array_equal(found, version) for version in versions)
+            reads += 1
+        writer.result()
+    assert reads > 0
 
 
 @pytest.mark.parametrize("renames", [1, 2, 3])

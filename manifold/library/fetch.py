@@ -36,8 +36,6 @@ BLOCK_BYTES = 1 << 18
 MAX_BYTES = 1 << 30  # For files whose size no table knows; the largest in the database have 111 MB.
 MIN_BYTES_PER_TIMEOUT = 4096  # A server that drips slower than this per `timeout_s` counts as stalled.
 
-"""Called with (bytes done, bytes expected as far as known, file name), over all files together."""
-
 
 @dataclass(frozen=True)
 class Entry:

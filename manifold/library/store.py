@@ -19,13 +19,13 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import zarr
@@ -44,11 +44,13 @@ from manifold.library.identity import (
 )
 from manifold.records import RGB_NAMES, Array, Bands, BsdfFile, Progress
 
+T = TypeVar("T")
+
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 1
+_TRIES = 20  # of reads that a replacement came in between
 MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
 
-"""Called with (done, total, name of the material)."""
 
 # Field of BsdfFile -> (array name and dimension names in the store, units).
 _FIELDS: dict[str, tuple[str, tuple[str, ...], str | None]] = {
@@ -152,7 +154,10 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
-        info, file = self.attributes(name), self._read(name)
+        return self._settled(name, lambda: self._read_checked(name))
+
+    def _read_checked(self, name: str) -> BsdfFile:
+        info, file = self._attributes(name), self._read(name)
         found = content_sha256(file, info.source_file, info.sha256)
         if found != info.content_sha256:
             raise LibraryError(
@@ -160,6 +165,34 @@ class Library:
                 f"{self._repair(name)}"
             )
         return file
+
+    def _settled(self, name: str, read: Callable[[], T]) -> T:
+        """What `read` makes of a material, again where another process replaced it meanwhile.
+
+        Files are opened one by one, so that a reader may meet some of the old material and some of the new.
+        """
+        for _ in range(_TRIES):
+            before = self._folder_id(name)
+            try:
+                found = read()
+            except ManifoldError:
+                if self._folder_id(name) == before:
+                    raise
+            else:
+                if self._folder_id(name) == before:
+                    return found
+        return read()
+
+    def _folder_id(self, name: str) -> tuple[int, int] | None:
+        """What tells a material's folder from the one that replaces it; None while there is none.
+
+        Its number alone would not do: a file system gives that of a deleted folder to the next one.
+        """
+        try:
+            status = os.stat(self.path / "materials" / name)
+        except (OSError, ValueError):
+            return None
+        return status.st_ino, status.st_mtime_ns
 
     def _read(self, name: str) -> BsdfFile:
         with self._material(name) as group:
@@ -200,6 +233,11 @@ class Library:
             UsageError: no such material, index, or step.
             LibraryError: the material is damaged.
         """
+        return self._settled(name, lambda: self._read_part(name, theta_index, phi_index, bands))
+
+    def _read_part(
+        self, name: str, theta_index: int | None, phi_index: int | None, bands: slice | None
+    ) -> Array:
         with self._material(name) as group:
             shape = _array(group, "spectra").shape
             selection = (
@@ -218,6 +256,9 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
+        return self._settled(name, lambda: self._attributes(name))
+
+    def _attributes(self, name: str) -> MaterialInfo:
         with self._material(name) as group:
             values = _attributes(group)
             known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name != "name"}

@@ -278,7 +278,7 @@ def locate(
         found = pipeline.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
         "latent": ",".join(f"{v:.4g}" for v in found.latent),
-        "error of what is there": f"{found.relative_error:.3f} (0 is exact, 1 is as wrong as black)",
+        "error of what is there": f"{found.relative_error:.3g} (0 is exact, 1 is as wrong as black)",
         "uncertainty": f"{found.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
     }
@@ -288,7 +288,7 @@ def locate(
     results.document(found.to_json())
 
 
-def parse_latent(text: str) -> list[float]:
+def parse_latent(text: str, option: str = "--latent") -> list[float]:
     """Numbers separated by commas.
 
     Raises:
@@ -297,9 +297,9 @@ def parse_latent(text: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise UsageError(f"--latent '{text}': expected numbers separated by commas, like -0.3,1.2") from None
+        raise UsageError(f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2") from None
     if not all(map(math.isfinite, values)):
-        raise UsageError(f"--latent '{text}': expected finite numbers, like -0.3,1.2")
+        raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
     return values
 
 

@@ -72,7 +72,7 @@ def latent_map(
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
-    marked = parse_latent(mark) if mark is not None else None
+    marked = parse_latent(mark, "--mark") if mark is not None else None
     colour = ColourChoice(like, reflectance, srgb)
     if marked is None and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")

@@ -306,7 +306,7 @@ class MeasuredBRDF:
         _eval_loop(  # type: ignore[call-arg]
             pairs.wi, pairs.wo, self._isotropic, self._reduction, self._jacobian, divide, *self._lookup, out
         )
-        return out.reshape(*pairs.shape, -1)
+        return out.reshape(*pairs.shape, out.shape[1])
 
     def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
         """`eval` of K pairs into a given array, on one core and outside the interpreter's lock.
@@ -411,4 +411,4 @@ class MeasuredBRDF:
             keep = pdf > 0
             weights = 1.0 / pdf[keep] / u.shape[0]
             out[k] = weights @ self._evaluate(w, wo[keep], False)
-        return out.reshape(*wi.shape[:-1], -1)
+        return out.reshape(*wi.shape[:-1], out.shape[1])

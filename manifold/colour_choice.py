@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,7 +98,7 @@ def parse_srgb(text: str) -> Array:
     try:
         if "," in text:
             values = [float(part) for part in text.split(",")]
-        elif len(digits) == 6:
+        elif re.fullmatch("[0-9a-fA-F]{6}", digits):
             values = [int(digits[k : k + 2], 16) / 255.0 for k in (0, 2, 4)]
         else:
             raise ValueError

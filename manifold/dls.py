@@ -21,11 +21,12 @@ from scipy.optimize import Bounds, OptimizeResult
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
 
-CONVERGED, OUT_OF_EVALUATIONS, OUT_OF_SWEEPS, STOPPED = 0, 1, 2, 99
+CONVERGED, OUT_OF_EVALUATIONS, OUT_OF_SWEEPS, NOT_FINITE, STOPPED = 0, 1, 2, 3, 99
 _MESSAGES = {
     CONVERGED: "every step is below the tolerance",
     OUT_OF_EVALUATIONS: "the maximum number of evaluations was reached",
     OUT_OF_SWEEPS: "the maximum number of sweeps was reached",
+    NOT_FINITE: "no finite value was found",
     STOPPED: "the callback stopped the search",
 }
 
@@ -128,6 +129,8 @@ def direct_local_search(
         status = STOPPED
     finally:
         search.settle()
+    if status == CONVERGED and not np.isfinite(search.best):
+        status = NOT_FINITE
     return OptimizeResult(
         x=search.best_x.copy(),
         fun=search.best,

@@ -121,6 +121,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         """
         Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
         Y_c = Y - Y.mean(axis=0)
+        require_different(Y_c @ Y_c.T, float(np.sum(Y * Y)))
         self._fit_centred(Y_c @ Y_c.T, Y.shape[1], None, callback)
         self.Y_fit_ = Y.copy()
         # Cross products with new data are centred by the data's mean, not by the Gram matrix's.
@@ -145,14 +146,15 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             ShapeError: S is not square, symmetric and finite, or all samples are identical.
             UsageError: a parameter of the model cannot be used.
         """
-        S = _require_gram(S, n_outputs)
+        S = require_gram(S, n_outputs)
+        require_different(centre_gram(S), float(np.trace(S)))
         self._fit_centred(centre_gram(S), n_outputs, X0, callback)
         self._remember_gram(S)
         return self
 
     def adopt(self, S: Array, n_outputs: int, X: Array) -> GPLVM:
         """Take latents X (N, Q) as they are, bit for bit: a model that was fitted before and stored."""
-        S = _require_gram(S, n_outputs)
+        S = require_gram(S, n_outputs)
         self._require_parameters()
         X = _require_start(X, S.shape[0], self.n_components)
         objective = self._objective(centre_gram(S), n_outputs)(X)[0]
@@ -172,8 +174,6 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
 
     def _fit_centred(self, S: Array, n_outputs: int, X0: Array | None, callback: FitCallback | None) -> None:
         self._require_parameters()
-        if not np.trace(S) > 0.0:
-            raise ShapeError(f"all {S.shape[0]} samples are identical, expected at least two different ones")
         N, Q = S.shape[0], self.n_components
         start = _require_start(X0, N, Q) if X0 is not None else self.start_scale * pca_start(S, Q)
         objective = self._objective(S, n_outputs)
@@ -222,8 +222,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             raise UsageError(f"n_components = {self.n_components}, expected at least 1")
         if not self.mu >= SMALLEST_MU:
             raise UsageError(f"mu = {self.mu}, expected at least {SMALLEST_MU}: K must stay definite")
-        if not self.prior >= 0:
-            raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
+        require_prior(self.prior)
         if not self.n_starts >= 1:
             raise UsageError(f"n_starts = {self.n_starts}, expected at least 1")
 
@@ -741,7 +740,23 @@ def _require_start(X0: Array, N: int, Q: int) -> Array:
     return X0
 
 
-def _require_gram(S: Array, n_outputs: int) -> Array:
+def require_different(centred: Array, power: float) -> None:
+    """Raise ShapeError where samples are all alike but for rounding, by the trace of their centred Gram matrix (N, N).
+
+    `power` is the trace of the uncentred one.
+    """
+    if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
+        raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
+
+
+def require_prior(prior: float) -> None:
+    """Raise UsageError unless a weight of the prior can be used."""
+    if not 0 <= prior < np.inf:
+        raise UsageError(f"prior = {prior}, expected a finite weight >= 0")
+
+
+def require_gram(S: Array, n_outputs: int) -> Array:
+    """A Gram matrix as float64 (N, N), or a ShapeError that says what is wrong with it."""
     S = np.asarray(S, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
         raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")

@@ -459,6 +459,9 @@ class Manifold:
 
     def _at(self, x: Array, function: Callable[[Array], Array]) -> Array:
         x = np.asarray(x, dtype=np.float64)
+        Q = self.settings.latent_dim
+        if x.ndim not in (1, 2) or x.shape[-1] != Q or not np.all(np.isfinite(x)):
+            raise LatentError(f"latents have shape {x.shape}, expected ({Q},) or (M, {Q}), finite")
         return function(np.atleast_2d(x))[0] if x.ndim == 1 else function(x)
 
     # -- colours of a monochrome manifold ------------------------------------------------------------------

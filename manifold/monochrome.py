@@ -14,7 +14,15 @@ import numpy as np
 from scipy.optimize import minimize
 
 from manifold.errors import ShapeError, UsageError
-from manifold.gplvm import SMALLEST_MU, LatentObjective, blas_threads, fix_gauge
+from manifold.gplvm import (
+    SMALLEST_MU,
+    LatentObjective,
+    blas_threads,
+    fix_gauge,
+    require_different,
+    require_gram,
+    require_prior,
+)
 from manifold.gpr import GPWeights, centre_gram
 from manifold.records import Array
 
@@ -58,6 +66,7 @@ class MonochromeGPLVM:
             )
         if not SMALLEST_MU <= mu < np.inf:
             raise UsageError(f"mu = {mu}, expected at least {SMALLEST_MU}: K must stay definite")
+        require_prior(prior)
         self.n_structure = n_structure
         self.n_colour = n_colour
         self.mu = mu
@@ -73,14 +82,16 @@ class MonochromeGPLVM:
             n_materials: N, at least 2.
             n_outputs: direction pairs behind S.
         Raises:
-            ShapeError: S is not square, or its side is no multiple of N.
+            ShapeError: S is not square, symmetric and finite, its side is no multiple of N, or all samples are
+                identical.
         """
-        S = np.asarray(S, dtype=np.float64)
-        if S.ndim != 2 or S.shape[0] != S.shape[1] or n_materials < 2 or S.shape[0] % n_materials:
+        S = require_gram(S, n_outputs)
+        if n_materials < 2 or S.shape[0] % n_materials:
             raise ShapeError(
                 f"S has shape {S.shape}, expected ({n_materials} B, {n_materials} B) with N at least 2"
             )
         centred = centre_gram(S)
+        require_different(centred, float(np.trace(S)))
         n_bands = S.shape[0] // n_materials
         objective = LatentObjective(centred, n_outputs, self.mu, self.length_scale, self.prior)
         best: tuple[float, float, Array, Array] | None = None

@@ -129,7 +129,7 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
     for k, w in enumerate(flat):
         wo, measure = mirrored_quadrature(w, resolution, resolution)
         out[k] = measure @ brdf.eval_cos(w, wo)
-    return out.reshape(*wi.shape[:-1], -1)
+    return out.reshape(*wi.shape[:-1], out.shape[1])
 
 
 def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:

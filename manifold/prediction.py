@@ -71,7 +71,7 @@ class Mixture:
         else:  # other materials may have parallel loops of their own
             for block, values in blocks:
                 self._combine(block, values)
-        return out.reshape(*pairs.shape, -1)
+        return out.reshape(*pairs.shape, out.shape[1])
 
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""

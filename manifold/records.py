@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.errors import BandMismatchError
+from manifold.errors import BandMismatchError, ShapeError
 
 Array = NDArray[Any]
 
@@ -33,10 +33,19 @@ class Bands:
 
     @classmethod
     def from_array(cls, wavelengths_nm: Array | None) -> Bands:
-        """Bands of a wavelength array in nm, shape (B,), or of RGB for None."""
+        """Bands of a wavelength array in nm, shape (B,), or of RGB for None.
+
+        Raises:
+            ShapeError: the wavelengths are none, not finite, or do not increase.
+        """
         if wavelengths_nm is None:
             return cls(None)
-        return cls(tuple(float(w) for w in wavelengths_nm))
+        nm = np.asarray(wavelengths_nm, dtype=np.float64)
+        if nm.ndim != 1 or nm.size == 0 or not np.all(np.isfinite(nm)) or np.any(np.diff(nm) <= 0):
+            raise ShapeError(
+                f"wavelengths have shape {nm.shape}, expected (B,), finite and increasing, in nm"
+            )
+        return cls(tuple(nm.tolist()))
 
     @property
     def is_rgb(self) -> bool:

@@ -7,6 +7,7 @@ from colour-science. Both are read on first use: importing this module costs not
 from __future__ import annotations
 
 import difflib
+import re
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.records import Array, Bands
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
+_VISIBLE_NM = (400.0, 700.0)
 """The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
 
 # CIE's names of the fluorescent illuminants, which colour-science calls FL1 to FL12.
@@ -174,17 +176,23 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
     """A reflectance spectrum from a text file, interpolated to the bands, shape (B,).
 
     The file has two columns, wavelength in nm and reflectance from 0 to 1, separated by commas or blanks; lines
-    that do not begin with a number are skipped. Outside the file's range the ends are held. Of RGB bands: its
-    linear sRGB colour under D65.
+    before the first that holds numbers are skipped, and those that begin with #. Outside the file's range the ends
+    are held. Of RGB bands: its linear sRGB colour under D65.
 
     Raises:
-        FileFormatError: there are not two rows of two such numbers, or wavelengths repeat.
+        FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or less than half of what
+            is visible is covered.
         UsageError: the file cannot be read.
     """
     nm, values = _read_columns(path, "reflectance")
     if values.min() < 0 or values.max() > 1:
         raise FileFormatError(
             f"{path}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; divide percent by 100"
+        )
+    low, high = _VISIBLE_NM
+    if min(nm[-1], high) - max(nm[0], low) < 0.5 * (high - low):
+        raise FileFormatError(
+            f"{path}: covers {nm[0]:g} to {nm[-1]:g} nm, expected most of {low:g} to {high:g} nm"
         )
     if bands.is_rgb:
         return np.clip(to_srgb(values, Bands(tuple(nm.tolist()))), 0.0, 1.0)
@@ -194,12 +202,21 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
 def _read_columns(path: Path, what: str) -> tuple[Array, Array]:
     """Wavelengths in nm, increasing, and values of a text file of two columns."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise UsageError(
             f"{path}: {error.strerror}; expected a text file of wavelengths and {what}s"
         ) from error
-    rows = [cells for line in lines if (cells := _numbers(line)) is not None]
+    rows: list[tuple[float, float]] = []
+    for number, line in enumerate(lines, start=1):
+        cells = _numbers(line)
+        if cells is not None:
+            rows.append(cells)
+        elif rows and line.strip() and not line.lstrip().startswith("#"):
+            raise FileFormatError(
+                f"{path}: line {number} is '{line.strip()[:40]}', expected a wavelength in nm and a {what} "
+                "with a decimal point"
+            )
     if len(rows) < 2:
         raise FileFormatError(f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2")
     nm, values = np.array(sorted(rows)).T
@@ -297,7 +314,9 @@ def decode_srgb(display: Array) -> Array:
 
 
 def _numbers(line: str) -> tuple[float, float] | None:
-    """The first two numbers of a line, or None where it does not begin with a number."""
+    """The first two numbers of a line, or None where it does not begin with two, or may hold decimal commas."""
+    if re.search(r"\d,\d", line) and re.search(r"[;\s]", line.strip()):
+        return None
     cells = line.replace(",", " ").replace(";", " ").split()
     try:
         first, second = float(cells[0]), float(cells[1])

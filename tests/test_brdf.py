@@ -11,6 +11,7 @@ from conftest import real_rgl_files
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mitsuba_reference import measured
+from sample_files import sample_file
 
 from manifold.brdf import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical, hemisphere_quadrature
@@ -276,3 +277,11 @@ def test_measured_and_analytic_brdfs_share_the_protocol(corpus_file):
     measured_brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True)))
     assert isinstance(measured_brdf, BRDF)
     assert isinstance(BY_NAME["syn_gloss_red"].truth(), BRDF)
+
+
+def test_no_directions_give_no_values_and_directions_below_the_horizon_no_albedo():
+    brdf = MeasuredBRDF(sample_file("m", 1, size=8))
+    none = np.zeros((0, 3))
+    assert brdf.eval(none, none).shape == (0, brdf.bands.count)
+    assert brdf.albedo(none).shape == (0, brdf.bands.count)
+    assert not np.any(brdf.albedo(np.array([0.0, 0.0, -1.0])))

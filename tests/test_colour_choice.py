@@ -68,7 +68,9 @@ def test_srgb_colours_are_read_both_ways(text, values):
     np.testing.assert_allclose(parse_srgb(text), values)
 
 
-@pytest.mark.parametrize("text", ["red", "#ff80", "1,2,3", "0.1,0.2", "nan,0,0", "", "#gg0000"])
+@pytest.mark.parametrize(
+    "text", ["red", "#ff80", "1,2,3", "0.1,0.2", "nan,0,0", "", "#gg0000", "+f+f+f", " f f f"]
+)
 def test_what_is_no_srgb_colour_is_refused(text):
     with pytest.raises(UsageError, match="expected #rrggbb"):
         parse_srgb(text)
@@ -110,3 +112,30 @@ def test_bad_reflectance_files_are_refused(tmp_path, content, message):
 def test_a_missing_reflectance_file_is_refused(tmp_path):
     with pytest.raises(UsageError, match="No such file"):
         read_reflectance(tmp_path / "absent.txt", BANDS)
+
+
+@pytest.mark.parametrize(
+    "text", ["\ufeff380 0.9\n500 0.1\n780 0.1\n", "nm,R\n# dry\n380,0.9\n\n500,0.1\n780,0.1\n"]
+)
+def test_byte_order_marks_headers_and_comments_lose_no_row(tmp_path, text):
+    path = tmp_path / "spectrum.csv"
+    path.write_text(text, encoding="utf-8")
+    assert read_reflectance(path, BANDS)[0] == 0.9
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("380 0,9\n500 0,1\n780 0,1\n", "found 0 rows"),
+        ("380 0.9\n500;0,1\n780 0.1\n", "line 2 is '500;0,1', expected .* decimal point"),
+        ("380 0.9\n500 10%\n780 0.1\n", "line 2 is '500 10%'"),
+        ("380 0.9\n600 oops\n780 0.1\n", "line 2 is '600 oops'"),
+        ("2000 0.9\n3000 0.1\n", "covers 2000 to 3000 nm, expected most of 400 to 700 nm"),
+        ("500 0.9\n510 0.1\n", "covers 500 to 510 nm"),
+    ],
+)
+def test_spectra_that_would_be_misread_are_refused(tmp_path, text, message):
+    path = tmp_path / "spectrum.txt"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        read_reflectance(path, BANDS)

@@ -149,3 +149,9 @@ def test_interrupt_leaves_the_objective_at_the_best_point():
     with pytest.raises(KeyboardInterrupt):
         direct_local_search(objective, callback=interrupt)
     assert objective.value == min(values)
+
+
+def test_a_function_without_a_finite_value_is_no_success():
+    found = minimize(lambda x: np.nan, [1.0, 2.0], method=hooke_jeeves)
+    assert not found.success
+    assert found.message == "no finite value was found"

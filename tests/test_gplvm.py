@@ -316,3 +316,12 @@ def test_direct_local_search_is_never_worse_than_the_descent_from_the_same_start
         for optimizer in ("dls", "l-bfgs")
     ]
     assert ends[0] <= ends[1] + 1e-9 * abs(ends[1])
+
+
+@pytest.mark.parametrize("count", [3, 6, 8])
+def test_samples_that_differ_by_rounding_only_are_refused(count):
+    row = np.random.default_rng(1).random(5)
+    Y = np.tile(row, (count, 1))
+    for fit in (lambda: GPLVM().fit(Y), lambda: GPLVM().fit_gram(Y @ Y.T, 5)):
+        with pytest.raises(ShapeError, match="samples are identical"):
+            fit()

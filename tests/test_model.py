@@ -13,7 +13,7 @@ from small_library import NAMES, small_library
 from manifold import gram
 from manifold.brdf import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, LibraryError, ModelError, ShapeError, UsageError
+from manifold.errors import BandMismatchError, LatentError, LibraryError, ModelError, ShapeError, UsageError
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
@@ -294,3 +294,10 @@ def test_colours_are_refused_where_materials_carry_them(library):
     ):
         with pytest.raises(UsageError, match="--kind monochrome"):
             ask()
+
+
+@pytest.mark.parametrize("x", [[0.0], [0.0, np.nan], [[0.0, 0.0, 0.0]], 1.0])
+def test_latents_of_another_shape_are_one_error(model, x):
+    for function in (model.std, model.weights, model.is_extrapolation):
+        with pytest.raises(LatentError, match="expected"):
+            function(x)

@@ -129,3 +129,15 @@ def test_what_cannot_be_fitted_is_refused():
         MonochromeGPLVM(2, 0)
     with pytest.raises(ShapeError, match="S has shape"):
         MonochromeGPLVM().fit_gram(np.eye(7), 3, 10)
+
+
+def test_matrices_that_cannot_be_gram_matrices_are_refused(values):
+    S = gram(values)
+    for wrong in (np.where(S.max() == S, np.nan, S), np.zeros_like(S), S + np.triu(np.ones_like(S), 1)):
+        with pytest.raises(ShapeError):
+            MonochromeGPLVM(2, 1).fit_gram(wrong, N, P)
+    with pytest.raises(ShapeError):
+        MonochromeGPLVM(2, 1).fit_gram(S, N, 0)
+    for prior in (np.nan, -1.0, np.inf):
+        with pytest.raises(UsageError, match="prior"):
+            MonochromeGPLVM(2, 1, prior=prior)

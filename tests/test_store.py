@@ -29,6 +29,7 @@ from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library import staging
 from manifold.library import store as store_module
+from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
 from manifold.records import Bands, BsdfFile
@@ -694,3 +695,9 @@ def test_reading_in_threads_leaves_the_filters_of_warnings_as_they_were(tmp_path
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(store_module._open_group, [tmp_path / "group"] * 40))
         assert warnings.filters == before
+
+
+@pytest.mark.parametrize("name", ["bad\udcff", "line\nbreak", "\x1b[31mred", "\u2028", ".hidden", "", "a/b"])
+def test_names_that_cannot_be_written_out_are_no_names_of_materials(name: str) -> None:
+    assert not is_material_name(name)
+    assert is_material_name("naïve gold 2")

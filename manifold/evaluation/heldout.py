@@ -15,6 +15,7 @@ import numpy as np
 
 from manifold.brdf import BRDF
 from manifold.combination import Combination
+from manifold.errors import ShapeError
 from manifold.evaluation.methods import Method, standard_methods
 from manifold.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid
@@ -80,7 +81,13 @@ def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | 
         with one_blas_thread:  # the matrices are small: a second thread costs more than it does
             if encode is None or method.refits:
                 start = time.perf_counter()
-                encode = method.fit(data, np.delete(everything, i) if method.refits else everything)
+                try:
+                    encode = method.fit(data, np.delete(everything, i) if method.refits else everything)
+                except ShapeError as error:
+                    left = f" without material {i + 1}" * method.refits
+                    raise ShapeError(
+                        f"{method.title},{left} of {data.n_materials}: {error}; import more that differ"
+                    ) from error
                 fits.append(time.perf_counter() - start)
             start = time.perf_counter()
             combinations.append(encode(i))

@@ -109,7 +109,8 @@ def hash_arrays(arrays: Mapping[str, Array]) -> str:
 
 def is_material_name(name: str) -> bool:
     """Whether a name can be that of a group in a zarr store and of a folder."""
-    return bool(re.fullmatch(r"(?!\.|__)[^/\\\x00-\x1f]{1,200}", name)) and name != "zarr.json"
+    is_sound = re.fullmatch(r"(?!\.|__)[^/\\]{1,200}", name) and name.isprintable()
+    return bool(is_sound) and name != "zarr.json"
 
 
 def require_material_name(name: str) -> None:

@@ -187,11 +187,14 @@ def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
                 f"{content['residuals'][content['metric']]:.3f}",
                 f"{content['diffuse_residual']:.3f}",
                 len(content["minima"]),
+                len(content["notes"]) or "",
                 "kept" if outcome.was_there else f"{content['seconds']:.1f} s",
             ]
             for outcome, content in fitted
         ]
-        results.table(["material", "residual", "diffuse", "minima", "time"], rows)
+        results.table(["material", "residual", "diffuse", "minima", "notes", "time"], rows)
+        if any(content["notes"] for _, content in fitted):
+            results.text("Notes are in the JSON of a fit; fit one material to read them here.\n")
 
 
 def _rows(content: dict[str, Any]) -> dict[str, object]:

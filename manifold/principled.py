@@ -26,7 +26,7 @@ from manifold.records import Array, Bands, BsdfFile
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
 """The methods by name, with the class of their hyperparameters."""
 
-_UNREACHED = 0.2  # relative residual: twice what is left of the median measured material
+_UNREACHED = 0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
 
 _MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
 
@@ -276,7 +276,9 @@ def _notes(
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     if residual > _UNREACHED:
-        notes.append(f"{family.type} does not reach these samples: {residual:.0%} of them is left over")
+        notes.append(
+            f"{family.type} does not reach these samples: {residual:.0%} of them is left over; look at --picture"
+        )
     return notes
 
 

@@ -48,16 +48,17 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
         axes.plot(places + shift, heights, color=colour, linestyle=dash, linewidth=1.4, label=row.method)
         for place, height, one in zip(places + shift, heights, row.tried, strict=True):
             at = height if np.isfinite(height) else 1.0  # what was refused has no error
-            is_wrong = one.outcome == WRONG
+            is_wrong, is_warned = one.outcome == WRONG, one.outcome == WARNED
             axes.plot(
                 place, at, _MARKERS[one.outcome], color=_WRONG_COLOUR if is_wrong else colour,
-                markersize=10 if is_wrong else 6.5, markeredgecolor="black", markeredgewidth=0.6,
-                markerfacecolor="white" if one.outcome == WARNED else None, zorder=3,
+                markersize=10 if is_wrong else 6.5, markeredgecolor=colour if is_warned else "black",
+                markeredgewidth=1.5 if is_warned else 0.6, markerfacecolor="white" if is_warned else None, zorder=3,
             )  # fmt: skip
     axes.axhline(1.0, color="black", linewidth=1.0)
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.09), max(11.0, high * 2.0))  # a decade each way, at least
+    room = 3.0 * 2.0 ** len(rows)  # above the lines, for the legend
+    axes.set_ylim(min(low, 0.09), max(11.0, high * room))  # a decade each way, at least
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlim(-0.4, len(places) - 0.6)
     axes.set_xticks(places, [f"{s:.3g}" for s in mode.severities], fontsize=8)
@@ -65,7 +66,9 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     axes.set_title(f"{mode.key}\nlimit {mode.threshold:g}", fontsize=9.5)
     axes.set_xlabel(_broken(mode.severity), fontsize=8.5)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
-    axes.legend(fontsize=7, loc="best", framealpha=0.7, handlelength=2.6, borderpad=0.3, labelspacing=0.2)
+    axes.legend(
+        fontsize=7, loc="upper left", framealpha=0.7, handlelength=2.6, borderpad=0.3, labelspacing=0.2
+    )
 
 
 def _height(error: float | None, threshold: float) -> float:

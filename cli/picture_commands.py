@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
     app.command(
         "walk",
         short_help="Draw the way between two materials.",
-        epilog="Example: manifold walk syn_satin_gold syn_chrome_mint -o walk.png",
+        epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
     )(walk)
     app.command(
         "slices",

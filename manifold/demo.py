@@ -22,7 +22,7 @@ from manifold.workflows.fits import FitSettings
 from manifold.workflows.pictures import slices, sources
 from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
 
-START, END = "syn_satin_gold", "syn_chrome_mint"
+START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
 
 CHARTED = (

@@ -22,7 +22,7 @@ from manifold.workflows import pipeline
 
 FEW = {
     "syn_satin_gold",
-    "syn_chrome_mint",
+    "syn_metallic_gold",
     "syn_paper_white",
     "syn_gloss_red",
     *(example.material for example in example_scenes.EXAMPLES.values()),

@@ -26,7 +26,9 @@ from manifold.records import Array, Bands, BsdfFile
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
 """The methods by name, with the class of their hyperparameters."""
 
-_UNREACHED = 0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
+_UNREACHED = (
+    0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
+)
 
 _MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
 

@@ -430,7 +430,17 @@ def test_a_reader_meets_the_old_material_or_the_new_one_and_never_both(
     assert library.verify() == []
 
 
-def test_readers_and_a_writer_that_replaces_do_not_disturb_each_other(library: Library, folder: Path) -> None:
+@pytest.mark.parametrize("gap_s", [0.0, 0.02], ids=["as it is", "slowly"])
+def test_readers_and_a_writer_that_replaces_do_not_disturb_each_other(
+    library: Library, folder: Path, monkeypatch: pytest.MonkeyPatch, gap_s: float
+) -> None:
+    rename = os.rename
+
+    def slow_rename(source: Path, target: Path) -> None:
+        rename(source, target)
+        time.sleep(gap_s)
+
+    monkeypatch.setattr(os, "rename", slow_rename)
     versions = [sample_file("m00", seed).spectra for seed in (0, 99)]
     done = threading.Event()
 

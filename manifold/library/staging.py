@@ -72,6 +72,11 @@ def replace(library: Path, staged: Path, target: Path) -> None:
         aside.rmdir()
 
 
+def is_replacing(library: Path, name: str) -> bool:
+    """Whether a folder of that name is being exchanged at this moment, and may be missing."""
+    return (_replacing(library) / name).exists()
+
+
 def recover(library: Path) -> None:
     """Bring back a material whose replacement was cut short; does nothing where it cannot or need not.
 

@@ -18,6 +18,7 @@ import math
 import os
 import re
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -48,7 +49,8 @@ T = TypeVar("T")
 
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 1
-_TRIES = 20  # of reads that a replacement came in between
+_TRIES = 50  # of reads that a replacement came in between
+_PAUSE_S = 0.005
 MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
 
 
@@ -176,8 +178,9 @@ class Library:
             try:
                 found = read()
             except ManifoldError:
-                if self._folder_id(name) == before:
+                if not staging.is_replacing(self.path, name) and self._folder_id(name) == before:
                     raise
+                time.sleep(_PAUSE_S)
             else:
                 if self._folder_id(name) == before:
                     return found

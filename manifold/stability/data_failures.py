@@ -97,7 +97,7 @@ def _predicted(spoil: Spoil, t: float) -> Callable[[Bench, float], Found]:
         model = _spoilt(bench, spoil, severity)
         x = model.between(*_PAIR, t)
         with tempfile.TemporaryDirectory() as folder:
-            made = pipeline.predict(model, x, Path(folder, "predicted_spec.bsdf"), resolution=2, n_theta_i=2)
+            made = pipeline.predict(model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6)
         whole = _whole(bench).interpolate(*_PAIR, t)
         return Found(bench.error(model.predict(x), whole), made.cautions)
 

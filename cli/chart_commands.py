@@ -28,10 +28,16 @@ def register(app: typer.Typer) -> None:
 def chart(
     library: Annotated[
         Path | None,
-        typer.Option(help="Library of materials; by default library.zarr, or the model's.", metavar="DIR"),
+        typer.Option(
+            "--library",
+            "-L",
+            help="Library of materials; by default library.zarr, or the model's.",
+            metavar="FOLDER",
+        ),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="A fitted model: chart its materials.", metavar="FILE")
+        Path | None,
+        typer.Option("--model", "-M", help="A fitted model: chart its materials.", metavar="FILE"),
     ] = None,
     only: Annotated[
         list[str] | None, typer.Option(help="A setting's key; may be repeated.", metavar="KEY")

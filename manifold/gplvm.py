@@ -34,6 +34,7 @@ from manifold.records import Array
 OPTIMIZERS = ("dls", "l-bfgs", "both")
 CRITERIA = ("likelihood", "residual")
 SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
+LARGEST_MU = 1e6  # above, everything is noise
 _DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
 _SEARCH_ROUNDS = 10  # of every direct local search: later rounds gain slowly, and the polish has a gradient
@@ -220,8 +221,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             raise UsageError(f"optimizer '{self.optimizer}', expected one of {', '.join(OPTIMIZERS)}")
         if not self.n_components >= 1:
             raise UsageError(f"n_components = {self.n_components}, expected at least 1")
-        if not self.mu >= SMALLEST_MU:
-            raise UsageError(f"mu = {self.mu}, expected at least {SMALLEST_MU}: K must stay definite")
+        require_mu(self.mu)
         require_prior(self.prior)
         if not self.n_starts >= 1:
             raise UsageError(f"n_starts = {self.n_starts}, expected at least 1")
@@ -747,6 +747,14 @@ def require_different(centred: Array, power: float) -> None:
     """
     if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
         raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
+
+
+def require_mu(mu: float) -> None:
+    """Raise UsageError unless a noise filter can be used."""
+    if not SMALLEST_MU <= mu <= LARGEST_MU:
+        raise UsageError(
+            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: K must stay definite, and tell samples apart"
+        )
 
 
 def require_prior(prior: float) -> None:

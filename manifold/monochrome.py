@@ -15,12 +15,12 @@ from scipy.optimize import minimize
 
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import (
-    SMALLEST_MU,
     LatentObjective,
     blas_threads,
     fix_gauge,
     require_different,
     require_gram,
+    require_mu,
     require_prior,
 )
 from manifold.gpr import GPWeights, centre_gram
@@ -64,8 +64,7 @@ class MonochromeGPLVM:
             raise UsageError(
                 f"{n_structure} structure and {n_colour} colour coordinates, expected at least 0 and 1"
             )
-        if not SMALLEST_MU <= mu < np.inf:
-            raise UsageError(f"mu = {mu}, expected at least {SMALLEST_MU}: K must stay definite")
+        require_mu(mu)
         require_prior(prior)
         self.n_structure = n_structure
         self.n_colour = n_colour

@@ -22,6 +22,7 @@ from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.records import Array, Bands
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
+_MOST_POWER = 1e30  # renders are in single precision
 _VISIBLE_NM = (400.0, 700.0)
 """The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
 
@@ -260,9 +261,10 @@ class Illuminant:
             UsageError: the file cannot be read.
         """
         nm, power = _read_columns(path, "power")
-        if power.min() < 0 or power.max() <= 0:
+        if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
             raise FileFormatError(
-                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0 and one above"
+                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0, one above, and none "
+                f"of {_MOST_POWER:g} or more"
             )
         return cls(path.name, tuple(nm.tolist()), tuple(power.tolist()))
 

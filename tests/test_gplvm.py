@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, fix_gauge, pca_start
 from manifold.gpr import FlatModelWarning, GPWeights, IsolatedLatentsWarning, centre_gram
+from manifold.monochrome import MonochromeGPLVM
 
 
 # A few rounds exercise every path; hundreds would only cost time.
@@ -325,3 +326,11 @@ def test_samples_that_differ_by_rounding_only_are_refused(count):
     for fit in (lambda: GPLVM().fit(Y), lambda: GPLVM().fit_gram(Y @ Y.T, 5)):
         with pytest.raises(ShapeError, match="samples are identical"):
             fit()
+
+
+@pytest.mark.parametrize("mu", [0.0, -1.0, np.nan, np.inf, 1e300])
+def test_noise_filters_that_cannot_be_used_are_refused(mu, rng):
+    with pytest.raises(UsageError, match=r"mu = .*, expected 1e-10 to 1e\+06"):
+        GPLVM(mu=mu).fit(curved(rng, 10))
+    with pytest.raises(UsageError, match="mu = "):
+        MonochromeGPLVM(2, 1, mu=mu)

@@ -2,7 +2,7 @@
 
 Rows are what one latent each decodes: for a whole-material model a single row of all bands, for a monochrome
 one a row per band, whose structure coordinates are shared. First the mapped residual is minimised from
-several starts, through the Gram matrix alone; then, from the best end, the error of the decoded BRDF in the
+several starts, through the Gram matrix alone; then, from the best few ends, the error of the decoded BRDF in the
 metric that reports use, `||w (T^-1(V T(F)) - f)|| / ||w f||`.
 """
 
@@ -22,6 +22,8 @@ from manifold.records import Array
 
 PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent
 _STARTS = 5  # nearest training materials to start from
+_REFINED = 3  # ends of the first search that the second one starts from
+_APART = 1e-2  # in latents: ends nearer to each other are one
 _MAX_ITER = 200
 _COLOUR_TABLE = 257  # values of a single colour coordinate that are decoded
 _COST_OF_DOUBT = 0.1  # an albedo missed by this much is as bad as a prediction that knows nothing
@@ -90,8 +92,9 @@ class Decoder:
         norm = np.sum(T * T * self.gram_weight, axis=1)
         residual = self._mapped_residual(S, cross, norm)
         ends = [self._minimise(residual, start) for start in self._starts(S, cross, norm)]
-        best = min(ends, key=lambda end: end[1])[0]
-        return self._minimise(self._decoded_error(f), best)[0]
+        decoded = self._decoded_error(f)
+        refined = [self._minimise(decoded, latents) for latents in _best_apart(ends)]
+        return min(refined, key=lambda end: end[1])[0]
 
     def encode_colours(self, structure: Array, f: Array) -> Array:
         """Colour coordinates of bands with values f (R, P), structure (Q_s,) kept: (R, Q_c).
@@ -236,6 +239,15 @@ class Decoder:
         z0 = np.concatenate([start[0, :Qs], start[:, Qs:].ravel()])
         found = minimize(value_and_gradient, z0, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_ITER})
         return unpack(found.x), float(found.fun)
+
+
+def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
+    """The latents of the `_REFINED` best ends that are `_APART`."""
+    kept: list[Array] = []
+    for latents, _ in sorted(ends, key=lambda end: end[1]):
+        if all(np.abs(latents - other).max() > _APART for other in kept):
+            kept.append(latents)
+    return kept[:_REFINED]
 
 
 def _growing_stretches(values: Array) -> list[tuple[int, int]]:

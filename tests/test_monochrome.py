@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
+from manifold import encoding
 from manifold.encoding import Decoder
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM
@@ -141,3 +142,13 @@ def test_matrices_that_cannot_be_gram_matrices_are_refused(values):
     for prior in (np.nan, -1.0, np.inf):
         with pytest.raises(UsageError, match="prior"):
             MonochromeGPLVM(2, 1, prior=prior)
+
+
+def test_refining_more_ends_of_the_first_search_never_decodes_worse(values, monkeypatch):
+    model = MonochromeGPLVM(2, 1).fit_gram(gram(values[1:]), N - 1, P)
+    searched = decoder(values[1:], model, 2, B)
+    errors = []
+    for count in (1, 3):
+        monkeypatch.setattr(encoding, "_REFINED", count)
+        errors.append(searched.relative_error(searched.encode(values[0]), values[0]))
+    assert errors[1] <= errors[0] + 1e-12

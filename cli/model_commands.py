@@ -256,7 +256,7 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
         "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
         "negative values": f"{physical.negative_share:.2%}" + ", zero in the file" * (made.clipped_share > 0),
         "reciprocity error": f"{physical.reciprocity_error:.2%}",
-        "largest albedo": f"{physical.max_albedo:.3f}, of the file {made.file_albedo:.3f}",
+        "largest albedo": f"{physical.max_albedo:.3f} (to 75 degrees), of the file {made.file_albedo:.3f} (to 85)",
         "time": f"{made.seconds:.2f} s after loading",
     }
     if made.cautions:

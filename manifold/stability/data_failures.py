@@ -227,11 +227,11 @@ MODES: tuple[Mode, ...] = (
         key="grazing",
         concerns="incidence near the horizon, where files interpolate towards 90 degrees",
         severity="incidence in degrees",
-        severities=(60.0, 75.0, 80.0, 85.0),
+        severities=(60.0, 75.0, 80.0, 85.0, 87.0),
         number="relative error of the directional albedo",
         threshold=_LIGHT,
         methods={"file": _grazing_file, "prediction": _grazing_prediction},
-        advice="Beyond 85 degrees files extrapolate: trust silhouettes less, or measure more elevations.",
+        advice="Beyond 87 degrees trust silhouettes less, or measure more elevations: files interpolate to the horizon.",
     ),
     Mode(
         key="sharp_lobe",

@@ -231,7 +231,7 @@ MODES: tuple[Mode, ...] = (
         number="relative error of the directional albedo",
         threshold=_LIGHT,
         methods={"file": _grazing_file, "prediction": _grazing_prediction},
-        advice="Beyond 87 degrees trust silhouettes less, or measure more elevations: files interpolate to the horizon.",
+        advice="Beyond 87 degrees trust silhouettes less, or measure more elevations.",
     ),
     Mode(
         key="sharp_lobe",

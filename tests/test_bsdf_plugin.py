@@ -143,6 +143,25 @@ def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     np.testing.assert_allclose(pdf, expected.pdf(wi, wo), rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.parametrize(("kind", "share"), [("material", 0.0), ("six bands", 0.3)])
+def test_between_bands_the_nearest_counts_where_they_are_dense_and_both_where_not(models, rng, kind, share):
+    """At a measured material, whose values between bands are known."""
+    model = Manifold.load(models[kind])
+    nm = np.array(model.bands.wavelengths_nm)
+    bands = np.array([1, 2, 3, 4]) if kind == "six bands" else np.array([15, 40, 77, 130])
+    plugin = InMitsuba(
+        backend.mitsuba("spectral"),
+        {"type": "manifold", "model": str(models[kind]), "latent": words(model.X[2])},
+        nm[bands] + 0.3 * (nm[bands + 1] - nm[bands]),
+    )
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    f_cos = model.material(model.names[2]).eval_cos(wi, wo)
+    expected = (1.0 - share) * f_cos[:, bands] + share * f_cos[:, bands + 1]
+    np.testing.assert_allclose(
+        plugin.eval_pdf(wi, wo)[0], expected, rtol=5e-3, atol=5e-3 * np.median(expected)
+    )
+
+
 def test_at_a_training_latent_it_is_the_measured_material_with_its_negative_values(models, rng):
     model = Manifold.load(models["rgb"])
     mi = backend.mitsuba("rgb")

@@ -6,8 +6,8 @@ Scenes name it after `import manifold.render`, in LLVM variants (scalar ones wou
 
 Every evaluation loops over the materials, inverts each one's warp, and sums `T^-1(sum_i v_i T(f_i))`; densities come
 along, since sampling draws from a mixture of the materials' own warps with shares |v_i|. What `Manifold.predict`
-gives in float64 is what this gives in float32; negative values are cut, as in written files. Between the bands of a
-file, f_i is linear in wavelength.
+gives in float64 is what this gives in float32; negative values are cut, as in written files. At a wavelength, f_i
+is that of the nearest band where bands are at most 5 nm apart, and linear between them where they are not.
 
 Properties:
     model: path of the model.

@@ -77,7 +77,8 @@ def _without_pits(retro: Array) -> Array:
     slope = np.arange(retro.shape[-1]) * np.log(_STEEPEST)
     outward = np.maximum.accumulate(height + slope, axis=-1) - slope
     inward = np.maximum.accumulate((height - slope)[..., ::-1], axis=-1)[..., ::-1] + slope
-    return np.where(np.maximum(outward, inward) > height, np.exp(np.maximum(outward, inward)), retro)
+    envelope = np.maximum(outward, inward)
+    return np.where(envelope > height, np.exp(envelope), retro)
 
 
 def _azimuthal_projection(cos_w: Array, cos_m: Array) -> Array:

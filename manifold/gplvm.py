@@ -122,8 +122,9 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         """
         Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
         Y_c = Y - Y.mean(axis=0)
-        require_different(Y_c @ Y_c.T, float(np.sum(Y * Y)))
-        self._fit_centred(Y_c @ Y_c.T, Y.shape[1], None, callback)
+        S = Y_c @ Y_c.T
+        require_different(S, float(np.sum(Y * Y)))
+        self._fit_centred(S, Y.shape[1], None, callback)
         self.Y_fit_ = Y.copy()
         # Cross products with new data are centred by the data's mean, not by the Gram matrix's.
         self._mean_Y = Y.mean(axis=0)
@@ -148,8 +149,9 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
             UsageError: a parameter of the model cannot be used.
         """
         S = require_gram(S, n_outputs)
-        require_different(centre_gram(S), float(np.trace(S)))
-        self._fit_centred(centre_gram(S), n_outputs, X0, callback)
+        centred = centre_gram(S)
+        require_different(centred, float(np.trace(S)))
+        self._fit_centred(centred, n_outputs, X0, callback)
         self._remember_gram(S)
         return self
 
@@ -764,7 +766,11 @@ def require_prior(prior: float) -> None:
 
 
 def require_gram(S: Array, n_outputs: int) -> Array:
-    """A Gram matrix as float64 (N, N), or a ShapeError that says what is wrong with it."""
+    """A Gram matrix as float64 (N, N).
+
+    Raises:
+        ShapeError: S is not square, symmetric and finite, N is below 2, or n_outputs below 1.
+    """
     S = np.asarray(S, dtype=np.float64)
     if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
         raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")

@@ -235,7 +235,7 @@ def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path],
         name = material_name(path)
         target = folder if is_single else folder / f"{name}.fit.json"
         try:
-            _require_printable(name)
+            require_material_name(name)
             if taken.setdefault(target, path) != path:
                 raise UsageError(f"{path} and {taken[target]} have the same name; fit them into two folders")
             atomic.require_writable(target)
@@ -243,13 +243,6 @@ def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path],
         except UsageError as error:
             refused[path] = FitOutcome(_printable(path.name), target, None, failure=str(error), file=path)
     return targets, refused
-
-
-def _require_printable(name: str) -> None:
-    """A name must be one in a library too, and show as one line on a terminal."""
-    require_material_name(name)
-    if _printable(name) != name:
-        raise UsageError(f"{name!a} cannot be the name of a material; rename the file: it does not print")
 
 
 def _printable(name: str) -> str:

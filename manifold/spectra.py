@@ -219,7 +219,9 @@ def _read_columns(path: Path, what: str) -> tuple[Array, Array]:
                 "with a decimal point"
             )
     if len(rows) < 2:
-        raise FileFormatError(f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2")
+        raise FileFormatError(
+            f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2, with decimal points"
+        )
     nm, values = np.array(sorted(rows)).T
     if np.any(np.diff(nm) <= 0) or not 100.0 <= nm[0] <= nm[-1] <= 10000.0:
         raise FileFormatError(

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import backend
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.rendering import backend
 from manifold.synthetic import corpus
 
 TARGET = 4.0

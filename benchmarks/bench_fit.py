@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from manifold import backend
 from manifold.directions import from_spherical
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_evaluation import evaluator
@@ -27,9 +26,10 @@ from manifold.fitting.bsdf_parameters import Layout, principled
 from manifold.fitting.fit_metrics import Metric, relative_residual
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.identifiability import DETERMINED
+from manifold.fitting.principled import FitResult, fit
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
-from manifold.principled import FitResult, fit
+from manifold.rendering import backend
 from manifold.synthetic import corpus
 
 NOISE = 0.005

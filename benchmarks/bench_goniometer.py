@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import gonio
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf import goniometer
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands
@@ -53,7 +53,7 @@ def direction_pairs(alpha: float, n: int = 20_000, seed: int = 0) -> tuple[Array
 def mean_relative_error(alpha: float, *, in_mitsuba: bool = True, **options: object) -> float:
     """Of f_cos in the first channel, between the written file and the analytic truth."""
     truth = material(alpha)
-    file = gonio.measure(truth, "truth", **options)  # type: ignore[arg-type]
+    file = goniometer.measure(truth, "truth", **options)  # type: ignore[arg-type]
     wi, wo = direction_pairs(alpha)
     expected = truth.eval_cos(wi, wo)[:, 0]
     if in_mitsuba:

@@ -36,7 +36,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.gplvm import GPLVM, LatentObjective, pca_start
 from manifold.gpr import centre_gram
-from manifold.sparse import SparseGPLVM, SparseObjective, farthest_points, pca_start_of_factor
+from manifold.models.sparse import SparseGPLVM, SparseObjective, farthest_points, pca_start_of_factor
 
 SIZES = (51, 200, 1000, 5000)
 RANK, OUTPUTS = 40, 1_000_000

@@ -3,7 +3,7 @@
     python benchmarks/bench_held_out.py FOLDER                      # every trial, on the .bsdf files of a folder
     python benchmarks/bench_held_out.py FOLDER --trial kernels      # one of them; see --list
 
-The protocol is that of `manifold.evaluation.heldout`: fit to N - 1 materials, find the latent of the last one by what
+The protocol is `manifold.experiments.evaluation.heldout`: fit to N - 1 materials, find the latent of the last by what
 it decodes to, compare. Each row changes one thing; `--kernel matern32 --linear 1` all rows. Results:
 docs/design/held-out.md.
 """
@@ -22,13 +22,13 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from trial_models import CUBE_ROOT, Kernel, Power, Setting, TrialDecoder, fit, left_out_error, priors
 
-from manifold.brdf import MeasuredBRDF
-from manifold.encoding import PAIR_STRIDE
-from manifold.evaluation.methods import sample_columns
-from manifold.evaluation.tabulated import Data
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.experiments.evaluation.methods import sample_columns
+from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import LogRelative, Mapping
 from manifold.metrics import RusinkiewiczGrid
+from manifold.models.encoding import PAIR_STRIDE
 from manifold.parallel import one_blas_thread
 from manifold.records import Array
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model import Manifold, Settings
+from manifold.model.manifold import Manifold, Settings
 from manifold.workflows import pipeline
 
 GRID_BLOCK = 65536  # direction pairs of the seed's grid evaluated at once

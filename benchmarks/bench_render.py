@@ -19,12 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import backend
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import Manifold, Settings
-from manifold.pictures import image_metrics, images, scenes
-from manifold.render import RenderSettings, render_ball
+from manifold.model.manifold import Manifold, Settings
+from manifold.rendering import backend, image_metrics, images, scenes
+from manifold.rendering.render import RenderSettings, render_ball
 from manifold.synthetic import corpus
 from manifold.workflows import pipeline
 

@@ -22,13 +22,13 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
 from trial_models import CUBE_ROOT, TrialDecoder, fit, priors
 
-from manifold import cells, gonio
-from manifold.brdf import BRDF, MeasuredBRDF
+from manifold.brdf import cells, goniometer
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.evaluation.methods import sample_columns
+from manifold.experiments.evaluation.methods import sample_columns
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
-from manifold.model import evenly_spaced
+from manifold.model.manifold import evenly_spaced
 from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.microfacet import GGX, Plastic, RoughConductor
@@ -72,7 +72,7 @@ class Warped:
         B = self.spectra.shape[1]
         sigma = _AREA @ self.profile
         visible = np.stack(
-            [gonio._visible_normals(np.tile(self.profile, (NODES, 1)), w) for w in _incident(theta)]
+            [goniometer._visible_normals(np.tile(self.profile, (NODES, 1)), w) for w in _incident(theta)]
         )
         return MeasuredBRDF(
             replace(
@@ -125,7 +125,7 @@ def midpoints() -> None:
         ),
     }
     wi, wo, weight = _pairs()
-    theta = gonio.default_theta_i(8).astype(np.float32).astype(np.float64)
+    theta = goniometer.default_theta_i(8).astype(np.float32).astype(np.float64)
     shares = np.linspace(0.0, 1.0, 21)
     print(
         "| material | roughnesses | measured | identity | cube root | "
@@ -137,7 +137,7 @@ def midpoints() -> None:
         for a, c in ((0.04, 0.16), (0.1, 0.25), (0.1, 0.4), (0.2, 0.6)):
             middle = float(np.sqrt(a * c))
             truth = make(middle).eval(wi, wo)
-            files = [gonio.measure(make(x), name, theta_i_rad=theta) for x in (a, c, middle)]
+            files = [goniometer.measure(make(x), name, theta_i_rad=theta) for x in (a, c, middle)]
             f, g, measured = (MeasuredBRDF(file).eval(wi, wo) for file in files)
             first, second = (Warped.of_file(file, theta, np.arange(3)) for file in files[:2])
             rows = [relative_error(truth, measured, weight)]

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import spectra
+from manifold.colour import spectra
+from manifold.colour.spectra import Illuminant
 from manifold.io_rgl import write_bsdf
-from manifold.pictures import image_metrics, images, scenes
 from manifold.plots import figures
 from manifold.records import Array, BsdfFile
-from manifold.render import RenderSettings, render_ball
-from manifold.spectra import Illuminant
+from manifold.rendering import image_metrics, images, scenes
+from manifold.rendering.render import RenderSettings, render_ball
 from manifold.synthetic import corpus
 from manifold.workflows.renders import RIM
 

@@ -14,10 +14,10 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
-from manifold.encoding import Decoder
 from manifold.gpr import GPWeights, centre_gram
 from manifold.mapping import CubeRoot, Mapping
-from manifold.monochrome import MonochromeGPLVM
+from manifold.models.encoding import Decoder
+from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array
 
 # -- kernels -----------------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def budget(
     The scene's BSDFs of the types measured and manifold become a few numbers, fewer bands, fewer angles, or stay whole.
     A CIEDE2000 of 1 is about the least that people notice side by side.
     """
-    from manifold.budget.search import Tolerance
+    from manifold.experiments.budget.search import Tolerance
     from manifold.workflows import budgets
 
     results = terminal.Results(json)

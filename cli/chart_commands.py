@@ -11,7 +11,7 @@ from . import terminal
 from .library_commands import JsonOption
 
 if TYPE_CHECKING:
-    from manifold.chart.experiment import Chart
+    from manifold.experiments.chart.experiment import Chart
 
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 

@@ -22,7 +22,7 @@ from .model_commands import (
 )
 
 if TYPE_CHECKING:
-    from manifold.colour_choice import ColourChoice
+    from manifold.model.colours import ColourChoice
     from manifold.workflows.fits import FitOutcome
 
 
@@ -98,7 +98,7 @@ def fit(
     Writes one JSON per material: parameters, residuals, all minima found, and what the samples say of each
     parameter. Fits that are there already are kept.
     """
-    from manifold.colour_choice import NEAREST, ColourChoice
+    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import fits
 
     if bool(sources) == (latent is not None):

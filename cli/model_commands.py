@@ -126,7 +126,7 @@ def embed(
     json: JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
-    from manifold.model import Settings
+    from manifold.model.manifold import Settings
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
@@ -223,7 +223,7 @@ def predict(
     On a monochrome manifold the latent is the structure (gloss, layers); the colour is that of the nearest
     material unless --like, --reflectance or --srgb says otherwise.
     """
-    from manifold.colour_choice import ColourChoice
+    from manifold.model.colours import ColourChoice
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
@@ -324,7 +324,7 @@ def report(
     ] = None,
 ) -> None:
     """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
-    from manifold.evaluation.report_text import format_report
+    from manifold.experiments.evaluation.report_text import format_report
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
@@ -343,8 +343,8 @@ def demo(
     ] = Path("demo"),
 ) -> None:
     """Run everything on the built-in synthetic corpus: files, library, model, prediction, pictures, fit, report."""
-    from manifold import demo
-    from manifold.evaluation.report_text import format_report
+    from manifold.experiments.evaluation.report_text import format_report
+    from manifold.workflows import demo
 
     results = terminal.Results()
     result = demo.run(folder, terminal.progress)

@@ -68,7 +68,7 @@ def latent_map(
     Balls are rendered once and remembered by the library.
     """
     from manifold import __version__
-    from manifold.colour_choice import NEAREST, ColourChoice
+    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
@@ -133,7 +133,7 @@ def slices(
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
     from manifold import __version__
-    from manifold.colour_choice import NEAREST, ColourChoice
+    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.plots import figures
     from manifold.workflows import pictures
 

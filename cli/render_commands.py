@@ -21,7 +21,7 @@ from .model_commands import (
 )
 
 if TYPE_CHECKING:
-    from manifold.pictures.image_metrics import Summary
+    from manifold.rendering.image_metrics import Summary
     from manifold.workflows.renders import Rendered
 
 IlluminantOption = Annotated[
@@ -90,8 +90,8 @@ def render(
 
     Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light, as the eye does.
     """
-    from manifold.colour_choice import ColourChoice
-    from manifold.pictures import images
+    from manifold.model.colours import ColourChoice
+    from manifold.rendering import images
     from manifold.workflows import renders
 
     results = terminal.Results(json)

@@ -38,8 +38,8 @@ def stability(
     Unsaid: the largest error about which nothing was said; above its limit it is silently wrong, a defect of this
     program, and the exit status is 1. Fine, warned and refused are in order of severity.
     """
-    from manifold.stability import advice_page
-    from manifold.stability.catalogue import MODES
+    from manifold.experiments.stability import advice_page
+    from manifold.experiments.stability.catalogue import MODES
     from manifold.workflows import failures
 
     results = terminal.Results(json)

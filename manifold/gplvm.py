@@ -27,7 +27,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gpr import GPWeights, centre_gram
-from manifold.kernels import SquaredExponentialDelta
+from manifold.models.kernels import SquaredExponentialDelta
 from manifold.parallel import one_blas_thread
 from manifold.records import Array
 

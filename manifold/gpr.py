@@ -19,7 +19,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import NumericalError, ShapeError
-from manifold.kernels import SquaredExponentialDelta, first_equal_row
+from manifold.models.kernels import SquaredExponentialDelta, first_equal_row
 from manifold.records import Array
 
 LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is said to be flat

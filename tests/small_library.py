@@ -9,7 +9,7 @@ from pathlib import Path
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
 from manifold.synthetic import corpus
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from small_library import measured
 
-from manifold import backend
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
+from manifold.rendering import backend
 
 PROGRAM = [sys.executable, "-c", "from manifold.cli.main import run; run()"]
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import small_library
 
-from manifold import spectra
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import spectra
 from manifold.io_rgl import write_bsdf
-from manifold.pictures import ball_colours
 from manifold.records import Bands
+from manifold.rendering import ball_colours
 
 RGB = Bands(None)
 PIXELS, FINER = 10, 9  # the render has a pixel at the centre of each of the ball's

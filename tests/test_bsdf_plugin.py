@@ -13,20 +13,19 @@ from chi_square import chi_square_p_value
 from scipy import stats
 from small_library import small_library
 
-import manifold.render
-from manifold import backend
-from manifold.colour_choice import ColourChoice, choose_colour
+import manifold.rendering.render
+from manifold.colour.spectra import Illuminant
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import LibraryChangedWarning, Manifold, Settings
-from manifold.pictures import scenes
-from manifold.plugin import mixture
-from manifold.plugin.bsdf import load_model
-from manifold.render import RenderSettings, colorimetric_film, render_scene, rgb_film
-from manifold.spectra import Illuminant
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.rendering import backend, scenes
+from manifold.rendering.plugin import mixture
+from manifold.rendering.plugin.bsdf import load_model
+from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 from manifold.synthetic import corpus
 from manifold.workflows import pipeline
 
@@ -87,7 +86,7 @@ def words(latent) -> str:
 
 
 class InMitsuba:
-    """A BSDF of Mitsuba with the interface of `manifold.brdf.BRDF`, at fixed wavelengths."""
+    """A BSDF of Mitsuba with the interface of `manifold.brdf.measured.BRDF`, at fixed wavelengths."""
 
     def __init__(self, mi, scene, wavelengths_nm=None):
         self.mi, self.dr = mi, backend.drjit()
@@ -363,7 +362,7 @@ def test_a_library_of_other_bands_than_the_variant_is_refused(models):
 
 
 def test_importing_render_registers_the_plugin_in_every_variant(models):
-    assert manifold.render.bsdf.NAME == "manifold"
+    assert manifold.rendering.render.bsdf.NAME == "manifold"
     for colour, model in (("spectral", "material"), ("rgb", "rgb"), ("spectral", "monochrome")):
         mi = backend.mitsuba(colour)
         scene = f'<bsdf version="3.0.0" type="manifold"><string name="model" value="{models[model]}"/>'

@@ -12,19 +12,21 @@ from matplotlib.axes import Axes
 from matplotlib.image import imread
 from small_library import small_model
 
-from manifold import backend, gonio, render, spectra
-from manifold.brdf import MeasuredBRDF
-from manifold.budget import example_scenes, reduced_file, representations, scene_survey
-from manifold.budget.pictures import Pictures
-from manifold.budget.scene_document import SceneDocument
-from manifold.budget.search import Tolerance
+from manifold.brdf import goniometer
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli import budget_commands
+from manifold.colour import spectra
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
+from manifold.experiments.budget import example_scenes, reduced_file, representations, scene_survey
+from manifold.experiments.budget.pictures import Pictures
+from manifold.experiments.budget.scene_document import SceneDocument
+from manifold.experiments.budget.search import Tolerance
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Bands
+from manifold.rendering import backend, render
 from manifold.synthetic.analytic import Lambert
 from manifold.workflows import budgets
 from manifold.workflows.budgets import BudgetSettings
@@ -36,7 +38,9 @@ BANDS = Bands.from_array(np.linspace(380.0, 760.0, 20))
 def lambert_file(folder: Path, name: str, reflectance, *, rgb: bool = False) -> Path:
     path = folder / f"{name}_{'rgb' if rgb else 'spec'}.bsdf"
     bands = Bands(None) if rgb else BANDS
-    write_bsdf(path, gonio.measure(Lambert(np.asarray(reflectance), bands), name, resolution=8, n_theta_i=4))
+    write_bsdf(
+        path, goniometer.measure(Lambert(np.asarray(reflectance), bands), name, resolution=8, n_theta_i=4)
+    )
     return path
 
 

@@ -7,11 +7,11 @@ import shutil
 
 import pytest
 
-from manifold import backend
-from manifold.budget import output_folder
-from manifold.budget.output_folder import OutputFolder
-from manifold.budget.scene_document import SceneDocument
 from manifold.errors import FileFormatError, UsageError
+from manifold.experiments.budget import output_folder
+from manifold.experiments.budget.output_folder import OutputFolder
+from manifold.experiments.budget.scene_document import SceneDocument
+from manifold.rendering import backend
 
 SENSOR = '<sensor type="perspective"/>'
 BALL = '<shape type="sphere"><bsdf type="measured"><string name="filename" value="{}"/></bsdf></shape>'

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.budget.pictures import without_noise
-from manifold.budget.representations import FULL, Candidate
-from manifold.budget.search import Difference, Tolerance, search
 from manifold.errors import UsageError
+from manifold.experiments.budget.pictures import without_noise
+from manifold.experiments.budget.representations import FULL, Candidate
+from manifold.experiments.budget.search import Difference, Tolerance, search
 
 
 def ladder(rng, n=6):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from manifold import cautions
-from manifold.plausibility import Plausibility
+from manifold.brdf.plausibility import Plausibility
+from manifold.model import diagnostics
 
 SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9)
 
 
 def test_nothing_is_said_against_a_sound_result():
-    assert cautions.of_prediction(False, SOUND) == ()
-    assert cautions.of_embedding(0.1) == ()
+    assert diagnostics.of_prediction(False, SOUND) == ()
+    assert diagnostics.of_embedding(0.1) == ()
 
 
 @pytest.mark.parametrize(
@@ -26,23 +26,23 @@ def test_nothing_is_said_against_a_sound_result():
     ],
 )
 def test_each_defect_of_a_prediction_has_its_sentence(arguments, said):
-    (sentence,) = cautions.of_prediction(*arguments)
+    (sentence,) = diagnostics.of_prediction(*arguments)
     assert said in sentence
 
 
 def test_a_material_that_has_no_place_is_said_so():
-    (sentence,) = cautions.of_embedding(0.8)
+    (sentence,) = diagnostics.of_embedding(0.8)
     assert "0.80" in sentence
 
 
 def test_holes_are_said_from_one_percent_on():
-    assert cautions.of_holes(0.005) == ()
-    (sentence,) = cautions.of_holes(0.12)
+    assert diagnostics.of_holes(0.005) == ()
+    (sentence,) = diagnostics.of_holes(0.12)
     assert "12%" in sentence
 
 
 def test_a_file_that_is_brighter_than_its_prediction_is_said_to_be():
-    assert cautions.of_file(0.9, 1.04) == ()
-    assert cautions.of_file(1.5, 1.6) == ()
-    (said,) = cautions.of_file(0.9, 2.0)
+    assert diagnostics.of_file(0.9, 1.04) == ()
+    assert diagnostics.of_file(1.5, 1.6) == ()
+    (said,) = diagnostics.of_file(0.9, 2.0)
     assert "2.00 times the light it gets, the prediction itself 0.90" in said

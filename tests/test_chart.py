@@ -9,14 +9,14 @@ import small_library
 from matplotlib.colors import to_rgb
 from typer.testing import CliRunner
 
-from manifold.brdf import MeasuredBRDF
-from manifold.chart import registry, storage_forms
-from manifold.chart.experiment import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
-from manifold.chart.instruments import Timed, some_pairs
-from manifold.chart.registry import SEED, settings
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import UsageError
-from manifold.evaluation.methods import fit_nearest
+from manifold.experiments.chart import registry, storage_forms
+from manifold.experiments.chart.experiment import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
+from manifold.experiments.chart.instruments import Timed, some_pairs
+from manifold.experiments.chart.registry import SEED, settings
+from manifold.experiments.evaluation.methods import fit_nearest
 from manifold.metrics import RusinkiewiczGrid
 from manifold.plots import plot_chart
 from manifold.workflows import charts

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from manifold.chart.pareto import dominators, front
+from manifold.experiments.chart.pareto import dominators, front
 
 COSTS = arrays(
     float, st.tuples(st.integers(1, 12), st.integers(1, 4)), elements=st.sampled_from([0, 1, 2, 3, 9])

@@ -481,9 +481,8 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
-    from manifold import demo
     from manifold.synthetic import corpus
-    from manifold.workflows import pipeline
+    from manifold.workflows import demo, pipeline
 
     class Stopped(Exception):
         pass

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 from small_library import small_library
 
-from manifold.colour_choice import NEAREST, ColourChoice, choose_colour, parse_srgb
+from manifold.colour.spectra import (
+    encode_srgb,
+    read_reflectance,
+    rgl_wavelengths_nm,
+    srgb_reflectance,
+    to_srgb,
+)
 from manifold.errors import FileFormatError, UsageError
 from manifold.library.store import Library
-from manifold.model import Manifold, Settings
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour, parse_srgb
+from manifold.model.manifold import Manifold, Settings
 from manifold.records import Bands
-from manifold.spectra import encode_srgb, read_reflectance, rgl_wavelengths_nm, srgb_reflectance, to_srgb
 
 BANDS = Bands.from_array(rgl_wavelengths_nm())
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.errors import ShapeError
-from manifold.evaluation.colour_difference import (
+from manifold.colour.difference import (
     ASPECULAR_DEG,
     ILLUMINANTS,
     colour_differences,
     illuminants_for,
     multi_angle_pairs,
 )
+from manifold.colour.spectra import delta_e_2000, illuminant_power, rgl_wavelengths_nm, xyz_weights
+from manifold.errors import ShapeError
 from manifold.records import Bands
-from manifold.spectra import delta_e_2000, illuminant_power, rgl_wavelengths_nm, xyz_weights
 
 RGB = Bands(None)
 SPECTRAL = Bands(tuple(rgl_wavelengths_nm()))

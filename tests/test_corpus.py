@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import find_holes, share_of_holes
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.holes import find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
 from manifold.synthetic import corpus

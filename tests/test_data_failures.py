@@ -8,12 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from manifold import io_rgl, model, model_file
+from manifold import io_rgl
+from manifold.experiments.stability import data_failures, library_failures
+from manifold.experiments.stability.bench import MIDDLE, Bench
+from manifold.experiments.stability.data_failures import lost_cells
+from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Tried, try_once
 from manifold.library import importing, store
-from manifold.stability import data_failures, library_failures
-from manifold.stability.bench import MIDDLE, Bench
-from manifold.stability.data_failures import lost_cells
-from manifold.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Tried, try_once
+from manifold.model import manifold as model
+from manifold.model import model_file
 
 MODES = (*data_failures.MODES, *library_failures.MODES)
 ROWS = [(mode.key, method) for mode in MODES for method in mode.methods]
@@ -64,12 +66,12 @@ def test_lost_cells_are_the_share_of_the_measured_ones_that_was_asked_for(bench,
 
 def test_without_the_caution_holes_are_silently_wrong(bench, monkeypatch):
     assert tried(bench, "exact_zeros", "prediction at a material", 0.1).outcome == WARNED
-    monkeypatch.setattr("manifold.cautions.of_holes", lambda share: ())
+    monkeypatch.setattr("manifold.model.diagnostics.of_holes", lambda share: ())
     assert tried(bench, "exact_zeros", "prediction at a material", 0.1).outcome == WRONG
 
 
 def test_without_closing_and_caution_embedded_holes_are_silently_wrong(bench, monkeypatch):
-    monkeypatch.setattr("manifold.cautions.of_holes", lambda share: ())
+    monkeypatch.setattr("manifold.model.diagnostics.of_holes", lambda share: ())
     assert tried(bench, "exact_zeros", "embedding a file").outcome == FINE
     monkeypatch.setattr("manifold.workflows.pipeline.close_holes", lambda file, holes: file)
     assert tried(bench, "exact_zeros", "embedding a file").outcome == WRONG

@@ -7,11 +7,11 @@ from functools import cache
 
 import pytest
 
-from manifold import backend, principled
-from manifold.fitting import fit_samples
-from manifold.stability import fit_failures
-from manifold.stability.bench import Bench
-from manifold.stability.trials import REFUSED, WARNED, WRONG, Mode, Tried, try_once
+from manifold.experiments.stability import fit_failures
+from manifold.experiments.stability.bench import Bench
+from manifold.experiments.stability.trials import REFUSED, WARNED, WRONG, Mode, Tried, try_once
+from manifold.fitting import fit_samples, principled
+from manifold.rendering import backend
 
 ROWS = [(mode.key, method) for mode in fit_failures.MODES for method in mode.methods]
 

@@ -14,7 +14,7 @@ import pytest
 from small_library import measured, small_model
 from typer.testing import CliRunner
 
-from manifold import backend, gonio
+from manifold.brdf import goniometer
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, UsageError
 from manifold.fitting import fit_check, fit_json
@@ -22,9 +22,10 @@ from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import diffuse, principled
 from manifold.fitting.fit_samples import FitSamples, from_file
 from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.fitting.principled import fit
 from manifold.io_rgl import write_bsdf
-from manifold.principled import fit
 from manifold.records import Bands
+from manifold.rendering import backend
 from manifold.synthetic.analytic import Lambert
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
@@ -105,7 +106,7 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
 
 def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
     path = tmp_path / "white.bsdf"
-    write_bsdf(path, gonio.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
+    write_bsdf(path, goniometer.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
     target = tmp_path / "white.fit.json"
     (made,) = fits.fit_files([path], target, FitSettings())
     assert made.content is not None

@@ -9,14 +9,14 @@ import pytest
 from matplotlib.image import imread
 from small_library import measured, small_model
 
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import write_bsdf
 from manifold.plots.plot_slices import angle_slices
-from manifold.render import RenderSettings
+from manifold.rendering.render import RenderSettings
 from manifold.workflows.fit_pictures import picture_of_fit, picture_of_prediction_fit
 from manifold.workflows.fits import FitSettings, family_of, fit_files, fit_prediction
 from manifold.workflows.pictures import sources

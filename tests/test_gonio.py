@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from manifold import cells, gonio
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf import cells, goniometer
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -45,7 +45,7 @@ def test_compensation_lowers_the_error(alpha):
 
 def test_uncompensated_files_are_exact_at_their_nodes():
     truth = Plastic(GGX.isotropic(0.2), 1.5, 0.3, RGB)
-    file = gonio.measure(truth, "exact", compensate=False)
+    file = goniometer.measure(truth, "exact", compensate=False)
     brdf = MeasuredBRDF(file)
     t = np.linspace(0.0, 1.0, 32)
     nodes = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2)
@@ -62,8 +62,8 @@ def test_uncompensated_files_are_exact_at_their_nodes():
 
 def test_the_ndf_of_a_rough_metal_is_its_ndf():
     ggx = GGX.isotropic(0.3)
-    file = gonio.measure(RoughConductor(ggx, np.full(3, 0.2), np.full(3, 3.0), RGB, False), "metal")
-    u = np.linspace(0.0, 1.0, gonio.WARP_NODES)
+    file = goniometer.measure(RoughConductor(ggx, np.full(3, 0.2), np.full(3, 3.0), RGB, False), "metal")
+    u = np.linspace(0.0, 1.0, goniometer.WARP_NODES)
     theta = cells.u_to_theta(u)
     near = theta < np.deg2rad(60)
     expected = ggx.D(from_spherical(theta, 0.0))
@@ -72,10 +72,10 @@ def test_the_ndf_of_a_rough_metal_is_its_ndf():
 
 
 def test_ndf_and_sigma_are_normalised():
-    file = gonio.measure(Plastic(GGX.isotropic(0.1), 1.5, 0.3, RGB), "plastic")
+    file = goniometer.measure(Plastic(GGX.isotropic(0.1), 1.5, 0.3, RGB), "plastic")
     u = np.linspace(0.0, 1.0, 4001)
     theta = cells.u_to_theta(u)
-    D = np.interp(u, np.linspace(0.0, 1.0, gonio.WARP_NODES), file.ndf[0])
+    D = np.interp(u, np.linspace(0.0, 1.0, goniometer.WARP_NODES), file.ndf[0])
     integral = np.trapezoid(2.0 * np.pi * D * np.cos(theta) * np.sin(theta) * np.pi * u, u)
     assert integral == pytest.approx(1.0, abs=2e-3)  # trapezoid rule
     assert file.sigma[0, 0] == pytest.approx(1.0, abs=1e-6)
@@ -83,7 +83,7 @@ def test_ndf_and_sigma_are_normalised():
 
 
 def test_an_ideal_diffuser_keeps_its_albedo():
-    file = gonio.measure(Lambert(np.array([0.9, 0.5, 0.1]), RGB), "diffuse")
+    file = goniometer.measure(Lambert(np.array([0.9, 0.5, 0.1]), RGB), "diffuse")
     albedo = MeasuredBRDF(file).albedo(from_spherical(np.deg2rad([0.0, 45.0, 75.0]), 0.0))
     np.testing.assert_allclose(albedo, np.tile([0.9, 0.5, 0.1], (3, 1)), rtol=0.01)
 
@@ -91,7 +91,7 @@ def test_an_ideal_diffuser_keeps_its_albedo():
 @pytest.mark.parametrize("ggx", [GGX.anisotropic(0.1, 0.4), GGX.anisotropic(0.15, 0.3, 0.6)])
 def test_anisotropic_files_follow_the_truth(ggx, rng):
     truth = Plastic(ggx, 1.5, 0.3, RGB)
-    brdf = MeasuredBRDF(gonio.measure(truth, "brushed"))
+    brdf = MeasuredBRDF(goniometer.measure(truth, "brushed"))
     assert not brdf.is_isotropic
     theta, phi = rng.uniform(0, np.deg2rad(70), (2, 5000)), rng.uniform(-np.pi, np.pi, (2, 5000))
     wi, wo = from_spherical(theta[0], phi[0]), from_spherical(theta[1], phi[1])
@@ -103,7 +103,7 @@ def test_anisotropic_files_follow_the_truth(ggx, rng):
 
 def test_measured_cells_are_those_above_the_horizon(tmp_path):
     for version in [(3, 1), (3, 2)]:  # the bits mean the opposite in these two
-        file = gonio.measure(Lambert(0.5, RGB), "diffuse", version=version)
+        file = goniometer.measure(Lambert(0.5, RGB), "diffuse", version=version)
         write_bsdf(tmp_path / "x_rgb.bsdf", file)
         back = read_bsdf(tmp_path / "x_rgb.bsdf")
         np.testing.assert_array_equal(back.measured_mask, np.any(back.spectra != 0, axis=2))
@@ -112,7 +112,7 @@ def test_measured_cells_are_those_above_the_horizon(tmp_path):
 
 @pytest.mark.parametrize("n", [2, 8, 16, 32])
 def test_default_elevations_run_from_the_normal_to_the_horizon(n):
-    theta = gonio.default_theta_i(n)
+    theta = goniometer.default_theta_i(n)
     assert theta[0] == 0.0
     assert theta[-1] == pytest.approx(np.pi / 2)
     assert np.all(np.diff(theta) > 0)
@@ -120,11 +120,11 @@ def test_default_elevations_run_from_the_normal_to_the_horizon(n):
 
 def test_what_cannot_be_measured_is_refused():
     with pytest.raises(UsageError, match="nothing is reflected back"):
-        gonio.measure(Lambert(0.0, RGB), "black")
+        goniometer.measure(Lambert(0.0, RGB), "black")
     with pytest.raises(UsageError, match="outgoing grid has 1"):
-        gonio.measure(Lambert(0.5, RGB), "coarse", resolution=1)
+        goniometer.measure(Lambert(0.5, RGB), "coarse", resolution=1)
     with pytest.raises(UsageError, match="at least 2 nodes"):
-        gonio.measure(Lambert(0.5, RGB), "coarse", n_theta_i=1)
+        goniometer.measure(Lambert(0.5, RGB), "coarse", n_theta_i=1)
 
 
 class DarkBackwards(Lambert):
@@ -138,7 +138,7 @@ class DarkBackwards(Lambert):
 
 def test_a_file_does_not_glow_where_nothing_is_reflected_back():
     truth = DarkBackwards(np.array([0.5, 0.6, 0.7]), Bands(None))
-    file = MeasuredBRDF(gonio.measure(truth, "dark"))
+    file = MeasuredBRDF(goniometer.measure(truth, "dark"))
     for degrees in (0.0, 30.0, 42.0, 60.0, 75.0, 80.0, 85.0, 88.0):
         wi = from_spherical(np.deg2rad(degrees), 0.0)
         np.testing.assert_allclose(file.albedo(wi), [0.5, 0.6, 0.7], rtol=0.15)

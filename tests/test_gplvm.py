@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, fix_gauge, pca_start
 from manifold.gpr import FlatModelWarning, GPWeights, IsolatedLatentsWarning, centre_gram
-from manifold.monochrome import MonochromeGPLVM
+from manifold.models.per_band import MonochromeGPLVM
 
 
 # A few rounds exercise every path; hundreds would only cost time.

@@ -9,16 +9,16 @@ import pytest
 from conftest import real_rgl_folder
 from small_library import NAMES, measured
 
-from manifold.brdf import MeasuredBRDF
-from manifold.combination import Combination, Values, evaluate
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ShapeError
-from manifold.evaluation import heldout, methods
+from manifold.experiments.evaluation import heldout, methods
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
-from manifold.model import evenly_spaced
-from manifold.monochrome import MonochromeGPLVM
+from manifold.model.combination import Combination, Values, evaluate
+from manifold.model.manifold import evenly_spaced
+from manifold.models.per_band import MonochromeGPLVM
 
 GRID = RusinkiewiczGrid(14, 8, 6)
 METHODS = {m.key: m for m in heldout.standard_methods()}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import real_rgl_files
 
-from manifold import gonio
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf import goniometer
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import close_holes, find_holes, share_of_holes
 from manifold.directions import from_spherical
-from manifold.holes import close_holes, find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
 from manifold.synthetic.microfacet import GGX, Plastic
@@ -19,7 +19,7 @@ from manifold.synthetic.microfacet import GGX, Plastic
 
 @pytest.fixture(scope="module")
 def whole():
-    return gonio.measure(Plastic(GGX.isotropic(0.4), 1.5, 0.3, Bands(None)), "whole", resolution=24)
+    return goniometer.measure(Plastic(GGX.isotropic(0.4), 1.5, 0.3, Bands(None)), "whole", resolution=24)
 
 
 def punched(file, share, seed=0):
@@ -79,7 +79,9 @@ def test_cells_marked_as_not_measured_are_holes_whatever_they_hold(whole):
     marked = np.zeros_like(whole.measured_mask)
     marked[:, :5, 8:14, 8:14] = True
     wrong = np.where(marked[:, :, None], 7.0, whole.spectra).astype(np.float32)
-    file = replace(whole, spectra=wrong, valid=gonio.pack_valid(whole.measured_mask & ~marked, whole.version))
+    file = replace(
+        whole, spectra=wrong, valid=goniometer.pack_valid(whole.measured_mask & ~marked, whole.version)
+    )
     holes = find_holes(file)
     np.testing.assert_array_equal(holes, marked & whole.measured_mask)
     assert close_holes(file).spectra.max() <= whole.spectra.max()

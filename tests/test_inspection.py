@@ -13,7 +13,7 @@ from small_library import NAMES, measured, small_model
 
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, ModelError, UsageError
 from manifold.library.store import Library
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.workflows.inspection import inspect
 
 

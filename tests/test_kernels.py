@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from manifold.errors import UsageError
-from manifold.kernels import SquaredExponentialDelta, equal_rows, first_equal_row
+from manifold.models.kernels import SquaredExponentialDelta, equal_rows, first_equal_row
 
 
 @given(n=st.integers(1, 6), m=st.integers(1, 6), q=st.integers(1, 4), length_scale=st.floats(0.1, 10))

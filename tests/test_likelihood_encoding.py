@@ -7,7 +7,7 @@ import pytest
 
 from manifold.gplvm import GPLVM
 from manifold.gpr import GPWeights
-from manifold.likelihood_encoding import LikelihoodEncoder
+from manifold.models.likelihood_encoding import LikelihoodEncoder
 
 N, BANDS, D = 8, 2, 300
 

@@ -8,7 +8,7 @@ from chi_square import chi_square_p_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manifold import spectra
+from manifold.colour import spectra
 from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands

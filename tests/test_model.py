@@ -10,16 +10,23 @@ import numpy as np
 import pytest
 from small_library import NAMES, small_library
 
-from manifold import gram
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, LatentError, LibraryError, ModelError, ShapeError, UsageError
+from manifold.errors import (
+    BandMismatchError,
+    LatentError,
+    LibraryError,
+    ModelError,
+    ShapeError,
+    UsageError,
+)
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
-from manifold.model import LibraryChangedWarning, Manifold, Settings
+from manifold.model import gram
+from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.model.spaces import KINDS
 from manifold.records import Bands
-from manifold.spaces import KINDS
 from manifold.synthetic.analytic import Lambert
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import check_grad
 
-from manifold import encoding
-from manifold.encoding import Decoder
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM
 from manifold.gpr import GPWeights
 from manifold.mapping import MAPPINGS, mapping_named
-from manifold.monochrome import MonochromeGPLVM, join_latents
+from manifold.models import encoding
+from manifold.models.encoding import Decoder
+from manifold.models.per_band import MonochromeGPLVM, join_latents
 
 N, B, P = 8, 3, 60
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.brdf import BRDF
+from manifold.brdf.measured import BRDF
+from manifold.brdf.physical import PhysicalBRDF
+from manifold.brdf.plausibility import plausibility
 from manifold.directions import from_spherical
-from manifold.physical import PhysicalBRDF
-from manifold.plausibility import plausibility
 from manifold.records import Bands
 from manifold.synthetic.analytic import Lambert
 

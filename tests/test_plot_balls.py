@@ -8,12 +8,12 @@ from matplotlib.image import imread
 from matplotlib.offsetbox import AnnotationBbox
 from small_library import NAMES, measured, small_model
 
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
-from manifold.model import Manifold
-from manifold.pictures import thumbnails
-from manifold.plausibility import Plausibility
+from manifold.model.manifold import Manifold
 from manifold.plots.plot_balls import ball_map, spread, walk_strip
+from manifold.rendering import thumbnails
 from manifold.workflows import ball_pictures
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import BandMismatchError, UsageError
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands

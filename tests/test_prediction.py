@@ -9,15 +9,15 @@ import pytest
 from chi_square import chi_square_p_value
 from small_library import measured
 
-from manifold import gonio
-from manifold.brdf import BRDF, MeasuredBRDF
-from manifold.cube_root import cube_root
+from manifold.brdf import goniometer
+from manifold.brdf.cube_root import cube_root
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
-from manifold.pairs import DirectionPairs
-from manifold.plausibility import mirrored_quadrature, plausibility
-from manifold.prediction import ClippedBRDF, PredictedBRDF
+from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
 from manifold.synthetic.microfacet import GGX, Lambert, Plastic, RoughConductor
 
@@ -80,7 +80,7 @@ def measured_materials():
     """Isotropic and anisotropic, two resolutions, one with negative values."""
     files = [measured("syn_satin_gold"), measured("syn_gloss_yellow")]
     files.append(
-        gonio.measure(Plastic(GGX.anisotropic(0.2, 0.4), np.array(1.5), np.full(3, 0.3), RGB), "brushed")
+        goniometer.measure(Plastic(GGX.anisotropic(0.2, 0.4), np.array(1.5), np.full(3, 0.3), RGB), "brushed")
     )
     noisy = measured("syn_felt_green")
     files.append(replace(noisy, spectra=noisy.spectra - np.float32(0.05)))

@@ -9,22 +9,23 @@ import pytest
 from conftest import real_rgl_files
 from small_library import measured
 
-from manifold import backend, spectra
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import spectra
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, NumericalError, ShapeError, UsageError
 from manifold.fitting import fit_samples
+from manifold.fitting.adam_and_swarm import AdamOptions, SwarmOptions
 from manifold.fitting.bsdf_evaluation import LaneEvaluator, ScalarEvaluator, evaluator
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled
 from manifold.fitting.fit_metrics import METRICS, Metric, best_diffuse, relative_residual
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, listed, search
 from manifold.fitting.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
-from manifold.fitting.seed_fitters import AdamOptions, SwarmOptions
+from manifold.fitting.principled import fit
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
-from manifold.principled import fit
 from manifold.records import Bands
+from manifold.rendering import backend
 
 OLD_SENSORS_DEG = (
     (60, 0), (30, 0), (0, 0), (30, 180), (65, 180), (45, 60), (45, 120), (30, 90), (60, 60), (60, 120),

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
-from manifold import backend, render, spectra
 from manifold.cli.main import run as run_here
+from manifold.colour import spectra
+from manifold.colour.spectra import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
-from manifold.pictures import image_metrics, images, scenes
-from manifold.render import RenderSettings, render_ball
-from manifold.spectra import Illuminant
+from manifold.rendering import backend, image_metrics, images, render, scenes
+from manifold.rendering.render import RenderSettings, render_ball
 from manifold.synthetic import corpus
 from manifold.workflows import renders
 

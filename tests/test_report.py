@@ -11,15 +11,21 @@ from scipy.linalg import solve
 from small_library import small_library
 
 from manifold import metrics
-from manifold.evaluation import heldout, report
-from manifold.evaluation.colour_difference import colour_differences, multi_angle_pairs
-from manifold.evaluation.heldout import Data
-from manifold.evaluation.model_methods import model_methods, replaced_keys
-from manifold.evaluation.report_text import format_report
+from manifold.brdf.plausibility import plausibility
+from manifold.colour.difference import colour_differences, multi_angle_pairs
+from manifold.experiments.evaluation import heldout, report
+from manifold.experiments.evaluation.heldout import Data
+from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
+from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error, rmse, rusinkiewicz_grid
-from manifold.model import Manifold, Settings
-from manifold.plausibility import plausibility
+from manifold.metrics import (
+    RusinkiewiczGrid,
+    cosine_weight,
+    relative_error,
+    rmse,
+    rusinkiewicz_grid,
+)
+from manifold.model.manifold import Manifold, Settings
 from manifold.plots import figures, plot_latents
 
 KINDS = ("monochrome", "material")

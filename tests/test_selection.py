@@ -7,12 +7,12 @@ from itertools import pairwise
 import pytest
 from small_library import measured
 
-from manifold.brdf import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
-from manifold.evaluation.selection import PAYS, choose
+from manifold.experiments.evaluation.selection import PAYS, choose
 from manifold.mapping import MAPPINGS
-from manifold.model import Settings
-from manifold.spaces import KINDS
+from manifold.model.manifold import Settings
+from manifold.model.spaces import KINDS
 from manifold.synthetic import corpus
 
 NAMES = [m.name for m in corpus.isotropic_materials()][::6]

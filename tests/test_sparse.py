@@ -11,7 +11,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, LatentObjective, pca_start
 from manifold.gpr import centre_gram
-from manifold.sparse import (
+from manifold.models.sparse import (
     SparseGPLVM,
     SparseObjective,
     farthest_points,

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from manifold import spectra
+from manifold.colour import spectra
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Bands
 

@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from manifold import cautions, dls, gplvm, gpr
+from manifold import dls, gplvm, gpr
 from manifold.errors import UsageError
-from manifold.model import Manifold
-from manifold.plots import plot_stability
-from manifold.stability import advice_page, extrapolation_failures, model_failures, search_failures, trials
-from manifold.stability.bench import Bench
-from manifold.stability.catalogue import MODES
-from manifold.stability.trials import (
+from manifold.experiments.stability import (
+    advice_page,
+    extrapolation_failures,
+    model_failures,
+    search_failures,
+    trials,
+)
+from manifold.experiments.stability.bench import Bench
+from manifold.experiments.stability.catalogue import MODES
+from manifold.experiments.stability.trials import (
     FINE,
     REFUSED,
     WARNED,
@@ -32,6 +36,9 @@ from manifold.stability.trials import (
     try_modes,
     try_once,
 )
+from manifold.model import diagnostics
+from manifold.model.manifold import Manifold
+from manifold.plots import plot_stability
 from manifold.workflows import failures
 
 OF_MODELS = (*model_failures.MODES, *extrapolation_failures.MODES, *search_failures.MODES)
@@ -108,19 +115,19 @@ def test_without_fresh_factorisations_the_objective_is_silently_wrong(bench, mon
 
 
 def test_without_the_caution_an_impossible_reflectance_is_silently_wrong(bench, monkeypatch):
-    monkeypatch.setattr(cautions, "MOST_MISSED", np.inf)
+    monkeypatch.setattr(diagnostics, "MOST_MISSED", np.inf)
     monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
     assert tried(bench, "impossible_reflectance", "monochrome").outcome == WRONG
 
 
 def test_without_the_caution_a_lobe_sharper_than_the_library_is_silently_wrong(bench, monkeypatch):
-    monkeypatch.setattr(cautions, "MOST_EMBEDDING_ERROR", np.inf)
+    monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_ERROR", np.inf)
     assert tried(bench, "sharper_than_library", "material").outcome == WRONG
 
 
 def test_without_cautions_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bench, monkeypatch):
     for name in ("MOST_NEGATIVE", "MOST_ALBEDO", "MOST_NON_RECIPROCAL"):
-        monkeypatch.setattr(cautions, name, np.inf)
+        monkeypatch.setattr(diagnostics, name, np.inf)
     for key in ("negative_values", "energy_gain"):
         assert tried(fresh_bench, key, "raw values", 0.5).outcome == WRONG
 
@@ -192,7 +199,7 @@ def told(monkeypatch) -> Mode:
 def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(told, tmp_path, capsys, monkeypatch):
     from manifold.cli.main import run
 
-    monkeypatch.setattr("manifold.stability.catalogue.MODES", (told,))
+    monkeypatch.setattr("manifold.experiments.stability.catalogue.MODES", (told,))
     files = {"--json": "s.json", "--markdown": "s.md", "--picture": "s.png"}
     with pytest.raises(SystemExit) as left:
         run(

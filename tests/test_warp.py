@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from manifold.brdf.warp import Warp
 from manifold.errors import ShapeError
-from manifold.warp import Warp
 
 
 def random_warp(rng, n_phi, n_theta, n_rows, n_cols, zeros=0.2):

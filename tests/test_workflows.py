@@ -10,14 +10,14 @@ from conftest import real_rgl_folder
 from mitsuba_reference import measured
 from small_library import small_model
 
-from manifold import demo as demo_module
-from manifold.budget import example_scenes
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.experiments.budget import example_scenes
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.model import Manifold, Settings
+from manifold.model.manifold import Manifold, Settings
 from manifold.synthetic import corpus
+from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 
 FEW = {

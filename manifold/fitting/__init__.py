@@ -1,1 +1,1 @@
-"""What `manifold.principled` fits with: samples, BSDFs and their parameters, optimisers, and fits as JSON."""
+"""What `manifold.fitting.principled` fits with: samples, BSDFs and their parameters, optimisers, and fits as JSON."""

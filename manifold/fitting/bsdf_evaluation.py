@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from manifold import backend
 from manifold.errors import UsageError
 from manifold.fitting.bsdf_parameters import BsdfFamily, Layout
 from manifold.records import Array
+from manifold.rendering import backend
 
 _LANES = 1 << 20  # of one wavefront; more are evaluated one after the other
 

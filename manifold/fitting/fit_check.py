@@ -22,7 +22,7 @@ _SLACK = 1e-6  # of a range: single precision of a value at its end
 @lru_cache(maxsize=1)
 def schema() -> dict[str, Any]:
     """The JSON schema of a fit."""
-    return json.loads(files("manifold").joinpath("data/fit.schema.json").read_text(encoding="utf-8"))
+    return json.loads(files("manifold.fitting").joinpath("fit.schema.json").read_text(encoding="utf-8"))
 
 
 def require_fit(content: Any, file: str) -> None:

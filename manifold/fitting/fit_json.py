@@ -13,7 +13,7 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.fitting import fit_check
 from manifold.fitting.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily
-from manifold.principled import FitResult
+from manifold.fitting.principled import FitResult
 
 FORMAT_VERSION = 1
 PROGRAM = f"manifold {__version__}"

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold import spectra
-from manifold.brdf import BRDF, MeasuredBRDF
-from manifold.cells import Cells
+from manifold.brdf.cells import Cells
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.unmeasured import find_holes
+from manifold.brdf.warp import Warp
+from manifold.colour import spectra
 from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
-from manifold.holes import find_holes
 from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
 from manifold.records import Array, Bands, BsdfFile
-from manifold.warp import Warp
 
 MIN_PAIRS = 4
 MAX_PAIRS = 2048

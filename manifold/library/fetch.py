@@ -1,7 +1,7 @@
 """Download files of the RGL material database: resumed, verified, and never half under the final name.
 
 Source of the files: Dupuy & Jakob 2018, An Adaptive Parameterization for Efficient Material Acquisition and
-Rendering, DOI 10.1145/3272127.3275059 (CC0 1.0). Sizes and checksums: `manifold/data/rgl_isotropic.tsv`.
+Rendering, DOI 10.1145/3272127.3275059 (CC0 1.0). Sizes and checksums: `manifold/library/rgl_isotropic.tsv`.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class IncompleteFetchError(FetchError):
 @cache
 def rgl_table() -> Mapping[str, Entry]:
     """The database's spectral files by name: 51 isotropic ones, and 11 anisotropic ones without checksums."""
-    data = resources.files("manifold") / "data"
+    data = resources.files("manifold.library")
     with (data / "rgl_isotropic.tsv").open(encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines, delimiter="\t"))
     entries = [Entry(row["material"], int(row["size_bytes"]), row["sha256"]) for row in rows]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.plots.figures import new_figure
 from manifold.plots.plot_latents import MARK, draw_uncertainty, latent_axes, two_dimensions
 from manifold.records import Array

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
-from manifold.chart.experiment import COSTS, Chart, Charted, cost_of
-from manifold.chart.fits import FAMILY
-from manifold.chart.registry import SEED
+from manifold.experiments.chart.experiment import COSTS, Chart, Charted, cost_of
+from manifold.experiments.chart.fits import FAMILY
+from manifold.experiments.chart.registry import SEED
 from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 

@@ -8,9 +8,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from manifold import spectra
+from manifold.colour import spectra
 from manifold.directions import from_spherical
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from manifold import spectra
+from manifold.colour import spectra
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.metrics import from_rusinkiewicz

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
+from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 from manifold.plots.figures import new_figure
-from manifold.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 
 _COLUMNS = 4
 _PANEL = (3.5, 2.75)  # inches

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import gonio, spectra
-from manifold.brdf import BRDF
+from manifold.brdf import goniometer
+from manifold.brdf.measured import BRDF
+from manifold.brdf.unmeasured import find_rim
+from manifold.colour import spectra
 from manifold.errors import UsageError
-from manifold.holes import find_rim
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.recipes import anisotropic_recipes, isotropic_recipes
@@ -90,7 +91,7 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
     """
     rng = np.random.default_rng([seed, *material.name.encode()])
     version = _PIPELINE_VERSIONS[int(rng.integers(len(_PIPELINE_VERSIONS)))]
-    file = gonio.measure(
+    file = goniometer.measure(
         material.truth(),
         material.name,
         description=material.description,
@@ -143,7 +144,7 @@ def write(
 
 def _theta_i(rng: np.random.Generator) -> Array:
     """Eight elevations near the default ones, each moved by up to a degree and a half."""
-    theta = gonio.default_theta_i(8)
+    theta = goniometer.default_theta_i(8)
     theta[1:-1] += np.deg2rad(rng.uniform(-1.5, 1.5, 6))
     return theta
 
@@ -172,7 +173,7 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
         file,
         spectra=np.moveaxis(values, -1, 2),
         luminance=luminance,
-        valid=gonio.pack_valid(measured & ~rim & ~holes, file.version),
+        valid=goniometer.pack_valid(measured & ~rim & ~holes, file.version),
     )
 
 

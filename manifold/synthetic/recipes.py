@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from manifold import spectra
-from manifold.brdf import BRDF
+from manifold.brdf.measured import BRDF
+from manifold.colour import spectra
 from manifold.records import Array, Bands
 from manifold.synthetic.microfacet import (
     GGX,

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import cautions
-from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.brdf.plausibility import plausibility
 from manifold.errors import UsageError
-from manifold.model import Manifold
-from manifold.pictures import thumbnails
-from manifold.pictures.thumbnails import cropped
-from manifold.plausibility import plausibility
+from manifold.model import diagnostics
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_balls
 from manifold.records import Array, Progress
+from manifold.rendering import thumbnails
+from manifold.rendering.thumbnails import cropped
 
 MOST_STEPS = 25
 
@@ -81,7 +81,7 @@ def walk(
             images.append(cropped(thumbnails.of_brdf(brdf)))
             if name == "manifold" and 0.0 < value < 1.0:
                 is_extrapolation = bool(loaded.is_extrapolation(loaded.between(start, end, value)))
-                said[value] = cautions.of_prediction(is_extrapolation, plausibility(brdf))
+                said[value] = diagnostics.of_prediction(is_extrapolation, plausibility(brdf))
             if on_progress is not None:
                 on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
         rows.append((name, images))

@@ -8,21 +8,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, backend, render
-from manifold.budget import example_scenes, output_folder, representations, scene_survey, search
-from manifold.budget.output_folder import OutputFolder
-from manifold.budget.pictures import Pictures, Times, only_errors
-from manifold.budget.representations import Candidate
-from manifold.budget.scene_document import SceneDocument, SceneMaterial
-from manifold.budget.scene_survey import Asked
-from manifold.budget.search import Difference, Tolerance
-from manifold.colour_choice import ColourChoice
+from manifold import __version__
 from manifold.errors import UsageError
+from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
+from manifold.experiments.budget.output_folder import OutputFolder
+from manifold.experiments.budget.pictures import Pictures, Times, only_errors
+from manifold.experiments.budget.representations import Candidate
+from manifold.experiments.budget.scene_document import SceneDocument, SceneMaterial
+from manifold.experiments.budget.scene_survey import Asked
+from manifold.experiments.budget.search import Difference, Tolerance
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.pictures import image_metrics
+from manifold.model.colours import ColourChoice
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Array, Progress
+from manifold.rendering import backend, image_metrics, render
 from manifold.workflows import pipeline
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold.chart.experiment import Chart, make_chart
+from manifold.experiments.chart.experiment import Chart, make_chart
 from manifold.library.store import Library
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.records import Progress
 
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from manifold import atomic
+from manifold.experiments.stability import advice_page
+from manifold.experiments.stability.catalogue import MODES
+from manifold.experiments.stability.trials import Stability, chosen, try_modes
 from manifold.plots import figures, plot_stability
 from manifold.records import Progress
-from manifold.stability import advice_page
-from manifold.stability.catalogue import MODES
-from manifold.stability.trials import Stability, chosen, try_modes
 
 
 def stability(

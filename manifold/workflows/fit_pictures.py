@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold.brdf import MeasuredBRDF
-from manifold.colour_choice import NEAREST, ColourChoice
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
-from manifold.pictures import image_metrics, images, scenes
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.records import Array
-from manifold.render import RenderSettings, render_ball
+from manifold.rendering import image_metrics, images, scenes
+from manifold.rendering.render import RenderSettings, render_ball
 from manifold.workflows import pipeline
 from manifold.workflows.renders import RIM, file_source
 

@@ -12,19 +12,20 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from manifold import atomic, backend
-from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold import atomic
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
+from manifold.fitting.principled import METHODS, FitResult, fit
 from manifold.fitting.processes import in_processes
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import require_material_name
-from manifold.model import Manifold
-from manifold.principled import METHODS, FitResult, fit
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
 from manifold.records import Array, Progress
+from manifold.rendering import backend
 
 _KILLED = (
     "not fitted, since a process was killed (out of memory?); use fewer --jobs, and run again for the rest"

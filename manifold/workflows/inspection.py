@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from manifold import backend
+from manifold.brdf.unmeasured import find_holes, share_of_holes
 from manifold.errors import UsageError
-from manifold.holes import find_holes, share_of_holes
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.model import Manifold
+from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
+from manifold.rendering import backend
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 

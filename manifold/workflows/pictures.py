@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold.brdf import MeasuredBRDF
-from manifold.colour_choice import NEAREST, ColourChoice, choose_colour
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
-from manifold.model import Manifold
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_slices
 from manifold.plots.plot_slices import Source
 from manifold.records import Array

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, backend
-from manifold.colour_choice import NEAREST, ColourChoice
+from manifold import __version__
+from manifold.colour.spectra import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.pictures import image_metrics, images, scenes
-from manifold.pictures.image_metrics import Summary
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.plots import figures, plot_comparison
 from manifold.records import Array, Progress
-from manifold.render import RenderSettings, render_ball, require_d65
-from manifold.spectra import Illuminant
+from manifold.rendering import backend, image_metrics, images, scenes
+from manifold.rendering.image_metrics import Summary
+from manifold.rendering.render import RenderSettings, render_ball, require_d65
 from manifold.workflows import pipeline
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
@@ -145,7 +145,7 @@ def latent_source(
             raise UsageError(
                 f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out: a .bsdf is rendered then"
             )
-        from manifold.plugin.bsdf import load_model
+        from manifold.rendering.plugin.bsdf import load_model
 
         loaded = load_model(model, library)
         loaded.require_latent(latent)

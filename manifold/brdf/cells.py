@@ -1,0 +1,62 @@
+"""Where the cells of an RGL file look: outgoing directions of its grids, seen from one incident direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.warp import Warp
+from manifold.directions import from_spherical
+from manifold.records import Array
+
+HORIZON = np.deg2rad(89.9)
+"""Where the limit at the horizon is read off."""
+
+
+def u_to_theta(u: Array) -> Array:
+    """Elevation in radians of the unit-square coordinate u in [0, 1]: u^2 pi / 2."""
+    return np.square(u) * (0.5 * np.pi)
+
+
+def u_to_phi(v: Array) -> Array:
+    """Azimuth in radians of the unit-square coordinate v in [0, 1]: (2 v - 1) pi."""
+    return (2.0 * np.asarray(v) - 1.0) * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The R x C cells of an outgoing grid.
+
+    Attributes:
+        points: unit-square coordinates of their half vectors, shape (R, C, 2).
+        wi: the incident direction, shape (3,).
+        wo: outgoing directions, shape (R, C, 3).
+        is_above: whether these are above the horizon, bool, shape (R, C).
+    """
+
+    points: Array
+    wi: Array
+    wo: Array
+    is_above: Array
+
+    @classmethod
+    def seen_from(
+        cls, warp: Warp, phi_i: float, theta_i: float, shape: tuple[int, ...], *, is_isotropic: bool
+    ) -> Cells:
+        """The cells of a grid (R, C) under the warp of the visible normals.
+
+        Args:
+            warp: of `vndf`.
+            phi_i, theta_i: of the incident direction in radians; on the horizon its limit is taken.
+            shape: R and C.
+            is_isotropic: whether azimuths of half vectors count from that of the incident direction.
+        """
+        rows, columns = (np.linspace(0.0, 1.0, n) for n in shape)
+        points, _ = warp.sample(np.stack(np.meshgrid(columns, rows), axis=-1), phi_i, theta_i)
+        turn = phi_i if is_isotropic else 0.0
+        m = from_spherical(u_to_theta(points[..., 0]), u_to_phi(points[..., 1]) + turn)
+        wi = from_spherical(min(theta_i, HORIZON), phi_i)
+        cos_im = m @ wi
+        wo = 2.0 * cos_im[..., None] * m - wi
+        return cls(points, wi, wo, (cos_im > 0.0) & (wo[..., 2] > 0.0))

@@ -1,0 +1,274 @@
+"""A virtual goniometer: any BRDF to the tensors of an RGL file.
+
+The normal distribution comes from the retro-reflected values by power iteration; projected area and visible
+normals follow from it; then the BRDF is evaluated where the warp puts the nodes of a regular grid.
+
+Source: Dupuy & Jakob 2018, sections 4 and 5; the power iteration is Dupuy et al. 2015.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
+from manifold.brdf.measured import BRDF
+from manifold.brdf.warp import Warp, bilinear, interpolate
+from manifold.colour.spectra import luminance as luminance_of
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.records import Array, BsdfFile
+
+WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
+# Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
+# orders of magnitude within its last cell cannot be interpolated in single precision.
+_RETRO_LIMIT = np.deg2rad(85.0)
+_POWER_ITERATIONS = 12
+_OVERSAMPLING = 4  # quadrature points per node of the normal distribution
+_TURNS_DEG = (20.0, 40.0, 60.0)  # of incident and outgoing directions away from a normal, to its sides
+_LEAST_SHARE = 0.2  # of what a normal reflects to the side; GGX sends more than that back, from alpha 0.05 on
+_STEEPEST = np.sqrt(2.0)  # factor by which retro-reflection may fall from one node to the next
+
+
+def default_theta_i(n: int) -> Array:
+    """Incident elevations in radians, shape (n,), placed where they lower the error most.
+
+    Source: docs/design/goniometer.md.
+    """
+    if n < 2:
+        raise UsageError(f"theta_i needs at least 2 nodes, found {n}")
+    t = np.linspace(0.0, 1.0, n)
+    return 0.4 * (0.5 * np.pi * t) + 0.6 * np.arccos(1.0 - t)
+
+
+def default_phi_i(n: int) -> Array:
+    """Incident azimuths in radians, shape (n,): one for isotropic files, else half a turn from -pi to 0.
+
+    Half a turn is enough where the material looks the same after a half turn about its normal.
+    """
+    return np.zeros(1) if n == 1 else np.linspace(-np.pi, 0.0, n)
+
+
+def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
+    """Band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
+
+    A prediction may send nothing back where it is bright elsewhere, and a normal distribution without the normals
+    that reflect would give them no cells: a share of what they reflect to the side is the least that is taken.
+    """
+    theta = np.minimum(theta, _RETRO_LIMIT)
+    w = from_spherical(theta, phi)
+    side = np.stack(np.broadcast_arrays(-np.sin(phi), np.cos(phi), np.zeros(w.shape[:-1])), axis=-1)
+    retro = np.maximum(brdf.eval_cos(w, w).mean(axis=-1), 0.0)
+    aside = np.zeros_like(retro)
+    for turn in np.deg2rad(_TURNS_DEG):
+        wi, wo = (np.cos(turn) * w + sign * np.sin(turn) * side for sign in (1.0, -1.0))
+        aside += np.maximum(brdf.eval(wi, wo).mean(axis=-1), 0.0) * w[..., 2] / len(_TURNS_DEG)
+    return _without_pits(np.maximum(retro, _LEAST_SHARE * aside))
+
+
+def _without_pits(retro: Array) -> Array:
+    """The least values (..., n) above `retro` that change by no more than `_STEEPEST` from node to node.
+
+    A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
+    beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
+    is raised only takes a few more samples.
+    """
+    with np.errstate(divide="ignore"):
+        height = np.log(retro)
+    slope = np.arange(retro.shape[-1]) * np.log(_STEEPEST)
+    outward = np.maximum.accumulate(height + slope, axis=-1) - slope
+    inward = np.maximum.accumulate((height - slope)[..., ::-1], axis=-1)[..., ::-1] + slope
+    envelope = np.maximum(outward, inward)
+    return np.where(envelope > height, np.exp(envelope), retro)
+
+
+def _azimuthal_projection(cos_w: Array, cos_m: Array) -> Array:
+    """Integral over the azimuth of max(0, <w, m>), for elevations given by their cosines, broadcast."""
+    a = cos_w * cos_m
+    b = np.sqrt(np.maximum(1 - cos_w**2, 0.0) * np.maximum(1 - cos_m**2, 0.0))
+    phi_0 = np.arccos(np.clip(-a / np.maximum(b, 1e-300), -1.0, 1.0))
+    return 2.0 * (a * phi_0 + b * np.sin(phi_0))
+
+
+def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
+    """Normal distribution and projected area at the WARP_NODES elevations, each shape (WARP_NODES,)."""
+    u = np.linspace(0.0, 1.0, WARP_NODES)
+    fine = (np.arange((WARP_NODES - 1) * _OVERSAMPLING) + 0.5) / ((WARP_NODES - 1) * _OVERSAMPLING)
+    theta = u_to_theta(fine)
+    # d omega = sin(theta) d theta d phi, and d theta = pi u du.
+    measure = np.sin(theta) * np.pi * fine / fine.size
+    projection = _azimuthal_projection(np.cos(u_to_theta(u))[:, None], np.cos(theta)[None, :]) * measure
+    D = np.ones(WARP_NODES)
+    for _ in range(_POWER_ITERATIONS):
+        sigma = projection @ np.interp(fine, u, D)
+        D = retro * sigma
+        D /= 2.0 * np.pi * np.sum(np.interp(fine, u, D) * np.cos(theta) * measure)
+    sigma = projection @ np.interp(fine, u, D)
+    return D, sigma / sigma[0]
+
+
+def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
+    """Normal distribution and projected area, each (rows = phi, columns = theta), WARP_NODES^2."""
+    u = np.linspace(0.0, 1.0, WARP_NODES)
+    theta, phi = u_to_theta(u), u_to_phi(u)
+    m = from_spherical(theta[None, :], phi[:, None]).reshape(-1, 3)
+    edge = np.ones(WARP_NODES)
+    edge[[0, -1]] = 0.5  # trapezoid rule in both coordinates
+    step = 1.0 / (WARP_NODES - 1)
+    measure = (edge[:, None] * 2.0 * np.pi * step) * (edge * np.sin(theta) * np.pi * u * step)[None, :]
+    # The projected area is smooth: a quarter of the nodes per axis carries it.
+    coarse = np.linspace(0.0, 1.0, 33)
+    nodes = np.stack(np.meshgrid(u, u, indexing="xy"), axis=-1).reshape(-1, 2)
+    w = from_spherical(u_to_theta(coarse)[None, :], u_to_phi(coarse)[:, None]).reshape(-1, 3)
+    projection = np.maximum(w @ m.T, 0.0) * measure.reshape(-1)
+    cosine = m[:, 2] * measure.reshape(-1)
+
+    def projected_area(D: Array) -> Array:
+        table = (projection @ D.reshape(-1)).reshape(33, 33)
+        return interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES)
+
+    D = np.ones((WARP_NODES, WARP_NODES))
+    for _ in range(_POWER_ITERATIONS):
+        D = retro * projected_area(D)
+        D /= cosine @ D.reshape(-1)
+    return D, projected_area(D)
+
+
+def _visible_normals(ndf: Array, wi: Array) -> Array:
+    """Density of visible normals over the unit square, shape (WARP_NODES, WARP_NODES), not normalised."""
+    u = np.linspace(0.0, 1.0, WARP_NODES)
+    theta = u_to_theta(u)
+    m = from_spherical(theta[None, :], u_to_phi(u)[:, None])
+    jacobian = 2.0 * np.pi**2 * u * np.sin(theta)
+    return ndf * np.maximum(m @ wi, 0.0) * jacobian
+
+
+def measure(
+    brdf: BRDF,
+    name: str,
+    *,
+    description: str = "",
+    resolution: int = 32,
+    theta_i_rad: Array | None = None,
+    n_theta_i: int = 8,
+    n_phi_i: int | None = None,
+    compensate: bool = True,
+    version: tuple[int, int] = (3, 1),
+) -> BsdfFile:
+    """Measure a BRDF the way the RGL instrument does.
+
+    Args:
+        brdf: what to measure; its bands become the bands of the file.
+        name, description: identification of the material.
+        resolution: nodes per axis of the outgoing grid, H = W.
+        theta_i_rad: incident elevations in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
+        n_phi_i: incident azimuths P; default 1 for an isotropic BRDF and 17 otherwise.
+        compensate: move the node values so that linear interpolation errs least *between* the nodes; without
+            it the file is exact at the nodes and about twice as far off elsewhere (docs/design/goniometer.md).
+        version: pipeline version; it decides what a set bit of `valid` means.
+    Returns:
+        A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
+        are marked as not measured.
+    Raises:
+        UsageError: fewer than 2 nodes on an axis, 2 azimuths, or the BRDF reflects nothing back at any elevation.
+    """
+    if n_phi_i == 2:
+        raise UsageError("2 incident azimuths make an isotropic file; give 1, or at least 3")
+    if resolution < 2:
+        raise UsageError(f"the outgoing grid has {resolution} nodes per axis, expected at least 2")
+    theta_i = default_theta_i(n_theta_i) if theta_i_rad is None else np.asarray(theta_i_rad, dtype=float)
+    phi_i = default_phi_i((1 if brdf.is_isotropic else 17) if n_phi_i is None else n_phi_i)
+    isotropic = len(phi_i) == 1
+
+    u = np.linspace(0.0, 1.0, WARP_NODES)
+    theta, phi = u_to_theta(u), u_to_phi(u)
+    if isotropic:
+        D, area = _isotropic_ndf(_require_light(_retro_reflection(brdf, theta, 0.0), name))
+        ndf, sigma = np.tile(D, (2, 1)), np.tile(area, (2, 1))
+    else:
+        retro = _retro_reflection(brdf, theta[None, :], phi[:, None])
+        ndf, sigma = _anisotropic_ndf(_require_light(retro, name))
+    ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
+
+    shape = (len(phi_i), len(theta_i))
+    vndf = np.empty((*shape, WARP_NODES, WARP_NODES), dtype=np.float32)
+    dense_ndf = np.broadcast_to(ndf[:1], (WARP_NODES, WARP_NODES)) if isotropic else ndf
+    for p, t in np.ndindex(shape):
+        vndf[p, t] = _visible_normals(dense_ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
+    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
+
+    spectra = np.empty((*shape, resolution, resolution, brdf.bands.count), dtype=np.float32)
+    measured = np.empty((*shape, resolution, resolution), dtype=bool)
+    for p, t in np.ndindex(shape):
+        spectra[p, t], measured[p, t] = _measure_incidence(
+            brdf, warp, ndf, sigma, float(phi_i[p]), float(theta_i[t]), isotropic, resolution
+        )
+    if compensate:
+        spectra = _compensate(spectra, measured, phi_i, theta_i)
+    luminance = np.maximum(luminance_of(spectra, brdf.bands), 0.0).astype(np.float32)
+    wavelengths = brdf.bands.wavelengths_nm
+    return BsdfFile(
+        name=name,
+        description=description,
+        version=version,
+        phi_i_rad=phi_i.astype(np.float32),
+        theta_i_rad=theta_i.astype(np.float32),
+        wavelengths_nm=None if wavelengths is None else np.array(wavelengths, dtype=np.float32),
+        sigma=sigma,
+        ndf=ndf,
+        vndf=vndf,
+        luminance=luminance,
+        spectra=np.moveaxis(spectra, -1, 2),
+        jacobian=True,
+        valid=pack_valid(measured, version),
+    )
+
+
+def _require_light(retro: Array, name: str) -> Array:
+    if not np.any(retro > 0):
+        raise UsageError(
+            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
+        )
+    return retro
+
+
+def _measure_incidence(
+    brdf: BRDF, warp: Warp, ndf: Array, sigma: Array, phi_i: float, theta_i: float, isotropic: bool, n: int
+) -> tuple[Array, Array]:
+    """Stored values (n, n, B) and which of them were measured (n, n), for one incident direction."""
+    cells = Cells.seen_from(warp, phi_i, theta_i, (n, n), is_isotropic=isotropic)
+    f_cos = np.zeros((n, n, brdf.bands.count))
+    f_cos[cells.is_above] = brdf.eval_cos(cells.wi, cells.wo[cells.is_above])
+    D = interpolate(ndf, np.ascontiguousarray(cells.points).reshape(-1, 2)).reshape(n, n)
+    area = bilinear(sigma, np.sqrt(theta_i * 2.0 / np.pi), (phi_i + np.pi) / (2.0 * np.pi))
+    scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
+    return f_cos * scale[..., None], cells.is_above
+
+
+def _second_difference(values: Array, axis: int, nodes: Array) -> Array:
+    """Squared spacing times second derivative along an axis, zero at both ends, same shape as values."""
+    v = np.moveaxis(values, axis, 0)
+    h = np.diff(nodes).reshape(-1, *[1] * (v.ndim - 1))
+    slope = np.diff(v, axis=0) / h
+    out = np.zeros_like(v)
+    out[1:-1] = np.diff(slope, axis=0) * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
+    return np.moveaxis(out, 0, axis)
+
+
+def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -> Array:
+    """Node values whose piecewise-linear interpolant is closest in the mean square: f - h^2 f'' / 12 per axis.
+
+    Interpolating samples overshoots wherever f is convex and undershoots where it is concave. The shift is
+    limited to a fifth of the value, so that sharp edges do not ring and nothing turns negative.
+    """
+    grid = np.arange(spectra.shape[2], dtype=float)
+    shift = np.zeros_like(spectra)
+    for axis, nodes in enumerate((phi_i, theta_i, grid, grid)):
+        if len(nodes) > 2:
+            shift -= _second_difference(spectra, axis, nodes).astype(np.float32) / 12.0
+    limit = 0.2 * spectra
+    return np.where(measured[..., None], spectra + np.clip(shift, -limit, limit), 0.0).astype(np.float32)
+
+
+def pack_valid(measured: Array, version: tuple[int, ...]) -> Array:
+    """Bits of the `valid` field: "measured" up to pipeline version 3.1, "not measured" from 3.2 on."""
+    return np.packbits(measured if tuple(version) < (3, 2) else ~measured)

@@ -1,0 +1,151 @@
+"""How physical a BRDF is: negative values, reciprocity, albedo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF
+from manifold.directions import from_spherical, hemisphere_quadrature
+from manifold.records import Array
+
+Evaluate = Callable[[Array, Array], Array]
+"""Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
+
+_INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
+_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
+
+AZIMUTHS_DEG = tuple(range(0, 360, 45))
+"""From where anisotropic BRDFs are seen; isotropic ones look alike from all."""
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """How physical a BRDF is.
+
+    Attributes:
+        negative_share: share of values below zero, over direction pairs and bands; the larger of that over
+            the hemisphere and that around the mirror direction, where a narrow lobe can be negative unseen.
+        reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
+            of both. Measured materials have one too.
+        max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees.
+
+    Anisotropic BRDFs are seen from eight azimuths, isotropic ones from one.
+    """
+
+    negative_share: float
+    reciprocity_error: float
+    max_albedo: float
+
+
+def plausibility(brdf: BRDF) -> Plausibility:
+    """Measure one BRDF on fixed direction pairs."""
+    return plausibilities(lambda wi, wo: brdf.eval(wi, wo)[None], brdf.is_isotropic)[0]
+
+
+def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausibility]:
+    """Measure M BRDFs that are evaluated together.
+
+    Args:
+        evaluate: called with a few thousand direction pairs in all, in blocks.
+        is_isotropic: of all of them; others are seen from eight azimuths.
+    """
+    wo, _ = hemisphere_quadrature(12, 16)
+    wide, narrow = [], []
+    for wi in _incident(_INCIDENCES_DEG, is_isotropic):
+        wide.append(_Seen.of(evaluate, wi, wo, np.ones(len(wo))))
+    for wi in _incident(_ALBEDO_INCIDENCES_DEG, is_isotropic):
+        mirrored, measure = mirrored_quadrature(wi)
+        narrow.append(_Seen.of(evaluate, wi, mirrored, measure))
+    negative = np.maximum(_negative(wide), _negative(narrow))
+    reciprocity = np.maximum(_reciprocity(wide), _reciprocity(narrow))
+    albedo = np.max([seen.albedo for seen in narrow], axis=0)
+    return [
+        Plausibility(float(n), float(r), float(a))
+        for n, r, a in zip(negative, reciprocity, albedo, strict=True)
+    ]
+
+
+def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
+    """Incident directions (K, 3)."""
+    azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
+    return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What M BRDFs showed at one incidence, shape (M,) each.
+
+    Attributes:
+        negative: share of values below zero.
+        squared, difference: squared norms of f and of f(wi, wo) - f(wo, wi), cosine-weighted.
+        albedo: the largest over bands.
+    """
+
+    negative: Array
+    squared: Array
+    difference: Array
+    albedo: Array
+
+    @classmethod
+    def of(cls, evaluate: Evaluate, wi: Array, wo: Array, measure: Array) -> _Seen:
+        """At wi (3,) and wo (P, 3), whose weights in sr are `measure` (P,)."""
+        wi = np.broadcast_to(wi, wo.shape)
+        f, swapped = evaluate(wi, wo), evaluate(wo, wi)  # [M, P, B]
+        squared_weight = measure * (wi[:, 2] * wo[:, 2]) ** 2
+        return cls(
+            np.mean(f < 0, axis=(1, 2)),
+            np.einsum("mpb,p->m", f**2, squared_weight),
+            np.einsum("mpb,p->m", (f - swapped) ** 2, squared_weight),
+            np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1),
+        )
+
+
+def _negative(seen: Sequence[_Seen]) -> Array:
+    """Share of values below zero over incidences, shape (M,)."""
+    return np.mean([one.negative for one in seen], axis=0)
+
+
+def _reciprocity(seen: Sequence[_Seen]) -> Array:
+    """Reciprocity error over incidences, shape (M,)."""
+    norm = np.sqrt(np.sum([one.squared for one in seen], axis=0))
+    apart = np.sqrt(np.sum([one.difference for one in seen], axis=0))
+    return np.divide(apart, norm, out=np.zeros_like(norm), where=norm > 0)
+
+
+def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
+    """Directional albedo of a BRDF by quadrature over half vectors, shape (..., B).
+
+    Args:
+        brdf: of which `eval_cos` is integrated.
+        wi: incident unit vectors (..., 3).
+        resolution: nodes in elevation and in azimuth.
+    """
+    wi = np.asarray(wi, dtype=np.float64)
+    flat = wi.reshape(-1, 3)
+    out = np.empty((len(flat), brdf.bands.count))
+    for k, w in enumerate(flat):
+        wo, measure = mirrored_quadrature(w, resolution, resolution)
+        out[k] = measure @ brdf.eval_cos(w, wo)
+    return out.reshape(*wi.shape[:-1], out.shape[1])
+
+
+def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[Array, Array]:
+    """Outgoing directions (P, 3) above the horizon and their weights in sr, dense around the mirror direction.
+
+    Nodes are half vectors, in elevation Gauss-Legendre in its fourth root, so that lobes down to alpha = 0.02
+    are resolved; d omega_o = 4 <wi, m> d omega_m.
+    """
+    x, weights = np.polynomial.legendre.leggauss(n_theta)
+    t = 0.5 * (x + 1.0)
+    theta = t**4 * (0.5 * np.pi)
+    d_theta = 0.5 * weights * 4.0 * t**3 * (0.5 * np.pi)
+    phi = (np.arange(n_phi) + 0.5) * (2.0 * np.pi / n_phi)
+    m = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
+    measure = np.repeat(d_theta * np.sin(theta) * (2.0 * np.pi / n_phi), n_phi)
+    cos_im = m @ wi
+    wo = 2.0 * cos_im[:, None] * m - wi
+    keep = (cos_im > 0) & (wo[:, 2] > 0)
+    return wo[keep], (4.0 * cos_im * measure)[keep]

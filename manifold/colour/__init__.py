@@ -1,0 +1,1 @@
+"""Spectra, illuminants, reflectances and colour differences. These modules alone import colour-science."""

@@ -1,0 +1,58 @@
+"""How different a prediction looks: CIEDE2000 and spectral angle at the geometries of multi-angle instruments.
+
+Light comes in at 45 degrees; the detectors stand in the plane of incidence at aspecular angles of -15, 15, 25,
+45, 75 and 110 degrees, counted from the mirror direction towards the light, as in ASTM E2194 and E2539 for
+metallic and interference coatings. What is compared there is the radiance factor, pi f, which is 1 for a
+perfect diffuser in all directions; near the mirror direction it may be far above.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manifold.colour.spectra import delta_e_2000, illuminant_power, to_xyz, xyz_weights
+from manifold.directions import from_spherical
+from manifold.errors import ShapeError
+from manifold.metrics import spectral_angle
+from manifold.records import Array, Bands
+
+INCIDENCE_DEG = 45.0
+ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)
+ILLUMINANTS = ("D65", "A", "F11")
+
+
+def multi_angle_pairs() -> tuple[Array, Array]:
+    """Direction pairs of the six geometries: wi and wo, each of shape (6, 3)."""
+    wi = from_spherical(np.deg2rad(INCIDENCE_DEG), 0.0)
+    towards_light = np.deg2rad(np.array(ASPECULAR_DEG) - INCIDENCE_DEG)  # elevation, negative on the far side
+    wo = from_spherical(np.abs(towards_light), np.where(towards_light < 0, np.pi, 0.0))
+    return np.broadcast_to(wi, wo.shape).copy(), wo
+
+
+def illuminants_for(bands: Bands) -> tuple[str, ...]:
+    """Illuminants under which colours are compared: linear sRGB carries no spectrum and knows only D65."""
+    return ("D65",) if bands.is_rgb else ILLUMINANTS
+
+
+def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -> tuple[Array, Array]:
+    """CIEDE2000 and spectral angle between BRDF values, one of each per pair of spectra.
+
+    Args:
+        f: measured values in 1/sr, shape (..., B).
+        f_star: predicted values, same shape.
+        bands: their B bands.
+        illuminant: whose white the colours are relative to. The spectral angle is that between the spectra of
+            the reflected light; of RGB bands, between linear sRGB vectors.
+    Returns:
+        CIEDE2000, shape (...), and the spectral angle in degrees, shape (...).
+    Raises:
+        ShapeError: the shapes differ, or do not end in B.
+        UsageError: there is no such illuminant.
+    """
+    f, f_star = np.asarray(f), np.asarray(f_star)
+    if f.shape != f_star.shape:
+        raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
+    white = xyz_weights(bands, illuminant).sum(axis=0)
+    xyz, xyz_star = (to_xyz(np.pi * values, bands, illuminant) for values in (f, f_star))
+    light = illuminant_power(bands, illuminant)
+    return delta_e_2000(xyz, xyz_star, white), np.rad2deg(spectral_angle(f * light, f_star * light))

@@ -1,0 +1,294 @@
+"""Mitsuba scenes as documents: which measured materials they hold, and the same scene with others in their place.
+
+A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
+may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth, in included files
+too: these become part of the document.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from manifold import atomic
+from manifold.errors import UsageError
+from manifold.experiments.budget import scene_files
+
+KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "measured": ("filename",),
+        "manifold": ("model", "library", "latent", "like", "reflectance", "srgb", "tolerance"),
+    }
+)
+"""What measured materials are called, and their properties."""
+
+_FILES = ("filename", "model", "library", "reflectance")
+_FILM_SIZE = (768, 576)  # Mitsuba's own default
+_NUMBERS = {"float": float, "integer": int}
+
+
+@dataclass(frozen=True)
+class SceneMaterial:
+    """A measured material of a scene.
+
+    Attributes:
+        key: identifies it in the scene; the same file or prediction used twice is one material.
+        kind: `measured` or `manifold`.
+        properties: of the plugin, paths made absolute.
+    """
+
+    key: str
+    kind: str
+    properties: Mapping[str, str]
+
+
+class SceneDocument:
+    """A scene whose measured materials and film can be exchanged before it is loaded or written."""
+
+    def __init__(self, content: ET.Element | dict[str, Any], origin: str, folder: Path) -> None:
+        """Take the tree of an XML file or a dictionary; `folder` is what its relative paths start from.
+
+        Raises:
+            UsageError: there is no sensor, no measured material, or one with other properties than the plugin's.
+        """
+        self._content, self.origin = content, origin
+        self._is_xml = isinstance(content, ET.Element)
+        self._defaults = _defaults(content) if isinstance(content, ET.Element) else {}
+        self._resolve(folder)
+        found = [_material(self._properties(node)) for node in _bsdfs(content)]
+        for material in found:
+            _require_known(material, origin)
+        self.materials = tuple({material.key: material for material in found}.values())
+        if not self.materials:
+            raise UsageError(
+                f"{origin}: no measured materials; expected BSDFs of the type measured or manifold in the scene"
+            )
+        if _first_sensor(content) is None:
+            raise UsageError(f"{origin}: no sensor; expected a camera in the scene")
+
+    @classmethod
+    def read(cls, scene: Path | Mapping[str, Any]) -> SceneDocument:
+        """A scene from an XML file, a JSON file, or a dictionary of plain values.
+
+        Raises:
+            UsageError: there is no such file, or nothing in it to work with.
+            FileFormatError: it is neither XML nor JSON of a scene; see `scene_files.read_tree`.
+        """
+        if isinstance(scene, Mapping):
+            try:
+                content = json.loads(json.dumps(dict(scene)))
+            except (TypeError, ValueError, RecursionError) as error:
+                raise UsageError(
+                    f"the scene holds what is no plain value ({error}); expected numbers, texts, lists and dictionaries"
+                ) from error
+            return cls(scene_files.require_scene(content, "the scene"), "the scene", Path())
+        return cls(scene_files.read_tree(scene), str(scene), scene.parent.absolute())
+
+    @property
+    def suffix(self) -> str:
+        """Of a file that holds it."""
+        return ".xml" if self._is_xml else ".json"
+
+    @property
+    def film_size(self) -> tuple[int, int]:
+        """Width and height in pixels of the first sensor's film."""
+        sensor: Any = _first_sensor(self._content)
+        film = _film(sensor)
+        properties = {} if film is None else self._properties(film)
+        try:
+            width, height = (
+                int(properties.get(n, d)) for n, d in zip(("width", "height"), _FILM_SIZE, strict=True)
+            )
+        except ValueError as error:
+            raise UsageError(
+                f"{self.origin}: size of the film: {error}; expected numbers of pixels"
+            ) from error
+        if min(width, height) < 1:
+            raise UsageError(
+                f"{self.origin}: size of the film: found {width} x {height}, expected at least 1 x 1 pixels"
+            )
+        return width, height
+
+    def load(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any]) -> Any:
+        """The scene in the variant that is set, with BSDFs by key in place of its materials, and another film.
+
+        Raises:
+            UsageError: Mitsuba refuses the scene.
+        """
+        content = self._with(bsdfs, film)
+        try:
+            if isinstance(content, ET.Element):
+                return mi.load_string(ET.tostring(content, encoding="unicode"))
+            return mi.load_dict(_with_transforms(mi, content))
+        except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
+            reason = " ".join(str(error).split())[-200:]
+            raise UsageError(
+                f"{self.origin}: Mitsuba refuses the scene ({reason}); check it there"
+            ) from error
+
+    def write(self, path: Path, bsdfs: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write the scene with BSDFs by key in place of its materials. Raises: as `atomic.replacing`."""
+        content = self._with(bsdfs, None)
+        if isinstance(content, ET.Element):
+            ET.indent(content)
+            atomic.write_text(path, ET.tostring(content, encoding="unicode") + "\n")
+        else:
+            atomic.write_text(path, json.dumps(content, indent=1) + "\n")
+
+    def _with(self, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any] | None) -> Any:
+        content = copy.deepcopy(self._content)
+        for node in list(_bsdfs(content)):
+            replacement = bsdfs.get(_material(self._properties(node)).key)
+            if replacement is not None:
+                _replace(node, replacement)
+        if film is not None:
+            sensor: Any = _first_sensor(content)
+            old = _film(sensor)
+            if isinstance(sensor, ET.Element):
+                if old is not None:
+                    sensor.remove(old)
+                sensor.append(_element("film", film))
+            else:
+                name = next((k for k, v in sensor.items() if v is old), "film")
+                sensor[name] = dict(film)
+        return content
+
+    def _resolve(self, folder: Path) -> None:
+        """Make paths of files absolute where they start from the folder."""
+
+        folders = [folder]
+
+        def absolute(value: str) -> str:
+            paths = (f / self._substituted(value) for f in folders)
+            return next((str(path.absolute()) for path in paths if path.exists()), value)
+
+        if isinstance(self._content, ET.Element):
+            for node in self._content.iter("path"):
+                node.set("value", absolute(node.get("value", "")))
+                folders.append(Path(node.get("value", "")))
+            for node in self._content.iter():
+                if node.tag == "string" and node.get("name") in _FILES:
+                    node.set("value", absolute(node.get("value", "")))
+                elif node.get("filename"):
+                    node.set("filename", absolute(node.get("filename", "")))
+        else:
+            for entry in _dictionaries(self._content):
+                for name in _FILES:
+                    if isinstance(entry.get(name), str):
+                        entry[name] = absolute(entry[name])
+
+    def _substituted(self, text: str) -> str:
+        """A text with `$name` replaced by the XML file's defaults."""
+        return scene_files.substituted(text, self._defaults)
+
+    def _properties(self, node: Any) -> dict[str, str]:
+        """Type and properties of a plugin, as text; nothing for those that are plugins themselves."""
+        if not isinstance(node, ET.Element):
+            return {k: "" if isinstance(v, dict) else str(v) for k, v in node.items()}
+        own = {child.get("name", ""): self._substituted(child.get("value", "")) for child in node}
+        return own | {"type": self._substituted(node.get("type", ""))}
+
+
+def _require_known(material: SceneMaterial, origin: str) -> None:
+    """Raise UsageError where a property would be ignored."""
+    for name in material.properties:
+        if name.startswith("latent_"):
+            raise UsageError(
+                f"{origin}: a manifold BSDF with textures of latents; expected one latent, as 'x,y'"
+            )
+        if name not in KINDS[material.kind]:
+            raise UsageError(
+                f"{origin}: a {material.kind} BSDF has a property '{name}', "
+                f"expected {', '.join(KINDS[material.kind])} only; leave it out"
+            )
+
+
+def _material(properties: Mapping[str, str]) -> SceneMaterial:
+    kind = properties["type"]
+    # Its name in the scene is not what it is.
+    own = {k: v for k, v in sorted(properties.items()) if k not in ("type", "id", "")}
+    return SceneMaterial(f"{kind} {own}", kind, own)
+
+
+def _defaults(tree: ET.Element) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for node in tree.iter("default"):
+        found.setdefault(node.get("name", ""), node.get("value", ""))  # Mitsuba takes the first
+    return found
+
+
+def _dictionaries(content: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(content, dict):
+        yield content
+        for value in content.values():
+            yield from _dictionaries(value)
+
+
+def _bsdfs(content: Any) -> Iterator[Any]:
+    if isinstance(content, ET.Element):
+        yield from (node for node in content.iter("bsdf") if node.get("type") in KINDS)
+    else:
+        yield from (entry for entry in _dictionaries(content) if entry.get("type") in KINDS)
+
+
+def _first_sensor(content: Any) -> Any:
+    if isinstance(content, ET.Element):
+        return next(content.iter("sensor"), None)
+    cameras = ("perspective", "orthographic", "thinlens")
+    return next((entry for entry in _dictionaries(content) if entry.get("type") in cameras), None)
+
+
+def _film(sensor: Any) -> Any:
+    if isinstance(sensor, ET.Element):
+        return sensor.find("film")
+    return next(
+        (v for v in sensor.values() if isinstance(v, dict) and str(v.get("type")).endswith("film")), None
+    )
+
+
+def _replace(node: Any, replacement: Mapping[str, Any]) -> None:
+    """Turn a BSDF into another in place; its name and identity stay."""
+    if isinstance(node, ET.Element):
+        kept = {k: v for k, v in node.attrib.items() if k in ("id", "name")}
+        made = _element("bsdf", replacement)
+        node.clear()
+        node.attrib.update(kept | made.attrib)
+        node.extend(made)
+    else:
+        kept = {k: v for k, v in node.items() if k == "id"}
+        node.clear()
+        node.update(copy.deepcopy(dict(replacement)) | kept)
+
+
+def _element(tag: str, content: Mapping[str, Any], name: str | None = None) -> ET.Element:
+    """A dictionary of a plugin as XML."""
+    if content["type"] == "rgb":
+        made = ET.Element("rgb", {"value": ", ".join(f"{v:.9g}" for v in content["value"])})
+    else:
+        made = ET.Element(tag, {"type": content["type"]})
+        for key, value in content.items():
+            if isinstance(value, Mapping):
+                made.append(_element("rfilter" if key == "rfilter" else "spectrum", value, key))
+            elif key != "type":
+                kind = next((k for k, python in _NUMBERS.items() if type(value) is python), "string")
+                made.append(ET.Element(kind, {"name": key, "value": str(value)}))
+    if name is not None:
+        made.set("name", name)
+    return made
+
+
+def _with_transforms(mi: Any, content: Any) -> Any:
+    if not isinstance(content, dict):
+        return content
+    return {
+        key: mi.ScalarTransform4f(value)
+        if key == "to_world" and isinstance(value, list)
+        else _with_transforms(mi, value)
+        for key, value in content.items()
+    }

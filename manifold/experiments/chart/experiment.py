@@ -1,0 +1,155 @@
+"""Speed against accuracy: every setting of the registry on one library, by cross-validation, in one run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__
+from manifold.errors import UsageError
+from manifold.experiments.chart import fits, instruments, pareto
+from manifold.experiments.chart.held_out import HeldOut
+from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measured, Timed
+from manifold.experiments.chart.registry import Setting, settings
+from manifold.metrics import RusinkiewiczGrid
+from manifold.records import BsdfFile, Progress
+
+ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relative_error": "relative error"}
+COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
+
+_ALIKE = 0.01  # errors and bytes that differ by less do not push each other off a front
+_ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whole chart
+
+
+@dataclass(frozen=True, kw_only=True)
+class Charted(Measured):
+    """One setting, measured.
+
+    Attributes:
+        key, title, family: of the setting.
+        is_held_out: False where a material is represented by a fit to itself.
+    """
+
+    key: str
+    title: str
+    family: str
+    is_held_out: bool = True
+
+
+@dataclass(frozen=True)
+class Chart:
+    """All settings, measured in one run.
+
+    Attributes:
+        charted: setting by setting; held-out ones first.
+        fronts: by error, then by cost, the keys of held-out settings that no other beats, cheapest first.
+        n_materials, n_bands, folds: of the cross-validation.
+        reference_seconds: median processor time of the reference, in which all times are.
+        scaled: what was measured in part, and how it was scaled to the whole.
+        skipped: settings that this machine cannot run, and why.
+    """
+
+    charted: tuple[Charted, ...]
+    fronts: dict[str, dict[str, list[str]]]
+    n_materials: int
+    n_bands: int
+    folds: int
+    reference_seconds: float
+    scaled: dict[str, float]
+    skipped: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """The chart as plain values, with the program's version."""
+        reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
+        rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.charted]
+        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self), "charted": rows}
+
+    def front(self, error: str, cost: str) -> list[Charted]:
+        """The settings on a front, cheapest first."""
+        by_key = {row.key: row for row in self.charted}
+        return [by_key[key] for key in self.fronts[error][cost]]
+
+
+def cost_of(row: Charted, cost: str) -> float:
+    """A cost, one of `COSTS`: reference times, or bytes."""
+    value = getattr(row, cost)
+    return value.median if isinstance(value, Timed) else float(value)
+
+
+def make_chart(
+    files: Sequence[BsdfFile],
+    only: Sequence[str] = (),
+    on_progress: Progress | None = None,
+    grid: RusinkiewiczGrid | None = None,
+    fitted: int = 3,
+) -> Chart:
+    """Measure settings on materials, left out in at most ten folds.
+
+    Args:
+        files: at least four, of the same bands.
+        only: keys of settings; all by default.
+        on_progress: called with (done, total, title).
+        grid: direction pairs of the errors; by default 45 x 23 x 12.
+        fitted: how many materials the fits of `chart_fits` represent.
+    Raises:
+        UsageError: a key is unknown, or there are fewer than four materials.
+    """
+    if len(files) < 4:
+        raise UsageError(f"{len(files)} materials, expected at least 4 to leave some out; import more files")
+    known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
+    known |= {f"fit_{method}": method for method in fits.METHODS}
+    unknown = [key for key in only if key not in known]
+    if unknown:
+        raise UsageError(f"no setting is called {unknown[0]!r}, expected one of {', '.join(known)}")
+    chosen = [known[key] for key in only or known]
+    held_out = [s for s in chosen if isinstance(s, Setting)]
+    rows: dict[str, Charted] = {}
+    skipped: dict[str, str] = {}
+
+    def add(key: str, title: str, family: str, measured: Measured, *, is_held_out: bool = True) -> None:
+        rows[key] = Charted(key=key, title=title, family=family, is_held_out=is_held_out, **vars(measured))
+        if on_progress is not None:
+            on_progress(len(rows), len(chosen), title)
+
+    with instruments.one_core():
+        bench = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
+        # Settings that keep files alike stand together: only one set of kept files is in memory.
+        for setting in sorted(held_out, key=lambda s: s.storage.key):
+            add(setting.key, setting.title, setting.family, bench.measure(setting))
+    for method in (s for s in chosen if isinstance(s, str)):
+        key, title = f"fit_{method}", f"fit, {fits.METHODS[method]}"
+        try:
+            measured = fits.measure(method, files, fitted, bench.target, bench.watch)
+        except UsageError as error:
+            skipped[key] = str(error)
+        else:
+            add(key, title, fits.FAMILY, measured, is_held_out=False)
+    charted = tuple(rows[key] for key in known if key in rows)
+    return Chart(
+        charted, fronts(charted), len(files), files[0].bands.count, bench.folds,
+        bench.watch.reference_seconds, bench.scaled, skipped,
+    )  # fmt: skip
+
+
+def fronts(rows: Sequence[Charted]) -> dict[str, dict[str, list[str]]]:
+    """Keys of the held-out settings on each front of an error and a cost, cheapest first.
+
+    Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
+    """
+    rows = [row for row in rows if row.is_held_out]
+    return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
+
+
+def _front(rows: Sequence[Charted], error: str, cost: str) -> list[str]:
+    if not rows:
+        return []
+    values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])
+    tolerance = 0.5 * _ALIKE * values
+    if cost != "bytes":
+        spreads = [getattr(row, cost).spread for row in rows]
+        tolerance[:, 1] = 0.5 * np.maximum(_ALIKE_TIMES * values[:, 1], spreads)
+    on = np.flatnonzero(pareto.front(values, tolerance)).tolist()
+    return [rows[k].key for k in sorted(on, key=lambda k: values[k, 1])]

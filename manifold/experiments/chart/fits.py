@@ -1,0 +1,62 @@
+"""Fits of a BSDF as representations of materials that were seen: a few numbers each, beside held-out predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from manifold.brdf.pairs import DirectionPairs
+from manifold.experiments.chart.instruments import Measured, Stopwatch, Target, Timed
+from manifold.fitting import principled
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.principled import FitResult
+from manifold.records import Array, BsdfFile, evenly_spaced
+
+METHODS = {"gauss-newton": "Gauss-Newton", "adam": "Adam", "swarm": "swarm"}
+"""Of `principled.METHODS`, with titles for people."""
+
+FAMILY = "fit of the seen material"
+_REPEATS = 3
+_BYTES_PER_NUMBER = 8
+
+
+def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch) -> Measured:
+    """Fit evenly spaced materials by one of `METHODS`.
+
+    Predictions are evaluations at as many direction pairs as the material's file has.
+
+    Raises:
+        UsageError: the method does not run here.
+    """
+    errors, fits, predicts, numbers = [], [], [], []
+    for i in evenly_spaced(len(files), count):
+        file = files[i]
+        result, seconds = watch.lap(partial(principled.fit, file, method=method))
+        fits.append(seconds)
+        evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.ball_pairs)]
+        on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
+        errors.append(target.errors(int(i), on_grid, on_ball))
+        numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
+        scale = file.luminance.size / len(target.pairs)
+        predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
+    relative, rmse, delta_e = np.median(errors, axis=0)
+    return Measured(
+        relative_error=float(relative),
+        rmse=float(rmse),
+        delta_e=float(delta_e),
+        fit=Timed.of(np.array(fits) * len(files)),
+        predict=Timed.of_several(predicts),
+        bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),
+    )
+
+
+def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
+    """What evaluates a fit in the bands of its samples, f in 1/sr (P, B)."""
+    made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
+    p = np.empty((1, made.layout.size))
+    values = dict(result.values) | result.spectra
+    for name, place in made.layout.slices.items():
+        p[0, place] = values[name]
+    return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

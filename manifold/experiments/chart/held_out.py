@@ -1,0 +1,164 @@
+"""Settings measured by cross-validation: what they predict of materials left out, and what that costs."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.unmeasured import close_holes
+from manifold.experiments.chart import instruments
+from manifold.experiments.chart.instruments import Kept, Measured, Stopwatch, Target, Timed
+from manifold.experiments.chart.registry import Setting
+from manifold.experiments.chart.storage_forms import Storage
+from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.combination import Combination
+from manifold.model.prediction import MonochromePrediction, PredictedBRDF
+from manifold.records import Array, BsdfFile, evenly_spaced
+
+_FOLDS = 10
+_TIMED, _REPEATS = 3, 5
+_BLOCK_PAIRS = 512
+_DENSE_PAIRS = RusinkiewiczGrid.named("seed").n_pairs
+_BYTES_PER_NUMBER = 8
+_STREAMED_BYTES = 1 << 26  # far more than caches hold
+
+_Fitted = tuple[list[Combination], Timed, tuple[str, ...]]
+
+
+class HeldOut:
+    """Measures settings one after the other; what they share, tables and fits, is made once.
+
+    Attributes:
+        target: what predictions are compared with.
+        watch: what times are measured by.
+        folds: of the cross-validation.
+        scaled: what was measured in part, and how it was scaled to the whole.
+    """
+
+    def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Setting]) -> None:
+        """Tabulate N files at the direction pairs of a grid, in the bands that the chosen settings need."""
+        files = [close_holes(file) for file in files]
+        self._files, self.watch = files, Stopwatch()
+        self.folds = min(_FOLDS, len(files))
+        n_bands = files[0].bands.count
+        bands = evenly_spaced(n_bands, MAX_BANDS)
+        for count in {s.sample_bands for s in chosen} - {None}:
+            bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
+        materials = [MeasuredBRDF(file) for file in files]
+        self._data, self._tabulating = self.watch.lap(partial(Data.evaluate, materials, grid, bands))
+        wi, wo, above = grid.directions()
+        self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
+        self._block = instruments.some_pairs(_BLOCK_PAIRS, grid)
+        self._fits: dict[str, _Fitted] = {}
+        self._kept: tuple[Storage, Kept] | None = None
+        once = [
+            self.watch.laps(partial(instruments.evaluated, material, self._block), _REPEATS)
+            for material in materials[:: max(len(files) // _TIMED, 1)]
+        ]
+        self._resampling = Timed.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
+        self.scaled = {
+            "timed_pairs": _BLOCK_PAIRS, "dense_pairs": _DENSE_PAIRS, "resampling": self._resampling,
+            "tabulating": self._tabulating,
+        }  # fmt: skip
+
+    def measure(self, setting: Setting) -> Measured:
+        """Errors of all materials, each left out once, and costs."""
+        combinations, fit, warned = self._fitted(setting)
+        if setting.is_dense:
+            fit = Timed(fit.median - self._tabulating + self._resampling, fit.spread)
+        combinations = [_sparse(c, setting.threshold) for c in combinations]
+        kept = self._kept_as(setting.storage)
+        relative, rmse, delta_e = np.median(self.target.errors_of(kept, combinations), axis=0)
+        scale = (_DENSE_PAIRS if setting.is_dense else kept.cells) / _BLOCK_PAIRS
+        predict = [
+            scale * self.watch.laps(_predictor(kept, c, self._block, is_dense=setting.is_dense), _REPEATS)
+            for c in combinations[:: max(len(combinations) // _TIMED, 1)]
+        ]
+        return Measured(
+            relative_error=float(relative),
+            rmse=float(rmse),
+            delta_e=float(delta_e),
+            fit=fit,
+            predict=Timed.of_several(predict),
+            bytes=self._bytes(setting, kept),
+            warnings=warned,
+        )
+
+    def _fitted(self, setting: Setting) -> _Fitted:
+        """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
+        if setting.method not in self._fits:
+            everything = np.arange(self._data.n_materials)
+            found: dict[int, Combination] = {}
+            times, warned = [], []
+            for fold in range(self.folds):
+                if fold < _REPEATS:
+                    data = self._data.unmapped()
+                out = everything[fold :: self.folds]
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always", UserWarning)
+                    encode, ratio = self.watch.lap(partial(setting.fit, data, np.setdiff1d(everything, out)))
+                    found |= {int(i): encode(int(i)) for i in out}
+                warned += [str(caught[0].message)] if caught else []
+                if fold < _REPEATS:
+                    times.append(self._tabulating + ratio)
+            self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times), tuple(warned)
+        return self._fits[setting.method]
+
+    def _kept_as(self, storage: Storage) -> Kept:
+        if self._kept is None or self._kept[0].key != storage.key:
+            self._kept = None
+            self._kept = storage, Kept(storage, self._files, self.target)
+        return self._kept[1]
+
+    def _bytes(self, setting: Setting, kept: Kept) -> int:
+        B, N = self._data.n_bands, len(self._files)
+        numbers = _BYTES_PER_NUMBER * setting.numbers(B) * N
+        if setting.is_dense:
+            return N * _DENSE_PAIRS * B * 4 + numbers
+        return kept.file_bytes(min(setting.sample_bands or B, B) / B) + numbers
+
+
+def _predictor(
+    kept: Kept, combination: Combination, block: DirectionPairs, *, is_dense: bool
+) -> Callable[[], object]:
+    """What predicts values at the direction pairs of a block, in all bands, as the package does."""
+    mapping, weights = combination.mapping, combination.weights
+    if is_dense:
+        return _from_table(np.stack([instruments.evaluated(m, block) for m in kept.brdfs]), weights)
+    if combination.sample_bands is not None:
+        bands = combination.sample_bands.tolist()
+        samples = [m.thinned(bands) for m in kept.brdfs]
+        curve = MonochromePrediction(samples, weights, mapping, kept.brdfs[0].bands)
+        return lambda: curve.eval(block.wi, block.wo)
+    whole = PredictedBRDF(kept.brdfs, weights, mapping)
+    if kept.back is not None:
+        back = kept.back.T
+        return lambda: whole.eval(block.wi, block.wo) @ back
+    return lambda: whole.eval(block.wi, block.wo)
+
+
+def _from_table(f: Array, weights: Array) -> Callable[[], object]:
+    """Sums of tabulated values (N, P, B), streamed from memory as those of the whole table are."""
+    copies = max(_STREAMED_BYTES // (4 * f.size), 1)
+    tables = np.repeat(f.astype(np.float32)[None], copies, axis=0)
+    turn = itertools.count()
+    share = weights.astype(np.float32)
+    return lambda: np.tensordot(share, tables[next(turn) % copies], axes=1)
+
+
+def _sparse(combination: Combination, threshold: float) -> Combination:
+    """Small weights dropped; the others scaled to the same sum."""
+    if threshold <= 0.0:
+        return combination
+    w = combination.weights
+    kept = np.where(np.abs(w) >= threshold * np.abs(w).max(), w, 0.0)
+    scale = w.sum() / kept.sum() if kept.sum() > 0.5 * abs(w.sum()) else 1.0
+    return replace(combination, weights=kept * scale)

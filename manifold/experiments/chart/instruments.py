@@ -1,0 +1,211 @@
+"""What a chart measures with: times beside a reference, errors on a grid and on the ball, files as they are kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numba as nb
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.experiments.chart import storage_forms
+from manifold.experiments.chart.storage_forms import Storage
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.model.combination import Combination, Values, evaluate
+from manifold.records import Array, Bands, BsdfFile
+from manifold.rendering import ball_colours
+from manifold.synthetic import corpus
+
+REFERENCE = "syn_satin_gold"
+REFERENCE_PAIRS = 8192
+_AT_ONCE = 8  # predictions evaluated together
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A time in times of the reference: the median of repeated runs, and their interquartile range."""
+
+    median: float
+    spread: float
+
+    @classmethod
+    def of(cls, ratios: Sequence[float] | Array) -> Timed:
+        """Of repeated runs."""
+        low, median, high = np.percentile(ratios, [25, 50, 75])
+        return cls(float(median), float(high - low))
+
+    @classmethod
+    def of_several(cls, runs: Sequence[Array]) -> Timed:
+        """Of repeated runs of several works: their median, with the spread of runs about that of their own work."""
+        medians = np.array([np.median(ratios) for ratios in runs])
+        apart = np.concatenate([ratios / m for ratios, m in zip(runs, medians, strict=True)])
+        median = float(np.median(medians))
+        return cls(median, median * cls.of(apart).spread)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What a setting costs, and how far off it is: medians over materials.
+
+    Attributes:
+        relative_error: cosine-weighted, over a grid, in some of the bands.
+        rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
+        delta_e: mean CIEDE2000 of the ball; see `ball_colours`.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them.
+        predict: time to predict a whole material, at all direction pairs that it is kept at.
+        bytes: of what predictions read: files, and the numbers of all materials.
+        warnings: what fits warned of, once per fold.
+    """
+
+    relative_error: float
+    rmse: float
+    delta_e: float
+    fit: Timed
+    predict: Timed
+    bytes: int
+    warnings: tuple[str, ...] = ()
+
+
+class Stopwatch:
+    """Processor times as ratios to that of a reference run just before, so that neither the machine nor others count.
+
+    The reference is one evaluation of a synthetic material in 195 bands at 8192 direction pairs.
+    """
+
+    def __init__(self) -> None:
+        """Measure the reference material, which is the same everywhere."""
+        (material,) = (m for m in corpus.isotropic_materials() if m.name == REFERENCE)
+        self._brdf = MeasuredBRDF(corpus.measure(material))
+        self._pairs = some_pairs(REFERENCE_PAIRS)
+        self._runs: list[float] = []
+        self.lap(lambda: None)  # compiles
+        self._runs.clear()
+
+    def lap(self, work: Callable[[], Result]) -> tuple[Result, float]:
+        """What some work gives, and the time it takes in times of the reference."""
+        start = time.process_time()
+        evaluated(self._brdf, self._pairs)
+        middle = time.process_time()
+        result = work()
+        end = time.process_time()
+        self._runs.append(middle - start)
+        return result, (end - middle) / (middle - start)
+
+    def laps(self, work: Callable[[], object], count: int) -> Array:
+        """The times that some work takes again and again, after a run that does not count."""
+        work()
+        return np.array([self.lap(work)[1] for _ in range(count)])
+
+    @property
+    def reference_seconds(self) -> float:
+        """Median processor time of the reference."""
+        return float(np.median(self._runs))
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Compiled loops and BLAS on one core, whose time depends least on what else runs."""
+    threads = nb.get_num_threads()
+    nb.set_num_threads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        nb.set_num_threads(threads)
+
+
+def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> DirectionPairs:
+    """Direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
+    wi, wo, above = (RusinkiewiczGrid.named("default") if grid is None else grid).directions()
+    rows = np.flatnonzero(above)
+    rows = rows[np.linspace(0, len(rows) - 1, count).astype(int)]
+    return DirectionPairs(wi[rows], wo[rows])
+
+
+def evaluated(material: MeasuredBRDF, pairs: DirectionPairs) -> Array:
+    """Values (P, B) at direction pairs."""
+    out = np.empty((len(pairs), material.bands.count))
+    material.eval_into(pairs, out)
+    return out
+
+
+class Kept:
+    """Materials as a storage keeps them, and their values where errors are measured.
+
+    Attributes:
+        brdfs: in all bands that are kept.
+        file_bytes: of all files, from the share of the bands that is read.
+        cells: direction pairs of a file, the median.
+        back: the matrix (B, r) from kept bands to all; None where all are kept.
+    """
+
+    def __init__(self, storage: Storage, files: Sequence[BsdfFile], target: Target) -> None:
+        """Reduce files, and evaluate them at the target's direction pairs."""
+        kept = [storage.reduce(file) for file in files]
+        self.brdfs = [MeasuredBRDF(file) for file in kept]
+        self._files, self._storage = kept, storage
+        self.cells = float(np.median([file.luminance.size for file in kept]))
+        thin, self.back, self._some_back = self.brdfs, None, None
+        if storage.bands is None:
+            thin = [brdf.thinned(target.data.bands.tolist()) for brdf in self.brdfs]
+        else:
+            self.back = storage_forms.interpolation(files[0].bands, storage.bands)
+            self._some_back = self.back[target.data.bands]
+        self._at = [
+            Values(np.stack([evaluated(brdf, pairs) for brdf in thin]), cosine_weight(pairs.wi, pairs.wo))
+            for pairs in (target.pairs, target.ball_pairs)
+        ]
+
+    def file_bytes(self, band_share: float) -> int:
+        """What predictions read of all files, values in a share of the bands."""
+        return sum(self._storage.file_bytes(file, band_share) for file in self._files)
+
+    def predict(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
+        """Predictions on the grid and on the ball, in the target's bands: (M, P, B') each."""
+        grid, ball = (evaluate(combinations, values) for values in self._at)
+        if self._some_back is not None:
+            return grid @ self._some_back.T, ball @ self._some_back.T
+        return grid, ball
+
+
+class Target:
+    """What predictions are compared with: materials on a grid and on the ball, in some bands."""
+
+    def __init__(self, data: Data, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> None:
+        """Colour the balls of materials whose values at the pairs are `data`."""
+        self.data, self.pairs = data, pairs
+        self._ball = ball_colours.ball()
+        self.ball_pairs = DirectionPairs(self._ball.wi, self._ball.wo)
+        nm = materials[0].bands.wavelengths_nm
+        self.bands = materials[0].bands if nm is None else Bands(tuple(nm[b] for b in data.bands))
+        thin = [m.thinned(data.bands.tolist()) for m in materials]
+        self._xyz = [self._ball.xyz(evaluated(m, self.ball_pairs), self.bands) for m in thin]
+
+    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, float, float]:
+        """Relative error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""
+        data = self.data
+        squared = float(np.sum((f - data.f[i]) ** 2))
+        rmse = np.sqrt(squared / f.shape[0] * data.n_bands / f.shape[1])
+        colour = ball_colours.delta_e(self._xyz[i], self._ball.xyz(f_ball, self.bands))
+        return data.relative_error(i, f), float(rmse), colour
+
+    def errors_of(self, kept: Kept, combinations: Sequence[Combination]) -> Array:
+        """Errors (N, 3), as `errors` gives them, of a prediction per material."""
+        rows = []
+        here = [c if kept.back is not None else c.in_bands(self.data.bands) for c in combinations]
+        for first in range(0, len(here), _AT_ONCE):
+            grid, ball = kept.predict(here[first : first + _AT_ONCE])
+            rows += [
+                self.errors(first + k, f, f_ball)
+                for k, (f, f_ball) in enumerate(zip(grid, ball, strict=True))
+            ]
+        return np.array(rows)

@@ -1,0 +1,118 @@
+"""The settings that a chart of speed against accuracy compares. One registry: a new setting is one more entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from manifold.experiments.chart import storage_forms
+from manifold.experiments.chart.storage_forms import Storage
+from manifold.experiments.evaluation.methods import (
+    SAMPLE_BANDS,
+    Fit,
+    fit_gplvm,
+    fit_linear,
+    fit_monochrome,
+    fit_nearest,
+    fit_pca,
+    fit_seed,
+)
+
+SEED = "seed"
+_MAPPINGS = ("identity", "cube-root", "log-relative")
+_FEW_BANDS = (3, 6, 12)
+_SAMPLES = 3  # bands per material that are samples, where nothing else is said
+_THRESHOLDS = (0.03, 0.1)
+_WHOLE = storage_forms.whole()
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A method at one choice of its knobs.
+
+    Attributes:
+        key: name in JSON.
+        title: for people.
+        family: of methods, as the legend of a chart names it.
+        method: what is fitted; settings that differ in something else share a fit.
+        fit: learns from some materials, and encodes any.
+        numbers: how many numbers describe a material of B bands.
+        sample_bands: measured bands that predictions read, at most; None is all.
+        storage: how the measured files are kept.
+        threshold: weights below this share of the largest one are dropped.
+        is_dense: whether every material is resampled to the grid of 1,458,000 direction pairs.
+    """
+
+    key: str
+    title: str
+    family: str
+    method: str
+    fit: Fit
+    numbers: Callable[[int], int]
+    sample_bands: int | None = None
+    storage: Storage = _WHOLE
+    threshold: float = 0.0
+    is_dense: bool = False
+
+
+def settings(n_bands: int) -> list[Setting]:
+    """All settings for materials of so many bands, simplest first."""
+    pca, gplvm, monochrome = _pca("cube-root", 6), _gplvm("cube-root", 6), _monochrome(3, _SAMPLES)
+    return [
+        Setting("nearest", "nearest", "one or two materials", "nearest", fit_nearest, lambda B: 1),
+        Setting("linear", "linear, two nearest", "one or two materials", "linear", fit_linear, lambda B: 3),
+        Setting(
+            SEED, "seed: GPLVM 2, identity, dense grid", "seed", SEED, fit_seed, lambda B: 2, is_dense=True
+        ),
+        *(_pca(mapping, k) for mapping in _MAPPINGS for k in (2, 4, 6, 8)),
+        *(_gplvm(mapping, Q) for mapping in _MAPPINGS for Q in (2, 4, 6)),
+        *(_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)),
+        *(_monochrome(2, count) for count in (SAMPLE_BANDS,) if count < n_bands),
+        *(_sparse(pca, threshold) for threshold in _THRESHOLDS),
+        *(_kept(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
+        *(_kept(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome)),
+        *(
+            _kept(gplvm, storage_forms.few_angles(outgoing=o, incident=i))
+            for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))
+        ),
+        *(
+            _kept(monochrome, storage_forms.few_angles(outgoing=o, incident=i))
+            for o, i in ((2, 1), (2, 2), (4, 1))
+        ),
+    ]
+
+
+def _pca(mapping: str, k: int) -> Setting:
+    key = f"pca_{k}_{mapping}"
+    return Setting(key, f"PCA {k}, {mapping}", "PCA", key, fit_pca(mapping, k), lambda B: k)
+
+
+def _gplvm(mapping: str, Q: int) -> Setting:
+    key, prior = f"gplvm_{Q}_{mapping}", 0.0 if Q == 2 else 0.1
+    fit = fit_gplvm(Q, mapping=mapping, prior=prior)
+    return Setting(key, f"GPLVM {Q}, {mapping}", "GPLVM, whole materials", key, fit, lambda B: Q)
+
+
+def _monochrome(Q: int, bands: int) -> Setting:
+    key = f"monochrome_{Q}_1_{bands}"
+    title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
+    fit = fit_monochrome(Q, 1, sample_bands=bands)
+    return Setting(key, title, "GPLVM, monochrome samples", key, fit, lambda B: Q + B, sample_bands=bands)
+
+
+def _sparse(base: Setting, threshold: float) -> Setting:
+    title = f"{base.title.split(',')[0]}, weights > {100 * threshold:g} %"
+    return _changed(base, f"over_{threshold:g}", title, threshold=threshold)
+
+
+def _kept(base: Setting, storage: Storage) -> Setting:
+    return _changed(base, storage.key, f"{base.title.split(',')[0]}, {storage.title}", storage=storage)
+
+
+def _changed(
+    base: Setting, suffix: str, title: str, *, storage: Storage = _WHOLE, threshold: float = 0.0
+) -> Setting:
+    return Setting(
+        f"{base.key}_{suffix}", title, base.family, base.method, base.fit, base.numbers, base.sample_bands,
+        storage, threshold,
+    )  # fmt: skip

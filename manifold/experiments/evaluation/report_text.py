@@ -1,0 +1,206 @@
+"""A report as text for people, at most 80 columns wide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from manifold.experiments.evaluation.report import MethodResult, Report
+
+_SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
+# Methods whose errors every material shows: column title per key, most honest first, as many as fit.
+_MATERIAL_COLUMNS = {
+    "gp_refitted": "refitted",
+    "gp_encoded": "encoded",
+    "gp_latents_kept": "kept",
+    "linear": "linear",
+    "nearest": "nearest",
+}
+_SHOWN_METHODS = 4
+_LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # of standardised errors, within which a method counts as calibrated
+
+
+def format_report(report: Report) -> str:
+    """Short tables of all methods, then the materials, then times; plain text that ends in a newline."""
+    lines = [
+        *_heading(report),
+        "",
+        *_errors(report.methods),
+        "",
+        *_colours(report.methods),
+        "",
+        *_costs(report.methods),
+        "",
+        *_calibration(report.methods),
+        "",
+        *_materials(report),
+        "",
+        *_closing(report),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _heading(report: Report) -> list[str]:
+    """What was evaluated."""
+    synthetic = sum(report.is_synthetic)
+    kind = ""
+    if synthetic:
+        kind = (
+            " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
+        )
+    s = report.settings
+    whole = s["kind"] == "material"
+    return [
+        f"{len(report.names)} materials{kind}, {report.bands}",
+        f"GPLVM of {'whole materials' if whole else 'single bands'}: {s['latent_dim']} dimensions"
+        f"{'' if whole else ', and a colour per band'}; mapping {s['mapping']}",
+        f"Kernel: SE + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+        f"condition of K {report.condition:.3g}",
+        f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){_error_bands(report)}",
+    ]
+
+
+def _error_bands(report: Report) -> str:
+    total = 3 if report.bands == "RGB" else int(report.bands.split()[0])
+    return "" if report.n_error_bands == total else f", in {report.n_error_bands} bands"
+
+
+def _errors(methods: Sequence[MethodResult]) -> list[str]:
+    head = ("method", "error", "p90", "RMSE", "negative", "recip.", "albedo")
+    rows = [
+        (
+            m.title,
+            f"{m.median_relative_error:.3f}",
+            f"{m.p90_relative_error:.3f}",
+            f"{np.median(m.rmse):.3g}",
+            f"{m.negative_share:.2%}",
+            f"{m.reciprocity_error:.3f}",
+            f"{m.max_albedo:.2f}",
+        )
+        for m in methods
+    ]
+    return [
+        *_table(head, rows),
+        "",
+        "Reconstructions see the material they predict, the mix of two sees it to choose",
+        "the two. Latents kept, or others kept: fitted with the material among the data,",
+        "predicted without it. All other methods have not seen it when they are fitted.",
+        "a + b per band: a coordinates that all bands share, and b of every band.",
+        "error, p90: relative, cosine-weighted; median and 90th percentile of materials.",
+        "RMSE: eq. 22, median, 1/sr. recip., albedo: worst of materials. negative: share",
+        "of values; measured files have some too.",
+    ]
+
+
+def _colours(methods: Sequence[MethodResult]) -> list[str]:
+    head = (
+        "colour",
+        *(f"dE {c.illuminant}" for c in methods[0].colour),
+        *(f"<) {c.illuminant}" for c in methods[0].colour),
+    )
+    rows = [
+        (
+            m.title,
+            *(f"{c.median_delta_e:.2f}" for c in m.colour),
+            *(f"{c.median_spectral_angle_deg:.2f}" for c in m.colour),
+        )
+        for m in methods
+    ]
+    return [
+        *_table(head, rows),
+        "",
+        "dE: CIEDE2000 of the radiance factor pi f. <): angle in degrees between the",
+        "spectra of the reflected light. Means over six directions of a multi-angle",
+        "instrument (light at 45 degrees; aspecular -15, 15, 25, 45, 75, 110); medians",
+        "of materials.",
+    ]
+
+
+def _costs(methods: Sequence[MethodResult]) -> list[str]:
+    head = ("cost", "numbers", "MB kept", "fit s", "encode ms", "predict ms")
+    rows = [
+        (
+            m.title,
+            str(m.numbers),
+            f"{m.bytes / 1e6:.1f}",
+            f"{m.fit_seconds:.3f}",
+            f"{1e3 * m.encode_seconds:.1f}",
+            f"{1e3 * m.predict_seconds:.0f}",
+        )
+        for m in methods
+    ]
+    return [
+        *_table(head, rows),
+        "",
+        "numbers: per material. MB kept: numbers and measured values that predictions",
+        "need, of all materials. Wall-clock times: of one fit, of encoding one material,",
+        "and of predicting it wherever errors are measured.",
+    ]
+
+
+def _calibration(methods: Sequence[MethodResult]) -> list[str]:
+    known = [m for m in methods if m.rms_standardised_error is not None and m.standardised_error is not None]
+    rows = []
+    for m in known:
+        rms = m.rms_standardised_error or 0.0
+        verdict = "too sure" if rms > _HIGHEST_RMS else "too unsure" if rms < _LOWEST_RMS else "yes"
+        rows.append((m.title, f"{rms:.2f}", f"{np.median(m.standardised_error or 0.0):.2f}", verdict))
+    return [
+        *_table(("calibration", "rms z", "median z", "calibrated"), rows),
+        "",
+        "z: error of the mapped values in the standard deviations the method expected;",
+        f"calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}.",
+    ]
+
+
+def _materials(report: Report) -> list[str]:
+    """One row per material: latent, reconstruction, and held-out relative errors."""
+    reconstruction = next(m for m in report.methods if m.key == "reconstruction")
+    by_key = {m.key: m for m in report.methods}
+    shown = [key for key in _MATERIAL_COLUMNS if key in by_key][:_SHOWN_METHODS]
+    head = ("material", "latent", "RMSE", *(_MATERIAL_COLUMNS[key] for key in shown))
+    rows = [
+        (
+            name,
+            _latent(report.latents[k]),
+            f"{reconstruction.rmse[k]:.3g}",
+            *(f"{by_key[key].relative_error[k]:.3f}" for key in shown),
+        )
+        for k, name in enumerate(report.names)
+    ]
+    note = "RMSE: of the reconstruction. To its right: relative errors of the other methods."
+    return [*_table(head, rows), "", note]
+
+
+def _closing(report: Report) -> list[str]:
+    """Times, and what was not run."""
+    s = report.seconds
+    lines = [
+        f"Loading {s['load']:.1f} s, tabulating {s['tabulate']:.1f} s, fitting and encoding "
+        f"{s['encode']:.1f} s, evaluating {s['evaluate']:.1f} s."
+    ]
+    if report.left_out:
+        lines.append(f"{len(report.left_out)} more methods take long: --compare runs them too.")
+    return lines
+
+
+def _latent(x: Sequence[float]) -> str:
+    """The first coordinates; the JSON report holds them all."""
+    return ", ".join(
+        [*(f"{v:+.2f}" for v in x[:_SHOWN_COORDINATES]), *(["..."] if x[_SHOWN_COORDINATES:] else [])]
+    )
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Aligned lines: the first column to the left, the others to the right."""
+    widths = [max(len(row[k]) for row in (head, *rows)) for k in range(len(head))]
+
+    def line(row: Sequence[str]) -> str:
+        first, *rest = (
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        return "  ".join([first, *rest]).rstrip()
+
+    return [line(head), "-" * len(line(head)), *(line(row) for row in rows)]

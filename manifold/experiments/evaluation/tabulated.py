@@ -1,0 +1,137 @@
+"""Values of all materials at the direction pairs that methods learn from, and their Gram matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.model import gram
+from manifold.model.combination import Values
+from manifold.models.encoding import PAIR_STRIDE, EncodingPairs
+from manifold.records import Array, evenly_spaced
+
+MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
+
+
+@dataclass(frozen=True, eq=False)
+class Data(Values):
+    """What methods learn from: values of N materials at P direction pairs, in B' of their B bands.
+
+    Attributes:
+        f: in 1/sr, shape (N, P, B').
+        cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
+        bands: which of all bands the values are in, increasing, shape (B',); by default all.
+        n_bands: B.
+        full_values: material i at every `PAIR_STRIDE`th direction pair in all bands, shape (P / PAIR_STRIDE, B).
+    """
+
+    bands: Array = field(default=None)  # type: ignore[arg-type]
+    n_bands: int = 0
+    full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
+    _grams: dict[tuple[str, int, tuple[int, ...] | None], Array] = field(
+        default_factory=dict, repr=False, kw_only=True
+    )
+
+    def __post_init__(self) -> None:
+        if self.bands is None:
+            object.__setattr__(self, "bands", np.arange(self.f.shape[2]))
+            object.__setattr__(self, "n_bands", self.f.shape[2])
+        if self.full_values is None:
+            object.__setattr__(self, "full_values", lambda i: self.f[i, ::PAIR_STRIDE])
+
+    @classmethod
+    def evaluate(
+        cls,
+        materials: Sequence[BRDF],
+        grid: RusinkiewiczGrid,
+        bands: Array | None = None,
+        on_block: Callable[[int, int], None] | None = None,
+    ) -> Data:
+        """Evaluate materials on a grid.
+
+        Args:
+            materials: N of them, of the same bands.
+            grid: direction pairs.
+            bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
+            on_block: called with (done, total) blocks of direction pairs.
+        """
+        n_bands = materials[0].bands.count
+        bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
+        measured = [material for material in materials if isinstance(material, MeasuredBRDF)]
+        can_thin = len(measured) == len(materials)
+        thin = [material.thinned(bands.tolist()) for material in measured] if can_thin else materials
+        kept = slice(None) if can_thin else bands
+        blocks = []
+        total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
+        for wi, wo, f in gram.value_blocks(thin, grid):
+            blocks.append((cosine_weight(wi, wo), f[..., kept]))
+            if on_block is not None:
+                on_block(len(blocks), total)
+        pairs = EncodingPairs.of_grid(grid)
+        return cls(
+            np.concatenate([f for _, f in blocks], axis=1),
+            np.concatenate([c for c, _ in blocks]),
+            bands,
+            n_bands,
+            lambda i: materials[i].eval(pairs.wi, pairs.wo),
+        )
+
+    def unmapped(self) -> Data:
+        """The same without what methods share, values in a mapped domain and their products: each pays its own."""
+        return Data(self.f, self.cosines, self.bands, self.n_bands, self.full_values)
+
+    @property
+    def n_materials(self) -> int:
+        """N."""
+        return len(self.f)
+
+    @property
+    def n_outputs(self) -> int:
+        """D: direction pairs times bands."""
+        return self.f.shape[1] * self.f.shape[2]
+
+    @property
+    def squared_weight(self) -> Array:
+        """w^2 per direction pair, shape (P,)."""
+        return self.cosines**2
+
+    def gram(self, mapping: Mapping, *, power: int = 1) -> Array:
+        """Inner products of whole materials over pairs, weighted by cosines^power, and bands: (N, N)."""
+        key = (repr(mapping), power, None)
+        if key not in self._grams:
+            weight = np.repeat(np.sqrt(self.cosines**power), self.f.shape[2])
+            flat = self.mapped(mapping).reshape(self.n_materials, -1) * weight
+            self._grams[key] = flat @ flat.T
+        return self._grams[key]
+
+    def sample_gram(self, mapping: Mapping, bands: Array) -> Array:
+        """Inner products of monochrome samples over pairs, weighted by the cosines: (N * B_s, N * B_s).
+
+        `bands` (B_s,) counts among all bands.
+        """
+        key = (repr(mapping), 1, tuple(int(b) for b in bands))
+        if key not in self._grams:
+            flat = self.samples(mapping, bands) * np.sqrt(self.cosines)
+            self._grams[key] = flat @ flat.T
+        return self._grams[key]
+
+    def samples(self, mapping: Mapping, bands: Array) -> Array:
+        """T(f) of bands (B_s,), counted among all bands, as samples: (N * B_s, P)."""
+        return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
+
+    def available_bands(self, count: int) -> Array:
+        """At most `count` of the bands here, as evenly spaced over all bands as they can be."""
+        wanted = evenly_spaced(self.n_bands, count)
+        nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
+        return np.unique(self.bands[nearest])
+
+    def relative_error(self, i: int, predicted: Array) -> float:
+        """`||w (f* - f)|| / ||w f||` of a prediction (P, B') of material i, `w` the cosines."""
+        w2 = self.squared_weight[:, None]
+        wrong = np.sum(w2 * (predicted - self.f[i]) ** 2)
+        return float(np.sqrt(wrong / np.sum(w2 * self.f[i] ** 2)))

@@ -1,0 +1,118 @@
+"""What became of the catalogue of failure modes, as a table and as a page that says what a user should do."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Sequence
+
+from manifold.experiments.stability.trials import OUTCOMES, WRONG, Mode, Row, Stability
+
+COLUMNS = ("failure mode", "method", "unsaid", "limit", "outcome")
+_MODE_WIDTH, _METHOD_WIDTH = 23, 16
+
+
+def table(made: Stability) -> list[list[str]]:
+    """A row per mode and method: the largest error about which nothing was said, its limit, and what happened.
+
+    Rows fit into 80 columns; a mode is named in its first row only.
+    """
+    rows, previous = [], None
+    for row in made.rows:
+        rows.append(
+            [
+                _short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
+                _short(row.method, _METHOD_WIDTH),
+                _number(row.unsaid_error),
+                f"{row.threshold:g}",
+                outcomes(row),
+            ]
+        )
+        previous = row.mode
+    return rows
+
+
+def outcomes(row: Row) -> str:
+    """What happened from harmless to severe, each outcome once: *fine, warned*; the one that counts where wrong."""
+    if row.is_wrong:
+        return WRONG
+    return ", ".join(dict.fromkeys(one.outcome for one in row.tried))
+
+
+def summary(made: Stability) -> str:
+    """How many trials ended how, in one line."""
+    trials = [one.outcome for row in made.rows for one in row.tried]
+    modes = len({row.mode for row in made.rows})
+    counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)
+    return f"{modes} failure modes, {len(trials)} trials: {counts}"
+
+
+def markdown(made: Stability, modes: Sequence[Mode]) -> str:
+    """A page: what every mode is, what happened, and what a user should do."""
+    tried = {row.mode for row in made.rows}
+    parts = [
+        "# Where methods fail, and what to do",
+        "",
+        "Written by `manifold stability --markdown docs/stability.md -o docs/images/stability.png`; do not edit.",
+        "",
+        "Every failure mode is made worse step by step. A trial is *fine* where its number stays below the limit, "
+        "*warned* where the package spoke up of its own accord, *refused* where it ended with a clear error, and "
+        "*silently wrong* where neither happened: a defect, which fails the tests. "
+        "*Unsaid* is the largest number about which nothing was said.",
+        "",
+        "![Error against severity of every failure mode](images/stability.png)",
+        "",
+        summary(made) + ".",
+        "",
+    ]
+    for mode in modes:
+        if mode.key in tried:
+            parts += _chapter(mode, [row for row in made.rows if row.mode == mode.key])
+    return "\n".join(parts)
+
+
+def _chapter(mode: Mode, rows: Sequence[Row]) -> list[str]:
+    lines = [
+        f"## {mode.key}",
+        "",
+        f"{_sentence(mode.concerns)} Number: {mode.number}; limit {mode.threshold:g}. "
+        f"Severity: {mode.severity} ({', '.join(f'{s:g}' for s in mode.severities)}).",
+        "",
+        f"**What to do.** {_sentence(mode.advice)}",
+        "",
+        "| method | unsaid | what happened | what is said |",
+        "|---|---|---|---|",
+    ]
+    for row in rows:
+        said = next((one.said for one in row.tried if one.said), "")
+        lines.append(f"| {row.method} | {_number(row.unsaid_error)} | {_by_severity(row)} | {_cell(said)} |")
+    return [*lines, ""]
+
+
+def _by_severity(row: Row) -> str:
+    """Outcomes with the severity that each begins at: *fine; warned from 0.1*."""
+    parts: list[str] = []
+    for before, one in zip((None, *row.tried), row.tried, strict=False):
+        if before is None:
+            parts.append(one.outcome)
+        elif before.outcome != one.outcome:
+            parts.append(f"{one.outcome} from {one.severity:g}")
+    return "; ".join(parts)
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _cell(text: str) -> str:
+    """A message in a table, without the temporary folders that it names."""
+    folder = re.escape(tempfile.gettempdir()) + r"/[^/\s]+/"
+    return re.sub(folder, "", " ".join(text.split())).replace("|", "\\|")
+
+
+def _short(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 2] + ".."
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"

@@ -1,0 +1,148 @@
+"""What the catalogue of failure modes works on: a family of materials whose truth is known, libraries and models of it.
+
+The family is a plastic (GGX boundary over a diffuse base) of any roughness and colour, in three bands, measured by the
+virtual goniometer. Between two measured members lies a third one, of which every error can be measured.
+"""
+
+from __future__ import annotations
+
+import operator
+import tempfile
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.brdf import goniometer
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.model import diagnostics
+from manifold.model.manifold import Manifold, Settings
+from manifold.model.prediction import Mixture
+from manifold.model.spaces import CurveSpace, MaterialSpace
+from manifold.models.encoding import EncodingPairs
+from manifold.records import Array, Bands, BsdfFile
+from manifold.synthetic.microfacet import GGX, Plastic
+
+BANDS = Bands((450.0, 550.0, 650.0))
+ALPHAS = (0.1, 0.17, 0.29, 0.5)
+COLOURS = ((0.12, 0.2, 0.6), (0.5, 0.45, 0.4), (0.55, 0.3, 0.1))
+GREY = (0.3, 0.3, 0.3)
+MIDDLE = float(np.sqrt(ALPHAS[1] * ALPHAS[2]))  # a roughness between those of the family
+
+_ETA = np.array(1.5)
+_GRID = RusinkiewiczGrid(24, 12, 8)
+
+
+def plastic(alpha: float, colour: Sequence[float] = GREY) -> Plastic:
+    """A member of the family: GGX roughness alpha, diffuse reflectance per band."""
+    return Plastic(GGX.isotropic(alpha), _ETA, np.array(colour), BANDS)
+
+
+def named(alpha: float, colour: int) -> str:
+    """Name of a member of the family."""
+    return f"plastic_{alpha:g}_{colour}"
+
+
+class Bench:
+    """Libraries, models and tables, each made when first asked for; its files vanish at the end of a `with` block."""
+
+    def __init__(self) -> None:
+        self._made: dict[Hashable, Any] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix="manifold-stability-")
+
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.cleanup()
+
+    def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """What `make` returned when the key was first asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    def file(self, alpha: float, colour: Sequence[float] = GREY, name: str = "held_out") -> BsdfFile:
+        """A member of the family as the goniometer measures it."""
+        key = ("file", alpha, tuple(colour))
+        return replace(self.once(key, lambda: goniometer.measure(plastic(alpha, colour), name)), name=name)
+
+    @cached_property
+    def family(self) -> tuple[BsdfFile, ...]:
+        """Twelve files: four roughnesses in three colours."""
+        return tuple(
+            self.file(alpha, colour, named(alpha, k)) for alpha in ALPHAS for k, colour in enumerate(COLOURS)
+        )
+
+    def library(self, files: Sequence[BsdfFile]) -> Path:
+        """A new library of files."""
+        folder = Path(tempfile.mkdtemp(dir=self._folder.name))
+        for file in files:
+            write_bsdf(folder / f"{file.name}_spec.bsdf", file)
+        import_files(folder / "library.zarr", [folder])
+        return folder / "library.zarr"
+
+    def fit(self, files: Sequence[BsdfFile], kind: str, **settings: Any) -> Manifold:
+        """A manifold of a new library of files; of one library for all where they are the family."""
+        is_family = len(files) == len(self.family) and all(map(operator.is_, files, self.family))
+        path = (
+            self.once("family's library", lambda: self.library(files)) if is_family else self.library(files)
+        )
+        return Manifold.fit(Library.open(path), Settings(kind=kind, **settings))
+
+    def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
+        """The manifold of the family; do not change it."""
+        return self.once(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
+
+    @cached_property
+    def data(self) -> Data:
+        """Measured values of the family on a coarse grid."""
+        return Data.evaluate([MeasuredBRDF(file) for file in self.family], _GRID)
+
+    @cached_property
+    def pairs(self) -> EncodingPairs:
+        """Direction pairs that errors are measured at, other ones than materials are embedded by."""
+        wi, wo, above = _GRID.directions()
+        return EncodingPairs(wi[above], wo[above])
+
+    def error(self, found: BRDF, truth: BRDF) -> float:
+        """Relative error, weighted by both cosines."""
+        wi, wo = self.pairs.wi, self.pairs.wo
+        return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
+
+
+def embed(model: Manifold, material: BRDF) -> tuple[Mixture, tuple[str, ...]]:
+    """What a manifold makes of a material it has not seen, and what it says about that."""
+    found = model.embed(material)
+    said = diagnostics.of_embedding(found.relative_error)
+    return _predict(model, found.latent, found.colours, said)
+
+
+def in_space(model: Manifold, space: MaterialSpace | CurveSpace) -> Manifold:
+    """A manifold of the same materials with other latents, or another kernel on them."""
+    settings = replace(model.settings, length_scale=space.length_scale, mu=space.mu)
+    return Manifold(model.library, model.names, space, settings, {})
+
+
+def predict(
+    model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
+) -> tuple[Mixture, tuple[str, ...]]:
+    """What a manifold predicts at a latent, and what it says about that; `missed` as in `cautions`."""
+    return _predict(model, x, colours, (), missed)
+
+
+def _predict(
+    model: Manifold, x: Array, colours: Array | None, said: tuple[str, ...], missed: float = 0.0
+) -> tuple[Mixture, tuple[str, ...]]:
+    brdf = model.predict(x, colours)
+    known = diagnostics.of_prediction(bool(model.is_extrapolation(x, colours)), plausibility(brdf), missed)
+    return brdf, said + known

@@ -1,0 +1,250 @@
+"""Failure modes of fits: local minima, too few directions, lobes and colours that no parameter reaches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF
+from manifold.colour import spectra
+from manifold.directions import from_spherical
+from manifold.experiments.stability.bench import Bench
+from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.fitting.adam_and_swarm import AdamOptions
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled
+from manifold.fitting.fit_samples import FitSamples, from_brdf
+from manifold.fitting.identifiability import DETERMINED
+from manifold.fitting.principled import METHODS, FitResult, fit
+from manifold.metrics import RusinkiewiczGrid, relative_error
+from manifold.records import Array, Bands
+from manifold.synthetic.microfacet import GGX, RoughConductor
+
+Pairs = tuple[Array, Array]
+
+_RGB = Bands(None)
+# The parameters reach half of the measured materials no nearer than this (docs/design/principled.md).
+_AS_MEASURED = 0.1
+_PERCEPTIBLE = 0.1  # of roughness: highlights as unlike as satin and matt
+
+# Adam's rate and window are its own; its stages are cut short so that the catalogue takes minutes, and say so.
+_OPTIONS = {"adam": AdamOptions(max_epochs=150)}
+
+_TRUTH: dict[str, Any] = {
+    "base_color": [0.4, 0.3, 0.2], "metallic": 0.3, "roughness": 0.25, "specular": 0.8, "clearcoat": 0.6,
+    "clearcoat_gloss": 0.9, "sheen": 0.5,
+}  # fmt: skip
+_PLAIN = {"metallic": 0.0, "specular": 0.5, "clearcoat": 0.0, "clearcoat_gloss": 1.0, "sheen": 0.0}
+_ROUGH_BLACK = _PLAIN | {"base_color": [0.01] * 3, "roughness": 0.95}
+_SMOOTH_GREY = _PLAIN | {"base_color": [0.02] * 3, "roughness": 0.1}
+
+# A hand-held instrument of 2015: theta and phi of ten sensors in degrees, for incidences of 15 and 45 degrees.
+_SENSORS_DEG = (
+    (60, 0), (30, 0), (0, 0), (30, 180), (65, 180), (45, 60), (45, 120), (30, 90), (60, 60), (60, 120),
+)  # fmt: skip
+
+
+@cache
+def _dense() -> Pairs:
+    """Direction pairs all over the hemisphere, dense around the mirror direction."""
+    wi, wo, above = RusinkiewiczGrid(16, 10, 8).directions()
+    keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > 0.05)
+    return wi[keep], wo[keep]
+
+
+def _old_instrument() -> Pairs:
+    wi = [from_spherical(np.deg2rad(t), np.pi) for t in (15, 45) for _ in _SENSORS_DEG]
+    wo = [from_spherical(*np.deg2rad(sensor)) for _ in (15, 45) for sensor in _SENSORS_DEG]
+    return np.array(wi), np.array(wo)
+
+
+def _values(family: BsdfFamily, values: Mapping[str, Any], pairs: Pairs, n_bands: int = 3) -> Array:
+    """f_cos (M, B) of a BSDF."""
+    whole = evaluator(family, *pairs, n_bands)
+    return whole.values(whole.layout.join(values))[0]
+
+
+def _samples(values: Mapping[str, Any], pairs: Pairs, noise: float = 0.0, floor: float = 0.0) -> FitSamples:
+    """Samples of a Principled BSDF, with Gaussian noise: a share of the value, and a floor in 1/sr."""
+    f = _values(principled(values), values, pairs) / pairs[1][:, 2:]
+    f = np.maximum(f + (noise * f + floor) * np.random.default_rng(3).standard_normal(f.shape), 0.0)
+    return FitSamples.from_arrays(*pairs, f)
+
+
+def _error(found: FitResult, values: Mapping[str, Any]) -> float:
+    """Relative error of a fitted BSDF over all directions."""
+    truth = _values(principled(values), values, _dense())
+    return relative_error(truth, _values(found.family, found.values, _dense()), np.sqrt(_dense()[0][:, 2]))
+
+
+def _said(found: FitResult, *kinds: str) -> tuple[str, ...]:
+    """What the package says of a fit: notes of some kinds, that it did not converge, and what it is not sure of."""
+    said = [note for note in found.notes if any(kind in note for kind in kinds)]
+    said += ["not converged"] * (not found.minima[0].converged)
+    return (*said, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
+
+
+def _minima(method: str) -> Trial:
+    def trial(bench: Bench, n_free: float) -> Found:
+        names = PRINCIPLED_DEFAULT[: int(n_free)]
+        truth = {name: _TRUTH[name] for name in names}
+        found = fit(_samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method))
+        return Found(_error(found, truth), _said(found, "cannot tell", "diffuse", "no minimum"))
+
+    return trial
+
+
+def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
+    """Error of the roughness from the directions of an old instrument, or from many."""
+
+    def trial(bench: Bench, n_pairs: float) -> Found:
+        pairs = _old_instrument() if n_pairs <= 20 else _dense()
+        found = fit(
+            _samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05, options=_OPTIONS.get(method)
+        )
+        error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
+        said = [note for note in found.notes if "cannot tell" in note]
+        said += [
+            f"{s.name}: {s}" for s in found.statements if s.name == "roughness" and s.state != DETERMINED
+        ]
+        return Found(error, tuple(said))
+
+    return trial
+
+
+def _few(bench: Bench, n_pairs: float) -> Found:
+    rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
+    found = fit(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
+    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "do not show"))
+
+
+def _one_incidence(bench: Bench, n_pairs: float) -> Found:
+    rng = np.random.default_rng(5)
+    wo = from_spherical(
+        np.arccos(rng.uniform(0.1, 1.0, int(n_pairs))), rng.uniform(0, 2 * np.pi, int(n_pairs))
+    )
+    wi = np.broadcast_to(from_spherical(np.deg2rad(45.0), 0.0), wo.shape)
+    found = fit(_samples(_TRUTH, (wi, wo)))
+    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "do not show"))
+
+
+def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
+    """What a fit leaves over of a material that its parameters do not reach."""
+
+    def trial(bench: Bench, severity: float) -> Found:
+        found = fit(from_brdf(brdf(severity)))
+        ends = [
+            s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
+        ]
+        said = [note for note in found.notes if "diffuse" in note or "reach" in note]
+        said += [note for note in found.notes if "end of the range" in note and ends]
+        return Found(found.residuals[found.metric], tuple(said))
+
+    return trial
+
+
+def _metal(alpha_x: float, alpha_y: float) -> BRDF:
+    return RoughConductor(GGX.anisotropic(alpha_x, alpha_y), np.array(1.2), np.array(5.0), _RGB)
+
+
+def _mirror(alpha: float) -> BRDF:
+    return _metal(alpha, alpha)
+
+
+def brushed(ratio: float) -> BRDF:
+    """A metal of roughness 0.05 across, and that many times as rough along."""
+    return _metal(0.05 * ratio, 0.05)
+
+
+def _colour(method: str) -> Trial:
+    """Distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
+
+    def trial(bench: Bench, width: float) -> Found:
+        nm = np.linspace(400.0, 700.0, 31)
+        bands = Bands(tuple(nm))
+        green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))
+        values = {"base_color": green, "roughness": 0.6}
+        family = principled(values)
+        f = _values(family, values, _dense(), 31) / _dense()[1][:, 2:]
+        found = fit(
+            FitSamples.from_arrays(*_dense(), f, bands=bands),
+            family,
+            method=method,
+            options=_OPTIONS.get(method),
+        )
+        error = np.abs(np.array(found.values["base_color"]) - spectra.to_srgb(green, bands)).max()
+        return Found(float(error), _said(found, "Rec. 709", "no minimum"))
+
+    return trial
+
+
+MODES: tuple[Mode, ...] = (
+    Mode(
+        key="local_minima",
+        concerns="fits of samples whose truth the parameters reach exactly",
+        severity="free parameters",
+        severities=(3.0, 7.0),
+        number="relative error of the fitted BSDF over all directions",
+        threshold=_AS_MEASURED,
+        methods={method: _minima(method) for method in METHODS},
+        advice="Use gauss-newton, which begins at several places and lists every minimum that it finds.",
+    ),
+    Mode(
+        key="rough_or_smooth",
+        concerns="rough black and smooth grey, seen with noise from the directions of an old instrument",
+        severity="direction pairs",
+        severities=(float(len(_dense()[0])), 20.0),
+        number="error of the roughness",
+        threshold=_PERCEPTIBLE,
+        methods={
+            "gauss-newton, rough black": _roughness("gauss-newton", _ROUGH_BLACK),
+            "gauss-newton, smooth grey": _roughness("gauss-newton", _SMOOTH_GREY),
+            "adam, rough black": _roughness("adam", _ROUGH_BLACK),
+            "swarm, rough black": _roughness("swarm", _ROUGH_BLACK),
+        },
+        advice="Measure near the mirror direction and at grazing angles; else choose among what is listed.",
+    ),
+    Mode(
+        key="few_directions",
+        concerns="fits to a few direction pairs, or to those of one incidence",
+        severity="direction pairs",
+        severities=(400.0, 10.0, 1.0),
+        number="relative error of the fitted BSDF over all directions",
+        threshold=_AS_MEASURED,
+        methods={"all over the hemisphere": _few, "one incidence": _one_incidence},
+        advice="Read what the fit says of each parameter; fix those that the samples do not show.",
+    ),
+    Mode(
+        key="mirror_fit",
+        concerns="fits to metals smoother than the smoothest parameter",
+        severity="GGX roughness alpha",
+        severities=(0.1, 0.001, 0.0001),
+        number="relative residual of the fit",
+        threshold=_AS_MEASURED,
+        methods={"gauss-newton": _unreached(_mirror)},
+        advice="Use a mirror, Mitsuba's `conductor`, for what is smoother than alpha 0.001.",
+    ),
+    Mode(
+        key="brushed_fit",
+        concerns="fits of isotropic parameters to brushed metals",
+        severity="ratio of the two roughnesses",
+        severities=(1.0, 5.0, 10.0),
+        number="relative residual of the fit",
+        threshold=_AS_MEASURED,
+        methods={"gauss-newton": _unreached(brushed)},
+        advice="Free `anisotropic` too (`--free`), or keep the measured file.",
+    ),
+    Mode(
+        key="out_of_gamut",
+        concerns="colours that linear sRGB has only with negative values",
+        severity="width of the band of reflectance in nm",
+        severities=(100.0, 15.0),
+        number="distance of the fitted colour, in linear sRGB",
+        threshold=0.02,  # a little more than the tolerance of a colour
+        methods={method: _colour(method) for method in METHODS},
+        advice="Render in spectral mode, where the fit keeps the reflectance of every band.",
+    ),
+)

@@ -1,0 +1,311 @@
+"""Failure modes of storage: damaged, changed and foreign files, libraries and models."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold.errors import FileFormatError
+from manifold.experiments.stability.bench import ALPHAS, BANDS, MIDDLE, Bench, named
+from manifold.experiments.stability.data_failures import middle_of_family
+from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.io_rgl import read_tensors, write_bsdf, write_tensors
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.model import model_file
+from manifold.model.located import locate
+from manifold.model.manifold import Manifold
+from manifold.records import Array, BsdfFile
+
+# Instruments repeat themselves no better: damage that changes a result by less is not worth a word.
+_REPEATED = 0.01
+_NONE = 0.0  # for counts of what must not happen at all
+
+_FIRST, _SECOND = named(ALPHAS[1], 1), named(ALPHAS[2], 1)
+_FILE = "held_out_spec.bsdf"
+
+Damage = Callable[[Path, float], None]
+"""Done to a path by a severity; 0 does nothing."""
+
+
+@contextmanager
+def _copy(bench: Bench) -> Iterator[Path]:
+    """A folder to be damaged: `library.zarr`, `model.h5` fitted to it, and a file that neither knows."""
+
+    def make() -> Path:
+        model = bench.fit(middle_of_family(bench), "material")
+        folder = model.library.path.parent
+        model.save(folder / "model.h5")
+        for path in folder.glob("*.bsdf"):
+            path.unlink()
+        write_bsdf(folder / _FILE, bench.file(MIDDLE))
+        return folder
+
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(shutil.copytree(bench.once("storage", make), name, dirs_exist_ok=True))
+
+
+def _values(bench: Bench, folder: Path) -> Array:
+    """What the model of a folder predicts half way between two materials."""
+    return (
+        Manifold.load(folder / "model.h5")
+        .interpolate(_FIRST, _SECOND, 0.5)
+        .eval(bench.pairs.wi, bench.pairs.wo)
+    )
+
+
+def _predicted(damage: Damage) -> Trial:
+    """A prediction of a damaged folder beside that of the whole one."""
+
+    def trial(bench: Bench, severity: float) -> Found:
+        with _copy(bench) as folder:
+            whole = _values(bench, folder)
+            damage(folder, severity)
+            found = _values(bench, folder)
+        return Found(float(np.linalg.norm(found - whole) / np.linalg.norm(whole)))
+
+    return trial
+
+
+def _verified(bench: Bench, bits: float) -> Found:
+    """Damaged materials that `manifold info --verify` does not name."""
+    with _copy(bench) as folder:
+        _flip_values(folder, bits)
+        said = Library.open(folder / "library.zarr").verify()
+    return Found(float(bits > 0) - len(said), tuple(said))
+
+
+def _flip_values(folder: Path, bits: float) -> None:
+    """Turn over bits of the stored values of a material."""
+    chunk = next((folder / "library.zarr" / "materials" / _FIRST / "spectra").glob("c.*"))
+    content = bytearray(chunk.read_bytes())
+    rng = np.random.default_rng(7)
+    for place in rng.permutation(len(content) * 3 // 4)[: int(bits)]:  # behind the values comes their index
+        content[place] ^= 1 << int(rng.integers(8))
+    chunk.write_bytes(content)
+
+
+def _flip_latents(folder: Path, bits: float) -> None:
+    """Turn over the lowest bit of the exponent of some coordinates: twice or half of what they were."""
+    path = folder / "model.h5"
+    content = bytearray(path.read_bytes())
+    first = content.index(Manifold.load(path).X.tobytes())
+    for k in range(int(bits)):
+        content[first + 8 * k + 6] ^= 0x10
+    path.write_bytes(content)
+
+
+def _cut(path: Path, share: float) -> None:
+    """Cut a share of a file's bytes off its end, at least one where the share is not 0."""
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) - int(np.ceil(share * len(content)))])
+
+
+def _cut_values(folder: Path, share: float) -> None:
+    chunk = next((folder / "library.zarr" / "materials" / _FIRST / "spectra").glob("c.*"))
+    if share == 1.0:
+        chunk.unlink()
+    else:
+        _cut(chunk, share)
+
+
+def _cut_model(folder: Path, share: float) -> None:
+    _cut(folder / "model.h5", share)
+
+
+def _older_model(folder: Path, versions: float) -> None:
+    """Give a model the version that it had some versions ago."""
+    path = folder / "model.h5"
+    content = path.read_bytes()
+    found = content.index(model_file.FORMAT_VERSION.to_bytes(8, "little"), content.index(b"format_version"))
+    version = (model_file.FORMAT_VERSION - int(versions)).to_bytes(8, "little")
+    path.write_bytes(content[:found] + version + content[found + 8 :])
+
+
+def _cut_file(folder: Path, share: float) -> None:
+    _cut(folder / _FILE, share)
+
+
+def _spoil_file(folder: Path, count: float) -> None:
+    """Put values that are no numbers into a file, as no writer of this package would."""
+    fields = dict(read_tensors(folder / _FILE))
+    fields["spectra"] = fields["spectra"].copy()
+    fields["spectra"].reshape(-1)[
+        np.random.default_rng(7).permutation(fields["spectra"].size)[: int(count)]
+    ] = np.nan
+    write_tensors(folder / _FILE, fields)
+
+
+def _import(folder: Path) -> None:
+    """Import the file; an import of several leaves a bad one out and says why, which is a refusal too."""
+    for message in import_files(folder / "library.zarr", [folder / _FILE]).failed.values():
+        raise FileFormatError(message)
+
+
+def _imported(damage: Damage) -> Trial:
+    """Damaged files that an import takes."""
+
+    def trial(bench: Bench, severity: float) -> Found:
+        with _copy(bench) as folder:
+            damage(folder, severity)
+            _import(folder)
+        return Found(float(severity > 0))
+
+    return trial
+
+
+def _located(damage: Damage) -> Trial:
+    """Damaged files that are given a place on a manifold."""
+
+    def trial(bench: Bench, severity: float) -> Found:
+        with _copy(bench) as folder:
+            damage(folder, severity)
+            found = locate(folder / "model.h5", folder / _FILE)
+        return Found(float(severity > 0), found.cautions)
+
+    return trial
+
+
+def _exchange(folder: Path, count: float) -> None:
+    """Exchange materials of a library for others under the same names."""
+    library = Library.open(folder / "library.zarr")
+    names = (_FIRST, _SECOND, *(name for name in library.names if name not in (_FIRST, _SECOND)))
+    files = [library.read(name) for name in names[: int(count)]]
+    (folder / "new").mkdir()
+    for file in files:
+        write_bsdf(
+            folder / "new" / f"{file.name}_spec.bsdf", replace(file, spectra=file.spectra * np.float32(0.5))
+        )
+    if files:
+        import_files(library.path, [folder / "new"], replace=True)
+
+
+def _remove(folder: Path, count: float) -> None:
+    """Remove materials from a library."""
+    for name in (_FIRST, _SECOND, named(ALPHAS[1], 0))[: int(count)]:
+        shutil.rmtree(folder / "library.zarr" / "materials" / name)
+
+
+def _in_other_bands(file: BsdfFile, count: float) -> BsdfFile:
+    """The file with some wavelengths 5 nm longer; as an RGB file where all of them are to differ."""
+    wavelengths = np.array(BANDS.wavelengths_nm, dtype=np.float32)
+    if count >= len(wavelengths):
+        return replace(file, wavelengths_nm=None, version=(1, 0))
+    wavelengths[: int(count)] += 5.0
+    return replace(file, wavelengths_nm=wavelengths)
+
+
+def _imported_bands(bench: Bench, count: float) -> Found:
+    """Bands that an import takes for others."""
+    with _copy(bench) as folder:
+        write_bsdf(folder / _FILE, _in_other_bands(bench.file(MIDDLE), count))
+        _import(folder)
+    return Found(count)
+
+
+def _located_bands(bench: Bench, count: float) -> Found:
+    """Bands that an embedding takes for others."""
+    with _copy(bench) as folder:
+        write_bsdf(folder / _FILE, _in_other_bands(bench.file(MIDDLE), count))
+        found = locate(folder / "model.h5", folder / _FILE)
+    return Found(count, found.cautions)
+
+
+MODES: tuple[Mode, ...] = (
+    Mode(
+        key="flipped_bits",
+        concerns="a material of a library whose stored values were changed on the disk",
+        severity="bits turned over",
+        severities=(0.0, 1.0, 100.0),
+        number="relative difference of the prediction; damaged materials that verification does not name",
+        threshold=_REPEATED,
+        methods={"prediction": _predicted(_flip_values), "verification": _verified},
+        advice="Delete the material that is named and import its file again; `manifold info --verify` finds all.",
+    ),
+    Mode(
+        key="cut_material",
+        concerns="a material of a library whose stored values were cut off, or lost (1)",
+        severity="share of the bytes",
+        severities=(0.0, 1e-4, 0.5, 1.0),
+        number="relative difference of the prediction",
+        threshold=_REPEATED,
+        methods={"prediction": _predicted(_cut_values)},
+        advice="Delete the material that is named and import its file again.",
+    ),
+    Mode(
+        key="cut_file",
+        concerns="a .bsdf file that was not copied to its end",
+        severity="share of the bytes that is missing",
+        severities=(0.0, 1e-4, 0.5, 0.999),
+        number="damaged files taken",
+        threshold=_NONE,
+        methods={"import": _imported(_cut_file), "embedding a file": _located(_cut_file)},
+        advice="Fetch the file again; the other files of the same import are in the library.",
+    ),
+    Mode(
+        key="not_a_number",
+        concerns="values in a file that are no numbers",
+        severity="values",
+        severities=(0.0, 1.0, 1000.0),
+        number="damaged files taken",
+        threshold=_NONE,
+        methods={"import": _imported(_spoil_file), "embedding a file": _located(_spoil_file)},
+        advice="Mark what was not measured in `valid` and write zeros there.",
+    ),
+    Mode(
+        key="changed_library",
+        concerns="materials of a library exchanged, or removed, after a model was fitted to it",
+        severity="materials",
+        severities=(0.0, 1.0, 3.0),
+        number="relative difference of the prediction",
+        threshold=_REPEATED,
+        methods={"exchanged": _predicted(_exchange), "removed": _predicted(_remove)},
+        advice="Embed again after every change of a library.",
+    ),
+    Mode(
+        key="cut_model",
+        concerns="a model file that was not copied to its end",
+        severity="share of the bytes that is missing",
+        severities=(0.0, 1e-4, 0.5, 0.999),
+        number="relative difference of the prediction",
+        threshold=_REPEATED,
+        methods={"prediction": _predicted(_cut_model)},
+        advice="Embed again; a model takes seconds.",
+    ),
+    Mode(
+        key="flipped_latents",
+        concerns="a model file whose latents were changed on the disk",
+        severity="bits turned over",
+        severities=(0.0, 1.0, 6.0),
+        number="relative difference of the prediction",
+        threshold=_REPEATED,
+        methods={"prediction": _predicted(_flip_latents)},
+        advice="Embed again; a model takes seconds.",
+    ),
+    Mode(
+        key="old_model",
+        concerns="a model file of an older version of its format",
+        severity="versions",
+        severities=(0.0, 1.0, 2.0),
+        number="relative difference of the prediction",
+        threshold=_REPEATED,
+        methods={"prediction": _predicted(_older_model)},
+        advice="Embed again with this version.",
+    ),
+    Mode(
+        key="other_bands",
+        concerns="a file of other wavelengths, or of RGB (3), for a library of spectra",
+        severity="bands that differ, of 3",
+        severities=(0.0, 1.0, 3.0),
+        number="bands taken for others",
+        threshold=_NONE,
+        methods={"import": _imported_bands, "embedding a file": _located_bands},
+        advice="Keep a library per set of bands.",
+    ),
+)

@@ -1,0 +1,192 @@
+"""Failure modes of the search for latents: starts, stopping, ambiguities between runs, precision, conditioning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from manifold import dls
+from manifold.experiments.stability.bench import Bench, embed, in_space
+from manifold.experiments.stability.model_failures import HALF_OF_NEAREST, held_out, in_error_of_nearest
+from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, pca_start
+from manifold.gpr import GPWeights, centre_gram
+from manifold.mapping import mapping_named
+from manifold.model.prediction import PredictedBRDF
+from manifold.model.spaces import MaterialSpace
+from manifold.records import Array
+
+_MAPPING = mapping_named("cube-root")
+_SEARCHES = ("dls", "l-bfgs", "both")
+_ELSEWHERE = 0.25  # of the width of the map: a material is found in another quarter of it
+_SEEN_IN_A_FIT = 1e-3  # nats per material: what one fit is preferred to another by
+_CLOSE = 0.2  # of principal components of unit variance: K has a condition number of 1e10 and more
+_HALFWAY = 0.5  # of the way from the start to the minimum
+
+
+def _gram(bench: Bench) -> Array:
+    """Inner products of the family, in the order of its models."""
+    names = [file.name for file in bench.family]
+    order = [names.index(name) for name in bench.model("material").names]
+    return bench.data.gram(_MAPPING)[np.ix_(order, order)]
+
+
+def _fit(bench: Bench, S: Array, optimizer: str, start: Array | None = None) -> GPLVM:
+    return GPLVM(2, optimizer=optimizer).fit_gram(S, bench.data.n_outputs, X0=start)
+
+
+def _held_out_by(bench: Bench, fitted: GPLVM) -> Found:
+    """The held-out plastic, embedded in a manifold with these latents of the family."""
+    truth = held_out(bench)
+    space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.mu, fitted.length_scale)
+    brdf, said = embed(in_space(bench.model("material"), space), truth)
+    return Found(in_error_of_nearest(bench, brdf), said)
+
+
+# -- starts and ambiguities --------------------------------------------------------------------------------
+
+
+def _from_start(optimizer: str) -> Trial:
+    """A fit from random latents of a standard deviation."""
+
+    def trial(bench: Bench, scale: float) -> Found:
+        S = _gram(bench)
+        start = scale * np.random.default_rng(0).normal(size=(len(S), 2))
+        return _held_out_by(bench, _fit(bench, S, optimizer, start))
+
+    return trial
+
+
+def _rotated(optimizer: str) -> Trial:
+    """A fit from principal components turned by an angle."""
+
+    def trial(bench: Bench, degrees: float) -> Found:
+        S = _gram(bench)
+        c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        start = pca_start(centre_gram(S), 2) @ np.array([[c, -s], [s, c]])
+        return _held_out_by(bench, _fit(bench, S, optimizer, start))
+
+    return trial
+
+
+def _again(optimizer: str) -> Trial:
+    """The same library, its materials in another order and their values changed a little: how far latents move."""
+
+    def trial(bench: Bench, change: float) -> Found:
+        S, rng = _gram(bench), np.random.default_rng(0)
+        first = bench.once(("fit", optimizer), lambda: _fit(bench, S, optimizer).embedding_)
+        order, scale = rng.permutation(len(S)), 1.0 + change * rng.normal(size=len(S))
+        other = (S * scale[:, None] * scale)[np.ix_(order, order)]
+        X = np.empty_like(first)
+        X[order] = _fit(bench, other, optimizer).embedding_
+        return Found(float(np.abs(X - first).max() / np.ptp(first)))
+
+    return trial
+
+
+# -- numbers -----------------------------------------------------------------------------------------------
+
+
+def _in_precision(optimizer: str) -> Trial:
+    """A fit to inner products that were rounded to fewer bits."""
+
+    def trial(bench: Bench, dropped: float) -> Found:
+        dtype = {0: np.float64, 29: np.float32, 42: np.float16}[int(dropped)]
+        return _held_out_by(bench, _fit(bench, _gram(bench).astype(dtype).astype(np.float64), optimizer))
+
+    return trial
+
+
+def _ill_conditioned(bench: Bench, length_scale: float) -> Found:
+    """The held-out plastic from the weights of a kernel without noise filter."""
+    model, truth = bench.model("material"), held_out(bench)
+    x = bench.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
+    weights = GPWeights(model.X, 0.0, length_scale).weights(x[None])[0]
+    brdf = PredictedBRDF(model.load_materials(), weights, model.mapping)
+    return Found(in_error_of_nearest(bench, brdf))
+
+
+def _drift(bench: Bench, moves: float) -> Found:
+    """F after many moves of one coordinate each, by updates and afresh, under the least noise filter."""
+    S, rng = centre_gram(_gram(bench)), np.random.default_rng(0)
+    objective = LatentObjective(S, bench.data.n_outputs, 1e-10, 1.0)
+    start = _CLOSE * pca_start(S, 2)
+    updated = IncrementalObjective(objective, start)
+    for _ in range(int(moves)):  # each to near where it started, so that latents stay close
+        index = int(rng.integers(start.size))
+        target = start.reshape(-1)[index] + 0.1 * _CLOSE * float(rng.normal())
+        updated.try_move(index, target - updated.x[index])
+        updated.commit()
+    afresh = objective(updated.x.reshape(len(S), -1))[0]
+    return Found(abs(updated.value - afresh) / len(S))
+
+
+# -- stopping ----------------------------------------------------------------------------------------------
+
+
+def _valley(x: Array) -> float:
+    """A curved valley with its minimum, 0, at (1, 1) (Rosenbrock 1960)."""
+    return float(100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2)
+
+
+def _stairs(x: Array) -> float:
+    """A bowl in steps, flat almost everywhere, with its minimum, 0, around (1, 1)."""
+    return float(np.sum(np.floor(8.0 * np.abs(x - 1.0)) / 8.0))
+
+
+def _stopped(function: Callable[[Array], float]) -> Trial:
+    """How far from the minimum a search ends whose evaluations are limited, as a share of where it started."""
+
+    def trial(bench: Bench, divisor: float) -> Found:
+        start = np.array([-1.2, 1.0])
+        found = dls.hooke_jeeves(function, start, maxfev=int(4000 / divisor))
+        said = () if found.success else (f"not converged: {found.message}",)
+        apart = np.linalg.norm(found.x - 1.0) / np.linalg.norm(start - 1.0)
+        return Found(float(apart), said)
+
+    return trial
+
+
+_ERROR = "error of a held-out plastic, in that of the nearest material"
+
+MODES: tuple[Mode, ...] = (
+    Mode(
+        "bad_starts", "fits from random latents", "their standard deviation, in length scales",
+        (0.1, 10.0, 100.0), _ERROR, HALF_OF_NEAREST, {name: _from_start(name) for name in _SEARCHES},
+        "Keep the start from principal components; from afar, only the direct local search finds the way.",
+    ),
+    Mode(
+        "rotated_start", "fits from principal components turned by an angle", "degrees", (0.0, 45.0, 180.0),
+        _ERROR, HALF_OF_NEAREST, {name: _rotated(name) for name in _SEARCHES[:2]},
+        "Nothing needs doing: predictions do not depend on how the map is turned.",
+    ),
+    Mode(
+        "run_to_run", "a second fit, materials in another order, values rounded elsewhere", "relative change",
+        (0.0, 1e-9, 1e-6, 1e-4), "largest shift of a latent, in widths of the map", _ELSEWHERE,
+        {name: _again(name) for name in _SEARCHES[:2]},
+        "Compare distances, not coordinates, of maps of libraries that differ; their axes may be mirrored.",
+    ),
+    Mode(
+        "rounded_products", "inner products of materials in fewer bits", "bits dropped of 52", (0, 29, 42), _ERROR,
+        HALF_OF_NEAREST, {name: _in_precision(name) for name in _SEARCHES[:2]},
+        "Single precision is enough for the data; half precision costs accuracy.",
+    ),
+    Mode(
+        "ill_conditioned_kernel", "weights of a kernel without noise filter", "length scale l",
+        (1.0, 10.0, 1e2, 1e4, 1e7), _ERROR, HALF_OF_NEAREST, {"GP": _ill_conditioned},
+        "Raise mu to what the warning names; a kernel that is nearly singular loses the data's digits.",
+    ),
+    Mode(
+        "drift_of_updates", "the objective by rank-two updates, without noise to speak of", "moves",
+        (10.0, 100.0, 1000.0), "error of the objective, nats per material", _SEEN_IN_A_FIT,
+        {"dls": _drift},
+        "Nothing needs doing: the factorisation is renewed whenever its error shows.",
+    ),
+    Mode(
+        "stopping_rule", "a direct local search cut short", "evaluations, as a divisor of 4000",
+        (1.0, 10.0, 40.0, 400.0), "distance left to the minimum, of that at the start", _HALFWAY,
+        {"curved valley": _stopped(_valley), "stairs": _stopped(_stairs)},
+        "Look at `success` and `message` of a result, and raise maxfev where it says so.",
+    ),
+)  # fmt: skip

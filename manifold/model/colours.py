@@ -1,0 +1,111 @@
+"""The colour of a predicted structure, as people give it: like a material, as a spectrum, or as sRGB."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from manifold.colour import spectra
+from manifold.errors import UsageError
+from manifold.model.manifold import Manifold
+from manifold.model.spaces import CurveSpace
+from manifold.records import Array
+
+
+@dataclass(frozen=True)
+class ColourChoice:
+    """What a user asks for; nothing is the reflectance of the nearest material.
+
+    Attributes:
+        like: name of a material of the model.
+        reflectance: text file of wavelengths in nm and reflectances.
+        srgb: `#rrggbb`, or three display values from 0 to 1 with commas between.
+    """
+
+    like: str | None = None
+    reflectance: Path | None = None
+    srgb: str | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name, value in vars(self).items() if value is not None]
+        if len(given) > 1:
+            raise UsageError(
+                f"found --{' and --'.join(given)}, expected one of them; a material has one colour"
+            )
+
+
+NEAREST = ColourChoice()
+"""The reflectance of the nearest material."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenColour:
+    """A colour on a manifold.
+
+    Attributes:
+        colours: colour coordinate of every band, shape (B,); None where latents carry their colours.
+        words: where it comes from.
+        missed: largest distance over bands of the reflectance asked for from the one reached.
+    """
+
+    colours: Array | None
+    words: str | None
+    missed: float
+
+
+def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColour:
+    """Find the colours of a structure x (Q,).
+
+    Raises:
+        UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
+        FileFormatError: the file holds no reflectance spectrum.
+    """
+    if not isinstance(model.space, CurveSpace):
+        if choice != NEAREST:
+            raise UsageError(
+                "the materials of this manifold carry their colours with them; leave the colour out, or "
+                "embed with --kind monochrome to choose it"
+            )
+        return ChosenColour(None, None, 0.0)
+    if choice.reflectance is None and choice.srgb is None:
+        name = choice.like if choice.like is not None else model.nearest(x)[0][0]
+        colours = model.colours_like(x, name)
+        words = f"like {name}" + ", the nearest" * (choice.like is None)
+        reached = model.reflectance_of_colours(x, colours)
+        return ChosenColour(colours, words, float(np.abs(reached - model.reflectance(name)).max()))
+    if choice.reflectance is not None:
+        asked, words = (
+            spectra.read_reflectance(choice.reflectance, model.bands),
+            f"by {choice.reflectance.name}",
+        )
+    else:
+        asked = spectra.srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
+        words = f"sRGB {choice.srgb}"
+    colours, reached = model.colours_of_reflectance(x, asked)
+    return ChosenColour(colours, words, float(np.abs(reached - asked).max()))
+
+
+def parse_srgb(text: str) -> Array:
+    """Encoded sRGB values in [0, 1], shape (3,), of `#rrggbb` or `r,g,b`.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    digits = text.removeprefix("#")
+    try:
+        if "," in text:
+            values = [float(part) for part in text.split(",")]
+        elif re.fullmatch("[0-9a-fA-F]{6}", digits):
+            values = [int(digits[k : k + 2], 16) / 255.0 for k in (0, 2, 4)]
+        else:
+            raise ValueError
+        if len(values) != 3 or not all(0.0 <= v <= 1.0 for v in values):
+            raise ValueError
+    except ValueError:
+        raise UsageError(
+            f"--srgb '{text}': expected #rrggbb, or three values from 0 to 1 like 0.8,0.5,0.2"
+        ) from None
+    return np.array(values)

@@ -1,0 +1,70 @@
+"""Measured files placed on a manifold that has not seen them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import close_holes, find_holes, share_of_holes
+from manifold.io_rgl import read_bsdf
+from manifold.model import diagnostics
+from manifold.model.manifold import Manifold
+from manifold.records import Progress
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where a file belongs on a manifold.
+
+    Attributes:
+        path: the file.
+        latent: shape (Q,).
+        colours: colour coordinate of every band, of a monochrome manifold.
+        relative_error: of the material that the manifold gives back there.
+        std: posterior standard deviation there, as a fraction of the prior's.
+        nearest: the three nearest materials with their distances.
+        cautions: what speaks against it.
+    """
+
+    path: Path
+    latent: tuple[float, ...]
+    colours: tuple[float, ...] | None
+    relative_error: float
+    std: float
+    nearest: tuple[tuple[str, float], ...]
+    cautions: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        return {"program": f"manifold {__version__}", **vars(self), "path": str(self.path)}
+
+
+def locate(
+    model: Path, path: Path, *, library: Path | None = None, on_progress: Progress | None = None
+) -> Located:
+    """Embed a measured file, its holes closed, in a manifold that has not seen it.
+
+    Raises:
+        FileFormatError: it is no RGL file.
+        BandMismatchError: its bands are not the library's.
+    """
+    file = read_bsdf(path)
+    holes = find_holes(file)
+    brdf = MeasuredBRDF(close_holes(file, holes))
+    loaded = Manifold.load(model, library)
+    loaded.prepare(on_progress)
+    found = loaded.embed(brdf)
+    colours = None if found.colours is None else tuple(float(c) for c in found.colours)
+    return Located(
+        path=path,
+        latent=tuple(float(v) for v in found.latent),
+        colours=colours,
+        relative_error=found.relative_error,
+        std=float(loaded.std(found.latent, found.colours)),
+        nearest=tuple(loaded.nearest(found.latent, 3)),
+        cautions=diagnostics.of_embedding(found.relative_error)
+        + diagnostics.of_holes(share_of_holes(file, holes)),
+    )

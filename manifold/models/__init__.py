@@ -1,0 +1,1 @@
+"""Gaussian-process models behind the manifold, arrays in and arrays out: kernels, latent variables, encoders."""

@@ -1,0 +1,414 @@
+"""A sparse latent variable model: thousands of materials at a cost linear in their number.
+
+M inducing points Z stand in for the N latents. With `Q = K_fu K_uu^-1 K_uf`, the variational bound on the
+likelihood of `GPLVM`, per output, sign reversed and output variance s^2 profiled out, is
+
+    F(X, Z) = 1/2 log|Q + mu I| + N/2 log s^2 + tr(K - Q) / (2 mu) + prior/2 ||X||^2,
+    s^2 = tr((Q + mu I)^-1 Y Y^T) / (N D),
+
+with K the covariance without its delta. It is never below the exact objective, and meets it where the inducing
+points are the latents. It sees the data through `Y Y^T` only, so any factor of the Gram matrix serves as Y (N, r). An
+evaluation costs O(N M^2 + N M r) operations and O(N (M + r)) memory; nothing of size N x N is formed.
+
+Source: Titsias 2009, eq. 9; Lawrence 2007 for its use with latents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotrf
+from scipy.optimize import minimize
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.utils.extmath import randomized_svd
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from manifold.errors import NumericalError, ShapeError, UsageError
+from manifold.gplvm import FitCallback, fix_gauge
+from manifold.models.kernels import SquaredExponentialDelta
+from manifold.records import Array
+
+_JITTER = 1e-5  # added to the diagonal of K_uu, in units of mu: far below what the noise filter hides
+_SMALLEST_MU = 1e-6  # below, the jitter no longer holds K_uu definite
+_EXACT_SVD = 500  # sides of Y up to this are decomposed exactly
+_SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
+
+
+class SparseObjective:
+    """F(X, Z) and its gradients.
+
+    Args:
+        Y: centred data, or any factor of their centred Gram matrix, shape (N, r).
+        n_outputs: D.
+        mu, length_scale: of the kernel.
+        prior: weight of the Gaussian prior per output.
+    """
+
+    def __init__(self, Y: Array, n_outputs: int, mu: float, length_scale: float, prior: float = 0.0) -> None:
+        self.Y = np.ascontiguousarray(Y, dtype=np.float64)
+        self.n_outputs = n_outputs
+        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.prior = prior
+        self._squared_norm = float(np.sum(self.Y**2))
+
+    def __call__(self, X: Array, Z: Array) -> tuple[float, Array, Array]:
+        """F at latents X (N, Q) and inducing points Z (M, Q), dF/dX (N, Q) and dF/dZ (M, Q).
+
+        Raises:
+            NumericalError: K_uu is not positive definite.
+        """
+        N, M, mu = X.shape[0], Z.shape[0], self.kernel.mu
+        p = SparsePosterior(self, X, Z)
+        log_det = 2.0 * float(np.sum(np.log(np.diag(p.L_B)))) + (N - M) * np.log(mu)
+        unexplained = N - float(np.sum(p.V**2))  # tr(K - Q)
+        F = 0.5 * log_det + 0.5 * N * np.log(p.fit / (N * self.n_outputs)) + 0.5 * unexplained / mu
+        F += 0.5 * self.prior * float(np.sum(X**2))
+
+        # With A = mu K_uu + K_uf K_fu: |Q + mu I| = mu^(N-M) |A| / |K_uu|, and s^2 follows from W = A^-1 K_uf Y.
+        scale = 0.5 * N / p.fit
+        A_uf = p.solve_A(p.K_uf)  # [M, N]
+        U_uf = solve_triangular(p.L_u, p.V, lower=True, trans=1)  # K_uu^-1 K_uf, [M, N]
+        residual = self.Y - p.K_uf.T @ p.W  # [N, r]
+        d_uf = A_uf - (2.0 * scale / mu) * (p.W @ residual.T) - U_uf / mu
+        eye = np.eye(M)
+        d_uu = 0.5 * (mu * p.solve_A(eye) - cho_solve((p.L_u, True), eye))
+        d_uu += scale * (p.W @ p.W.T) + (0.5 / mu) * (U_uf @ U_uf.T)
+
+        inverse_l2 = 1.0 / self.kernel.length_scale**2
+        G = d_uf * p.K_uf
+        dX = inverse_l2 * (G.T @ Z - G.sum(axis=0)[:, None] * X) + self.prior * X
+        dZ = inverse_l2 * (G @ X - G.sum(axis=1)[:, None] * Z)
+        dZ += self.kernel.gradient(Z, d_uu, smooth=p.K_uu)
+        return float(F), dX, dZ
+
+
+class SparsePosterior:
+    """What F and predictions share: the factorisations at latents X (N, Q) and inducing points Z (M, Q).
+
+    Attributes:
+        K_uu, K_uf: covariances of the inducing points (M, M), with the latents (M, N).
+        L_u, L_B: lower Cholesky factors of K_uu and of `mu I + V V^T`, shape (M, M).
+        V: `L_u^-1 K_uf`, shape (M, N).
+        W: weights of the inducing points per column of Y, shape (M, r).
+        fit: `tr((Q + mu I)^-1 Y Y^T)`.
+    """
+
+    def __init__(self, objective: SparseObjective, X: Array, Z: Array) -> None:
+        self.kernel, mu, Y = objective.kernel, objective.kernel.mu, objective.Y
+        self.Z = Z
+        self.K_uu = self.kernel.smooth(Z, Z)
+        self.K_uf = self.kernel.smooth(Z, X)
+        self.L_u = _cholesky(self.K_uu + _JITTER * mu * np.eye(Z.shape[0]), mu)
+        self.V = solve_triangular(self.L_u, self.K_uf, lower=True)
+        self.L_B = _cholesky(self.V @ self.V.T + mu * np.eye(Z.shape[0]), mu)
+        half = solve_triangular(self.L_B, self.V @ Y, lower=True)  # [M, r]
+        self.W = solve_triangular(
+            self.L_u, solve_triangular(self.L_B, half, lower=True, trans=1), lower=True, trans=1
+        )
+        # The plain difference ||Y||^2 - ||half||^2 cancels; the residual's own norm does not.
+        residual = Y - self.K_uf.T @ self.W
+        self.fit = max(float(np.sum(residual * Y)), np.finfo(float).tiny) / mu
+
+    def solve_A(self, B: Array) -> Array:
+        """`(mu K_uu + K_uf K_fu)^-1 B`, shape of B (M, ...)."""
+        half = cho_solve((self.L_B, True), solve_triangular(self.L_u, B, lower=True))
+        return solve_triangular(self.L_u, half, lower=True, trans=1)
+
+    def variance(self, X_new: Array) -> Array:
+        """Posterior variance at X_new (M', Q) in units of s^2, the delta included, shape (M',)."""
+        half = solve_triangular(self.L_u, self.kernel.smooth(self.Z, X_new), lower=True)  # [M, M']
+        whole = solve_triangular(self.L_B, half, lower=True)
+        mu = self.kernel.mu
+        return np.maximum(1.0 + mu - np.sum(half**2, axis=0) + mu * np.sum(whole**2, axis=0), mu)
+
+
+class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """`GPLVM` for thousands of samples: a variational bound with inducing points, by L-BFGS.
+
+    Inducing points start as a farthest-point subset of the starting latents and are optimised with the latents.
+    Unlike `GPLVM`, predictions are smooth everywhere: at a training latent they come close to the datum.
+
+    Args:
+        n_components: Q, the number of latent dimensions.
+        n_inducing: M, the number of inducing points; N where that is fewer.
+        mu: noise filter of the kernel, at least 1e-6.
+        length_scale: l > 0.
+        prior: weight of the Gaussian prior on the latents per output.
+        start_scale: standard deviation of the start along every axis.
+        move_inducing: whether the inducing points are optimised; else they stay a subset of the start.
+        max_iter: limit on iterations of L-BFGS; 0 keeps the start.
+        tol: relative gain of an iteration below which it ends.
+
+    Attributes:
+        embedding_: latents X, shape (N, Q), centred, each axis with its longer tail positive.
+        inducing_: inducing points Z, shape (M, Q).
+        objective_, objective_start_: the bound F at the end and at the start.
+        n_iter_, n_evaluations_: iterations, and evaluations of F.
+        output_variance_: s^2, in squared units of the outputs.
+        n_outputs_: D.
+        Y_fit_: the centred data or factor, shape (N, r).
+        mean_: what was subtracted from them, shape (r,).
+
+    Source: Titsias 2009; Lawrence 2007.
+    """
+
+    def __init__(
+        self,
+        n_components: int = 2,
+        *,
+        n_inducing: int = 50,
+        mu: float = 1e-4,
+        length_scale: float = 1.0,
+        prior: float = 0.0,
+        start_scale: float = 1.0,
+        move_inducing: bool = True,
+        max_iter: int = 300,
+        tol: float = 1e-6,
+    ) -> None:
+        self.n_components = n_components
+        self.n_inducing = n_inducing
+        self.mu = mu
+        self.length_scale = length_scale
+        self.prior = prior
+        self.start_scale = start_scale
+        self.move_inducing = move_inducing
+        self.max_iter = max_iter
+        self.tol = tol
+
+    # -- fitting -------------------------------------------------------------------------------------------
+
+    def fit(self, Y: Array, y: Any = None, *, callback: FitCallback | None = None) -> SparseGPLVM:
+        """Fit to data Y (N, D), centred here; y is ignored. `callback(iteration, F)` may raise StopIteration."""
+        Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
+        return self._fit(Y, Y.shape[1], None, callback)
+
+    def fit_factor(
+        self, Y: Array, n_outputs: int, *, X0: Array | None = None, callback: FitCallback | None = None
+    ) -> SparseGPLVM:
+        """Fit to a factor Y (N, r) of the Gram matrix `S = Y Y^T` of D outputs, centred here.
+
+        Args:
+            Y: shape (N, r), N at least 2; what `transform` takes and `inverse_transform` returns then.
+            n_outputs: D.
+            X0: start, shape (N, Q), in place of principal components.
+            callback: as for `fit`.
+        """
+        Y = validate_data(self, Y, dtype=np.float64, ensure_min_samples=2)
+        if n_outputs < 1:
+            raise ShapeError(f"n_outputs = {n_outputs}, expected at least 1")
+        return self._fit(Y, n_outputs, X0, callback)
+
+    def fit_transform(self, Y: Array, y: Any = None, **fit_params: Any) -> Array:
+        """Fit to Y (N, D) and return its latents (N, Q)."""
+        return self.fit(Y, y, **fit_params).embedding_.copy()
+
+    def _fit(self, Y: Array, n_outputs: int, X0: Array | None, callback: FitCallback | None) -> SparseGPLVM:
+        self._require_parameters()
+        mean = Y.mean(axis=0)
+        Y = Y - mean
+        if not np.any(Y):
+            raise ShapeError(f"all {Y.shape[0]} samples are identical, expected at least two different ones")
+        N, Q = Y.shape[0], self.n_components
+        X = self.start_scale * pca_start_of_factor(Y, Q) if X0 is None else np.array(X0, dtype=np.float64)
+        if X.shape != (N, Q) or not np.all(np.isfinite(X)):
+            raise ShapeError(f"latents have shape {X.shape}, expected ({N}, {Q}) finite values")
+        Z = X[farthest_points(X, min(self.n_inducing, N))]
+        objective = SparseObjective(Y, n_outputs, self.mu, self.length_scale, float(self.prior))
+        self.objective_start_ = objective(X, Z)[0]
+        self.n_iter_, self.n_evaluations_ = 1, 1
+        if self.max_iter > 0:
+            X, Z, self.n_iter_, self.n_evaluations_ = minimise(
+                objective,
+                X,
+                Z,
+                move_inducing=self.move_inducing,
+                max_iter=self.max_iter,
+                tol=self.tol,
+                callback=callback,
+            )
+        fixed = fix_gauge(X)
+        # The inducing points follow the latents into the gauge.
+        sign = np.where(np.sum(fixed * (X - X.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
+        self.embedding_, self.inducing_ = fixed, (Z - X.mean(axis=0)) * sign
+        self.objective_ = objective(self.embedding_, self.inducing_)[0]
+        self._posterior = SparsePosterior(objective, self.embedding_, self.inducing_)
+        self.output_variance_ = self._posterior.fit / (N * n_outputs)
+        self.n_outputs_, self.Y_fit_, self.mean_ = n_outputs, Y, mean
+        return self
+
+    def _require_parameters(self) -> None:
+        if not self.n_components >= 1:
+            raise UsageError(f"n_components = {self.n_components}, expected at least 1")
+        if not self.n_inducing >= 1:
+            raise UsageError(f"n_inducing = {self.n_inducing}, expected at least 1")
+        if not self.mu >= _SMALLEST_MU:
+            raise UsageError(f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K_uu must stay definite")
+        if not self.prior >= 0:
+            raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
+
+    @property
+    def _n_features_out(self) -> int:
+        return int(self.embedding_.shape[1])
+
+    # -- using ---------------------------------------------------------------------------------------------
+
+    def transform(self, Y: Array) -> Array:
+        """Latents of data Y (M', r) by their likelihood, the model kept, shape (M', Q).
+
+        Minimises `1/2 log v + ||y - y*||^2 / (2 D s^2 v) + prior/2 ||x||^2` with the posterior variance v in
+        units of s^2, from the latents of the nearest training samples. A training sample gets its latent.
+        """
+        check_is_fitted(self)
+        Y = validate_data(self, Y, reset=False, dtype=np.float64) - self.mean_
+        norms = np.einsum("nr,nr->n", self.Y_fit_, self.Y_fit_)
+        return np.array([self._embed_one(y, norms) for y in Y])
+
+    def inverse_transform(self, X: Array) -> Array:
+        """Predicted data at latents X (M', Q), shape (M', r)."""
+        check_is_fitted(self)
+        return (
+            self.mean_
+            + self._posterior.kernel.smooth(self._require_latents(X), self.inducing_) @ self._posterior.W
+        )
+
+    def weights(self, X: Array) -> Array:
+        """Weights of the training samples at latents X (M', Q), rows summing to 1, shape (M', N)."""
+        check_is_fitted(self)
+        k = self._posterior.kernel.smooth(self._require_latents(X), self.inducing_)  # [M', M]
+        W = self._posterior.solve_A(k.T).T @ self._posterior.K_uf
+        return W + (1.0 - W.sum(axis=1, keepdims=True)) / W.shape[1]
+
+    def std(self, X: Array) -> Array:
+        """Posterior standard deviation at latents X (M', Q), in units of the outputs, shape (M',)."""
+        check_is_fitted(self)
+        return np.sqrt(self.output_variance_ * self._posterior.variance(self._require_latents(X)))
+
+    def _require_latents(self, X: Array) -> Array:
+        X = np.asarray(X, dtype=np.float64)
+        if X.ndim != 2 or X.shape[1] != self.embedding_.shape[1] or not np.all(np.isfinite(X)):
+            raise ShapeError(
+                f"X has shape {X.shape}, expected (samples, {self.embedding_.shape[1]}) finite values"
+            )
+        return X
+
+    def _embed_one(self, y: Array, norms: Array) -> Array:
+        norm = float(y @ y)
+        squared = norm + norms - 2.0 * (self.Y_fit_ @ y)  # distances to the training samples, [N]
+        order = np.argsort(squared, kind="stable")
+        if squared[order[0]] <= _SAME * (norm + norms[order[0]]):
+            return self.embedding_[order[0]]
+        p, Z = self._posterior, self.inducing_
+        target, mu = p.W @ y, self.mu  # [M]
+        scale = self.n_outputs_ * max(self.output_variance_, np.finfo(float).tiny)
+        inverse_l2 = 1.0 / self.length_scale**2
+
+        def objective(x: Array) -> tuple[float, Array]:
+            k = p.kernel.smooth(Z, x[None, :])[:, 0]
+            whitened = solve_triangular(p.L_u, k, lower=True)
+            explained = solve_triangular(p.L_u, whitened, lower=True, trans=1)
+            tempered = p.solve_A(k)
+            variance = max(1.0 + mu - k @ explained + mu * (k @ tempered), mu)
+            prediction = k @ p.W
+            residual = float(np.sum((y - prediction) ** 2))
+            value = 0.5 * np.log(variance) + 0.5 * residual / (scale * variance)
+            d_variance = 0.5 / variance - 0.5 * residual / (scale * variance**2)
+            d_k = (p.W @ prediction - target) / (scale * variance) + 2.0 * d_variance * (
+                mu * tempered - explained
+            )
+            gradient = inverse_l2 * ((d_k * k) @ (Z - x[None, :])) + self.prior * x
+            return value + 0.5 * self.prior * float(x @ x), gradient
+
+        ends = [minimize(objective, self.embedding_[n], jac=True, method="L-BFGS-B") for n in order[:4]]
+        return min(ends, key=lambda end: float(end.fun)).x
+
+
+def minimise(
+    objective: Callable[[Array, Array], tuple[float, Array, Array]],
+    latents: Array,
+    Z: Array,
+    *,
+    expand: Callable[[Array], Array] = lambda z: z,
+    contract: Callable[[Array], Array] = lambda dX: dX,
+    move_inducing: bool = True,
+    max_iter: int = 300,
+    tol: float = 1e-6,
+    callback: FitCallback | None = None,
+) -> tuple[Array, Array, int, int]:
+    """Minimise F over whatever describes the latents, and over inducing points, by L-BFGS.
+
+    Args:
+        objective: (X, Z) to (F, dF/dX, dF/dZ), as `SparseObjective`.
+        latents: what describes the latents, any shape: where the search starts.
+        Z: inducing points, shape (M, Q).
+        expand: from the description to X (N, Q); linear. Rows may share coordinates, for instance.
+        contract: its transpose: from dF/dX (N, Q) to the derivatives by the description.
+        move_inducing: whether Z is minimised over too.
+        max_iter, tol: limit on iterations; relative gain below which it ends.
+        callback: `callback(iteration, F)`; StopIteration ends the search with the best so far.
+    Returns:
+        The description, Z, iterations and evaluations.
+    """
+    split, rounds = latents.size, 0
+
+    def unpack(z: Array) -> tuple[Array, Array]:
+        return z[:split].reshape(latents.shape), z[split:].reshape(Z.shape) if move_inducing else Z
+
+    def flat(z: Array) -> tuple[float, Array]:
+        description, inducing = unpack(z)
+        F, dX, dZ = objective(expand(description), inducing)
+        parts = [contract(dX).reshape(-1), *([dZ.reshape(-1)] if move_inducing else [])]
+        return F, np.concatenate(parts)
+
+    def report(intermediate_result: Any) -> None:
+        nonlocal rounds
+        rounds += 1
+        if callback is not None:
+            callback(rounds, float(intermediate_result.fun))
+
+    start = np.concatenate([latents.reshape(-1), *([Z.reshape(-1)] if move_inducing else [])])
+    options = {"maxiter": max_iter, "maxfun": 10 * max_iter, "ftol": tol, "gtol": tol, "maxcor": 20}
+    found = minimize(flat, start, jac=True, method="L-BFGS-B", callback=report, options=options)
+    return (*unpack(found.x), max(rounds, 1), int(found.nfev))
+
+
+def pca_start_of_factor(Y: Array, n_components: int) -> Array:
+    """Principal components of centred data Y (N, r), each of unit variance, shape (N, Q), in a fixed gauge.
+
+    Axes the data do not span are 0. Nothing of size N x N is formed.
+    """
+    N, Q = Y.shape[0], min(n_components, *Y.shape)
+    if min(Y.shape) <= _EXACT_SVD:
+        U, singular, _ = np.linalg.svd(Y, full_matrices=False)
+    else:
+        U, singular, _ = randomized_svd(Y, Q, random_state=0)
+    X = np.zeros((N, n_components))
+    spanned = int(np.count_nonzero(singular[:Q] > N * np.finfo(float).eps * singular[0]))
+    X[:, :spanned] = U[:, :spanned] * np.sqrt(N)
+    return fix_gauge(X)
+
+
+def farthest_points(X: Array, count: int) -> Array:
+    """Indices of `count` rows of X (N, Q), each the farthest from those before it, shape (count,).
+
+    The first is the farthest from the mean. Source: Gonzalez 1985.
+    """
+    chosen = np.empty(count, dtype=np.intp)
+    distance = np.sum((X - X.mean(axis=0)) ** 2, axis=1)
+    for c in range(count):
+        chosen[c] = distance.argmax()
+        squared = np.sum((X - X[chosen[c]]) ** 2, axis=1)
+        distance = squared if c == 0 else np.minimum(distance, squared)
+        distance[chosen[: c + 1]] = -1.0
+    return chosen
+
+
+def _cholesky(K: Array, mu: float) -> Array:
+    L, failed = dpotrf(K, lower=1)
+    if failed:
+        raise NumericalError(
+            f"K_uu ({K.shape[0]} inducing points) is not positive definite at mu = {mu:.0e}; raise mu"
+        )
+    return np.tril(L)

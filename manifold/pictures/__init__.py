@@ -1,1 +1,0 @@
-"""What rendered pictures are made of and measured by: scenes, images, and differences between them."""

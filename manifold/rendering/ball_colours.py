@@ -1,0 +1,119 @@
+"""The colours of a material's ball under the studio's light, by quadrature: a fast stand-in for a render.
+
+The ball floats in the studio of `manifold.rendering.scenes`, with the light of the floor from below, and is seen from
+afar. Each pixel looks at one point of it, where the light that arrives is summed over half vectors, densest around the
+normal: so sharp highlights are as well resolved as soft ones. What is evaluated are BRDF values at fixed direction
+pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.colour import spectra
+from manifold.directions import from_spherical, normalize
+from manifold.records import Array, Bands
+from manifold.rendering import scenes
+
+VIEW = normalize(np.array([0.0, -8.2, 2.3]))
+"""From the ball to the viewer."""
+
+_PIXELS, _RINGS, _SPOKES = 10, 18, 12
+_ENVIRONMENT_ROWS, _BLUR = 20, 12
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def environment() -> Array:
+    """The studio's light in coarse cells, which soften its edges, and that of its floor from below.
+
+    Returns:
+        Radiance, float32, laid out as `scenes.studio` does, shape (20, 40, 3).
+    """
+    fine = scenes.studio(_ENVIRONMENT_ROWS * _BLUR)
+    image = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
+    image[_ENVIRONMENT_ROWS // 2 :] = scenes.FLOOR_REFLECTANCE
+    return image
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """Pixels that look at a ball, and the direction pairs that light them.
+
+    Attributes:
+        wi, wo: towards the viewer, and towards the light, in frames of the surface; unit vectors (P, 3).
+        light: radiance from wo times its cosine and solid angle, shape (P,).
+        starts: first direction pair of each pixel, increasing, shape (K,).
+        places: right and up of each pixel in radii of the ball, shape (K, 2).
+    """
+
+    wi: Array
+    wo: Array
+    light: Array
+    starts: Array
+    places: Array
+
+    def xyz(self, f: Array, bands: Bands) -> Array:
+        """CIE XYZ under D65 of each pixel, as a display shows it: shape (K, 3).
+
+        What lies outside the range of linear sRGB is clipped to it, as in a picture without tone mapping.
+
+        Args:
+            f: BRDF values at the direction pairs in 1/sr, shape (P, B).
+            bands: of f.
+        """
+        arrived = spectra.to_xyz(f, bands) * self.light[:, None]
+        white = spectra.to_xyz(np.ones(bands.count), bands)
+        linear = spectra.xyz_to_srgb(np.add.reduceat(arrived, self.starts, axis=0), white)
+        return spectra.srgb_to_xyz(np.clip(linear, 0.0, 1.0))
+
+
+def delta_e(xyz: Array, xyz_star: Array) -> float:
+    """Mean CIEDE2000 between two balls, XYZ (K, 3) each."""
+    return float(np.mean(spectra.delta_e_2000(xyz, xyz_star, spectra.srgb_to_xyz(np.ones(3)))))
+
+
+def ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> Ball:
+    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors."""
+    right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
+    up = np.cross(VIEW, right)
+    across = 2.0 * (np.arange(pixels) + 0.5) / pixels - 1.0
+    x, y = (a.ravel() for a in np.meshgrid(across, -across))
+    inside = x * x + y * y < 1.0
+    x, y = x[inside], y[inside]
+    depth = np.sqrt(1.0 - x * x - y * y)
+    normal = x[:, None] * right + y[:, None] * up + depth[:, None] * VIEW
+
+    u = (np.arange(rings) + 0.5) / rings
+    theta = np.repeat(0.5 * np.pi * u * u, spokes)
+    turn = (np.arange(spokes) + 0.5)[None] / spokes + _GOLDEN * np.arange(rings)[:, None]
+    m = from_spherical(theta, 2.0 * np.pi * turn.ravel())  # [M, 3]
+    area = np.sin(theta) * np.pi * np.repeat(u, spokes) / rings * 2.0 * np.pi / spokes
+
+    tangent = normalize(np.cross(up, normal))
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)  # rows are the local axes
+    wi = frame @ VIEW
+    cosine = wi @ m.T  # [K, M]
+    wo = 2.0 * cosine[..., None] * m - wi[:, None]
+    lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
+    radiance = _look_up(environment(), np.einsum("kmc,kcw->kmw", wo, frame)[lit])
+    pixel = np.nonzero(lit)[0]
+    light = radiance * wo[lit][:, 2] * (4.0 * cosine * area)[lit]
+    starts = np.searchsorted(pixel, np.arange(len(wi)))
+    return Ball(wi[pixel], normalize(wo[lit]), light, starts, np.column_stack([x, y]))
+
+
+def _look_up(image: Array, directions: Array) -> Array:
+    """Radiance (M,) from world directions (M, 3), bilinear, of an environment without colour."""
+    rows, columns = image.shape[:2]
+    elevation = np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5
+    azimuth = np.arctan2(directions[:, 0], directions[:, 1]) / (2.0 * np.pi) * columns - 0.5
+    i, j = np.floor(elevation).astype(int), np.floor(azimuth).astype(int)
+    s, t = elevation - i, azimuth - j
+    above, below = np.clip(i, 0, rows - 1), np.clip(i + 1, 0, rows - 1)
+    grey = image[..., 0].astype(float)
+    before, after = j % columns, (j + 1) % columns
+    return (1 - s) * ((1 - t) * grey[above, before] + t * grey[above, after]) + s * (
+        (1 - t) * grey[below, before] + t * grey[below, after]
+    )

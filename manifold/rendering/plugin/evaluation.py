@@ -1,0 +1,392 @@
+"""Sums over packed materials on Dr.Jit: values and densities of the plugin `manifold`, and samples."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
+from manifold.rendering.plugin.mixture import Mixture
+from manifold.rendering.plugin.packed_tables import META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
+from manifold.rendering.plugin.warp import Family, PackedWarps
+
+
+class _Lobes:
+    """Weights per lane, or the same ones everywhere (None)."""
+
+    def __init__(self, local: Any = None, total: Any = None) -> None:
+        self.local, self.total = local, total
+
+
+_DENSE_NM = 5.0  # between bands, up to which the nearest one stands for a wavelength
+_OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Neighbouring materials whose tables have the same sizes.
+
+    Attributes:
+        start, end: their range.
+        first: meta data of the first, shape (META,).
+        step: what that grows by from one to the next.
+    """
+
+    start: int
+    end: int
+    first: Any
+    step: Any
+
+    @classmethod
+    def all_of(cls, meta: Any) -> list[_Group]:
+        """The groups of materials with meta data (N, META)."""
+        sizes = np.delete(meta, _OFFSETS, axis=1)
+        breaks = np.flatnonzero(np.any(sizes[1:] != sizes[:-1], axis=1)) + 1
+        edges = [0, *breaks.tolist(), len(meta)]
+        return [cls(a, b, meta[a], meta[min(a + 1, b - 1)] - meta[a]) for a, b in itertools.pairwise(edges)]
+
+
+class Evaluation:
+    """Evaluates and samples a mixture in the variant that is set."""
+
+    def __init__(self, mi: Any, dr: Any, mixture: Mixture) -> None:
+        """Upload the tables."""
+        self._mi, self._dr = mi, dr
+        tables = mixture.tables
+        self._n = len(mixture.names)
+        self._groups = _Group.all_of(tables.meta.reshape(-1, META).astype(np.int64))
+        self._n_theta = tables.n_theta
+        self._n_stored = tables.n_bands
+        self._meta, self._nodes = mi.UInt32(tables.meta), mi.Float(tables.theta_nodes)
+        self._grids = mi.Float(tables.grids)
+        self._is_half = tables.spectra.dtype == np.float16
+        self._spectra = (mi.Float16 if self._is_half else mi.Float)(tables.spectra)
+        self._warps = PackedWarps(
+            mi, dr, mi.Float(tables.warps), mi.Float(tables.marginals), tables.most_nodes
+        )
+        self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
+        self._is_rgb = mixture.bands.is_rgb
+        self._gp = mixture.gp
+        self._is_clipped = mixture.is_clipped
+        self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
+        self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
+        if mixture.bands.wavelengths_nm is not None:
+            self._wavelengths = mi.Float(np.asarray(mixture.bands.wavelengths_nm, dtype=np.float32))
+            self._n_bands = mixture.bands.count
+            self._is_dense = bool(np.diff(mixture.bands.wavelengths_nm).max() <= _DENSE_NM)
+        self._sample_weights = None
+        if mixture.weights is not None and mixture.weights.ndim == 3:
+            padded = np.zeros((*mixture.weights.shape[:2], self._n_stored), dtype=np.float32)
+            padded[..., : mixture.weights.shape[2]] = mixture.weights
+            self._sample_weights = mi.Float(padded.ravel())
+        elif mixture.weights is not None:
+            self._weights = mi.Float(mixture.weights.astype(np.float32))
+        if self._gp is not None:
+            order = list(mixture.order)
+            self._inverse_K = mi.Float64(np.linalg.inv(self._gp.K)[np.ix_(order, order)].ravel())
+            self._latents = [mi.Float(c.astype(np.float32)) for c in self._gp.X[order].T]
+
+    # -- weights -------------------------------------------------------------------------------------------
+
+    def weights(self, latent: list[Any] | None) -> _Lobes:
+        """Weights at latents, a list of Q arrays; of a fixed mixture, its own."""
+        if latent is None or self._gp is None:
+            return _Lobes()
+        mi, dr = self._mi, self._dr
+        n, scale = self._n, -0.5 / self._gp.kernel.length_scale**2
+        similarity = dr.alloc_local(mi.Float64, n)
+        weights = dr.alloc_local(mi.Float, n)
+
+        def distance2(j: Any) -> Any:
+            return sum(
+                dr.square(x - dr.gather(mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)
+            )
+
+        def fill(j: Any, k: Any, match: Any) -> Any:
+            d2 = distance2(j)
+            k[j] = dr.exp(scale * mi.Float64(d2))
+            return j + 1, k, dr.select((d2 < 1e-12) & (match == n), j, match)
+
+        _, similarity, match = dr.while_loop(
+            (mi.UInt32(0), similarity, mi.UInt32(n)), lambda j, k, m: j < n, fill, labels=("j", "k", "match")
+        )
+
+        def solve(i: Any, w: Any, total: Any) -> Any:
+            def add(j: Any, s: Any) -> Any:
+                return j + 1, dr.fma(dr.gather(mi.Float64, self._inverse_K, i * n + j), similarity[j], s)
+
+            _, s = dr.while_loop((mi.UInt32(0), mi.Float64(0.0)), lambda j, s: j < n, add)
+            w[i] = mi.Float(s)
+            return i + 1, w, total + s
+
+        _, weights, total = dr.while_loop(
+            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda i, w, t: i < n, solve
+        )
+        rest = mi.Float((1.0 - total) / n)
+
+        def finish(i: Any, w: Any, magnitude: Any) -> Any:
+            v = dr.select(match < n, dr.select(match == i, 1.0, 0.0), w[i] + rest)
+            w[i] = v
+            return i + 1, w, magnitude + dr.abs(v)
+
+        _, weights, magnitude = dr.while_loop(
+            (mi.UInt32(0), weights, mi.Float(0.0)), lambda i, w, m: i < n, finish
+        )
+        return _Lobes(weights, magnitude)
+
+    def _weight_and_share(self, lobes: _Lobes, i: Any, active: Any) -> tuple[Any, Any]:
+        mi, dr = self._mi, self._dr
+        if lobes.local is not None:
+            v = lobes.local[i]
+            return v, dr.abs(v) / lobes.total
+        share = dr.gather(mi.Float, self._lobe_shares, i, active)
+        if self._sample_weights is not None:
+            return None, share
+        return dr.gather(mi.Float, self._weights, i, active), share
+
+    # -- one material --------------------------------------------------------------------------------------
+
+    def _families(self, i: Any, active: Any) -> tuple[Family, Family, list[Any]]:
+        """Warps of the visible normals and of the luminance, and all other numbers of material i."""
+        meta = self._dr.gather(self._mi.ArrayXu, self._meta, i, active, shape=(META, self._dr.width(i)))
+        m = [meta[k] for k in range(META)]
+        return Family(*m[0:4]), Family(*m[4:8]), m[8:]
+
+    def _families_of(self, group: _Group, i: Any) -> tuple[Family, Family, list[Any]]:
+        """The same of a material of a group, sizes as numbers that the compiler knows."""
+        m: list[Any] = [
+            int(first) + (i - group.start) * int(step) if k in _OFFSETS else int(first)
+            for k, (first, step) in enumerate(zip(group.first, group.step, strict=True))
+        ]
+        return Family(*m[0:4]), Family(*m[4:8]), m[8:]
+
+    def _slices(self, i: Any, theta: Any, n_theta: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
+        """The two elevations of incidence around theta, and the weight of the second."""
+        mi, dr = self._mi, self._dr
+        first = i * self._n_theta
+        low, high = mi.UInt32(0), mi.UInt32(n_theta - 1)
+        for _ in range(max(1, (self._n_theta - 1).bit_length())):
+            middle = (low + high) >> 1
+            is_open = high - low > 1
+            is_below = dr.gather(mi.Float, self._nodes, first + middle, active) <= theta
+            low = dr.select(is_open & is_below, middle, low)
+            high = dr.select(is_open & ~is_below, middle, high)
+        a = dr.gather(mi.Float, self._nodes, first + low, active)
+        b = dr.gather(mi.Float, self._nodes, first + high, active)
+        t = dr.select(b > a, dr.clip((theta - a) / (b - a), 0.0, 1.0), 0.0)
+        return (low, high), t
+
+    def _grid(self, grid: list[Any], x: Any, y: Any, active: Any) -> Any:
+        """Bilinear value of a packed grid: where its cells begin, its rows and columns."""
+        dr = self._dr
+        cells, rows, columns = grid
+        j, tx = self._warps.cell(x, columns)
+        i, ty = self._warps.cell(y, rows)
+        c = dr.gather(self._mi.Vector4f, self._grids, cells + i * (columns - 1) + j, active)
+        return dr.lerp(dr.lerp(c.x, c.y, tx), dr.lerp(c.z, c.w, tx), ty)
+
+    # -- sums over materials -------------------------------------------------------------------------------
+
+    def eval_pdf(self, lobes: _Lobes, wi: Any, wo: Any, wavelengths: Any, active: Any) -> tuple[Any, Any]:
+        """f * cos(theta_o) as a spectrum, and the density of `sample`, both in 1/sr."""
+        mi, dr = self._mi, self._dr
+        cos_o = mi.Frame3f.cos_theta(wo)
+        cosines = cos_o * mi.Frame3f.cos_theta(wi)
+        m = dr.normalize(wi + wo)
+        theta_i, theta_m = _elevation(mi, dr, wi), _elevation(mi, dr, m)
+        ux = dr.sqrt(theta_m * (2.0 / math.pi))
+        uy = _azimuth_difference(dr, m, wi)
+        sigma_x = dr.sqrt(theta_i * (2.0 / math.pi))
+        sigma_y = (dr.atan2(wi.y, wi.x) + math.pi) / (2.0 * math.pi)
+        bands = None if self._is_rgb else self._locate_bands(wavelengths)
+        jacobian = dr.maximum(2.0 * math.pi**2 * ux * dr.sin(theta_m), 1e-6) * 4.0 * dr.dot(wi, m)
+
+        def add(i: Any, total: Any, density: Any) -> Any:
+            visible, luminance, rest = self._families_of(group, i)
+            slices, t = self._slices(i, theta_i, rest[7], active)
+            u, v, pdf = self._warps.invert(visible, slices, t, ux, uy, active)
+            pdf *= self._warps.density(luminance, slices, t, u, v, active)
+            scale = self._grid(rest[0:3], ux, uy, active) / (
+                self._grid(rest[3:6], sigma_x, sigma_y, active) * cos_o
+            )
+            weight, share = self._weight_and_share(lobes, i, active)
+            values = self._spectrum(
+                rest[6], luminance, slices, t, u, v, bands, i, weight, scale, cosines, active
+            )
+            return i + 1, total + values, density + share * pdf
+
+        total, density = mi.Spectrum(0.0), mi.Float(0.0)
+        for group in self._groups:
+            _, total, density = dr.while_loop(
+                (mi.UInt32(group.start), total, density),
+                lambda i, total, density, end=group.end: i < end,
+                add,
+                labels=("material", "sum", "density"),
+            )
+        f = self._mapping.inverse(total, cosines)
+        if self._is_clipped:
+            f = dr.maximum(f, 0.0)
+        return f * cos_o, density / jacobian
+
+    def _spectrum(
+        self, cells: Any, grid: Family, slices: Any, t: Any, u: Any, v: Any, bands: Any, material: Any,
+        weight: Any, scale: Any, cosines: Any, active: Any,
+    ) -> Any:  # fmt: skip
+        """Weighted, mapped values of one material at the warped point (u, v)."""
+        mi, dr = self._mi, self._dr
+        j, tx = self._warps.cell(u, grid.columns)
+        i, ty = self._warps.cell(v, grid.rows)
+        cell = cells + (slices[0] * (grid.rows - 1) + i) * (grid.columns - 1) + j
+        at_one = ((1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx)
+        corners = [weight_t * w for weight_t in (1 - t, t) for w in at_one]
+
+        def forward(value: Any) -> Any:
+            return self._mapping.forward(value * scale, cosines)
+
+        if self._is_rgb or self._sample_weights is not None:
+            mapped = [forward(value) for value in self._all_bands(cell, corners, active)]
+            if self._sample_weights is None:
+                return mi.Spectrum(*mapped[:3]) * weight
+            if self._is_rgb:
+                return mi.Spectrum(*(self._dot(b, material, mapped, active) for b in range(3)))
+            rows = [
+                dr.lerp(self._dot(b, material, mapped, active), self._dot(b + 1, material, mapped, active), s)
+                for b, s in bands
+            ]
+            return mi.Spectrum(*rows)
+        values = []
+        for band, s in bands:
+            index = cell * self._n_stored + band
+            if self._is_dense:  # reading one band instead of two saves more than a quarter of the time
+                values.append(forward(self._band(index + dr.select(s > 0.5, 1, 0), corners, active)))
+            else:
+                below, above = (self._band(k, corners, active) for k in (index, index + 1))
+                values.append(forward(dr.lerp(below, above, s)))
+        return mi.Spectrum(*values) * weight
+
+    def _all_bands(self, cell: Any, corners: list[Any], active: Any) -> list[Any]:
+        """Values of all bands that a cell holds, in one read where they are few."""
+        if self._n_stored > MOST_BANDS_AT_ONCE:
+            first = cell * self._n_stored
+            return [self._band(first + band, corners, active) for band in range(self._n_stored)]
+        n = SPECTRUM_PACKET * self._n_stored
+        packet = self._dr.gather(
+            self._mi.ArrayXf, self._spectra, cell, active, shape=(n, self._dr.width(cell))
+        )
+        return [
+            sum(w * packet[SPECTRUM_PACKET * band + c] for c, w in enumerate(corners))
+            for band in range(self._n_stored)
+        ]
+
+    def _band(self, index: Any, corners: list[Any], active: Any) -> Any:
+        """Value of one band of a cell."""
+        dr, mi = self._dr, self._mi
+        stored = dr.float16_array_t(mi.ArrayXf) if self._is_half else mi.ArrayXf
+        shape = (SPECTRUM_PACKET, dr.width(index))
+        packet = dr.gather(stored, self._spectra, index, active, shape=shape)
+        return sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
+
+    def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:
+        dr, n = self._dr, self._n_stored
+        index = self._mi.UInt32(band) * self._n + material
+        weights = dr.gather(
+            self._mi.ArrayXf, self._sample_weights, index, active, shape=(n, dr.width(material))
+        )
+        return sum(weights[k] * mapped[k] for k in range(n))
+
+    def _locate_bands(self, wavelengths: Any) -> list[tuple[Any, Any]]:
+        """Band below each wavelength, and how far it is to the next; held constant outside."""
+        mi, dr = self._mi, self._dr
+        located = []
+        for wavelength in wavelengths:
+            k = dr.binary_search(
+                0, self._n_bands - 1, lambda m, w=wavelength: dr.gather(mi.Float, self._wavelengths, m) <= w
+            )
+            k = mi.UInt32(dr.clip(mi.Int32(k) - 1, 0, self._n_bands - 2))
+            a = dr.gather(mi.Float, self._wavelengths, k)
+            b = dr.gather(mi.Float, self._wavelengths, k + 1)
+            located.append((k, dr.clip((wavelength - a) / (b - a), 0.0, 1.0)))
+        return located
+
+    # -- sampling ------------------------------------------------------------------------------------------
+
+    def sample(self, lobes: _Lobes, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+        """Outgoing directions; one that leaves below the horizon is thrown away by its cosine."""
+        mi, dr = self._mi, self._dr
+        i = self._choose(lobes, sample1)
+        visible, luminance, rest = self._families(i, active)
+        theta_i = _elevation(mi, dr, wi)
+        slices, t = self._slices(i, theta_i, rest[7], active)
+        x, y = self._warps.sample(luminance, slices, t, sample2.y, sample2.x, active)
+        ux, uy = self._warps.sample(visible, slices, t, x, y, active)
+        theta_m = ux * ux * (0.5 * math.pi)
+        phi_m = (2.0 * uy - 1.0) * math.pi + dr.atan2(wi.y, wi.x)
+        (sin_p, cos_p), (sin_t, cos_t) = dr.sincos(phi_m), dr.sincos(theta_m)
+        m = mi.Vector3f(cos_p * sin_t, sin_p * sin_t, cos_t)
+        cos_im = dr.dot(wi, m)
+        wo = 2.0 * cos_im * m - wi
+        return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
+
+    def _choose(self, lobes: _Lobes, sample1: Any) -> Any:
+        """A material per lane, by its share."""
+        mi, dr = self._mi, self._dr
+        if lobes.local is None:
+            i = dr.binary_search(0, self._n - 1, lambda m: dr.gather(mi.Float, self._lobe_ends, m) < sample1)
+            return mi.UInt32(i)
+        target = sample1 * lobes.total
+
+        def step(i: Any, reached: Any, chosen: Any) -> Any:
+            after = reached + dr.abs(lobes.local[i])
+            return i + 1, after, dr.select((after > target) & (reached <= target), i, chosen)
+
+        return dr.while_loop(
+            (mi.UInt32(0), mi.Float(0.0), mi.UInt32(self._n - 1)), lambda i, r, c: i < self._n, step
+        )[2]
+
+
+def _elevation(mi: Any, dr: Any, w: Any) -> Any:
+    """Angle from the normal, stable near it."""
+    return 2.0 * dr.asin(dr.minimum(0.5 * dr.norm(w - mi.Vector3f(0.0, 0.0, 1.0)), 1.0))
+
+
+def _azimuth_difference(dr: Any, m: Any, wi: Any) -> Any:
+    """Unit-square coordinate of the half vector's azimuth, relative to the incident one."""
+    uy = (dr.atan2(m.y, m.x) - dr.atan2(wi.y, wi.x) + math.pi) / (2.0 * math.pi)
+    return uy - dr.floor(uy)
+
+
+class _DrJitMapping:
+    """T and its inverse on Dr.Jit arrays; see `manifold.mapping`."""
+
+    def __init__(self, mi: Any, dr: Any, mapping: Mapping) -> None:
+        self._dr, self._mapping = dr, mapping
+        if not isinstance(mapping, Identity | CubeRoot | Log | LogRelative):
+            raise UsageError(f"the plugin `manifold` does not know the mapping {mapping.name}")
+
+    def forward(self, f: Any, cosines: Any) -> Any:
+        dr, mapping = self._dr, self._mapping
+        if isinstance(mapping, CubeRoot):
+            return dr.cbrt(f)
+        if isinstance(mapping, Log | LogRelative):
+            return dr.log(1.0 + dr.maximum(f, 0.0) * self._factor(cosines))
+        return f
+
+    def inverse(self, mapped: Any, cosines: Any) -> Any:
+        dr, mapping = self._dr, self._mapping
+        if isinstance(mapping, CubeRoot):
+            return mapped * mapped * mapped
+        if isinstance(mapping, Log | LogRelative):
+            return (dr.exp(dr.maximum(mapped, 0.0)) - 1.0) / self._factor(cosines)
+        return mapped
+
+    def _factor(self, cosines: Any) -> Any:
+        """What values are multiplied by inside the logarithm."""
+        if isinstance(self._mapping, LogRelative):
+            return self._dr.maximum(cosines, self._mapping.floor) / self._mapping.epsilon
+        assert isinstance(self._mapping, Log)
+        return 1.0 / self._mapping.epsilon

@@ -1,0 +1,175 @@
+"""Measured materials as flat tables that a vectorised evaluation gathers from in packets.
+
+Whatever one look-up needs lies side by side: the four corners of a grid cell, and for warps their cumulative sums
+too. That repeats every value four times and replaces scattered reads, which cost most of a look-up, by few wide ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.warp import Warp
+from manifold.errors import UsageError
+from manifold.records import Array, BsdfFile
+
+WARP_VALUES = 8
+"""Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows.
+
+A packet holds those of one elevation, then those of the next: 64 bytes."""
+
+MOST_BANDS_AT_ONCE = 8
+"""Bands up to which all of a cell are read together; more are read as wavelengths ask for them."""
+
+SPECTRUM_PACKET = 8
+"""Values per cell and band of spectra: four corners at one elevation, then at the next."""
+
+META = 16
+"""Integers per material; see `Tables.meta`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """N isotropic materials, one after the other in flat arrays.
+
+    Attributes:
+        meta: where the parts of each material begin and how large they are, uint32, shape (N * META,): vndf cell,
+            its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
+            columns; sigma cell, rows, columns; spectra cell; elevations of incidence.
+        theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
+        n_theta: T, the most that any material has.
+        warps: cells of vndf and luminance per two neighbouring elevations, float32, shape (cells * 16,).
+        marginals: their cumulative sums of rows, float32.
+        grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
+        spectra: per two neighbouring elevations, cell and band the four corners at both, shape
+            (pairs * cells * bands * 8,): float32 for few bands, float16 for many, where memory is what takes time.
+            Halves are scaled by a power of two, which `ndf` takes back.
+        n_bands: bands per cell in `spectra`, padded with zeros.
+        most_nodes: of a warp's axis.
+    """
+
+    meta: Array
+    theta_nodes: Array
+    n_theta: int
+    warps: Array
+    marginals: Array
+    grids: Array
+    spectra: Array
+    n_bands: int
+    most_nodes: int
+
+    @property
+    def bytes(self) -> int:
+        """Memory that the tables take."""
+        arrays = (self.meta, self.theta_nodes, self.warps, self.marginals, self.grids, self.spectra)
+        return sum(array.nbytes for array in arrays)
+
+
+def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Tables:
+    """Lay isotropic materials out.
+
+    Args:
+        files: N materials of the same bands.
+        bands: indices of those to keep; all by default.
+    Raises:
+        UsageError: a material is anisotropic.
+    """
+    kept = list(range(files[0].bands.count)) if bands is None else list(bands)
+    n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
+    n_theta = max(len(file.theta_i_rad) for file in files)
+    is_half = len(kept) > MOST_BANDS_AT_ONCE
+    warps, marginals, grids = _Store(2 * WARP_VALUES), _Store(1), _Store(4)
+    spectra = _Store(SPECTRUM_PACKET * n_bands, np.float16 if is_half else np.float32)
+    meta = np.zeros((len(files), META), dtype=np.uint32)
+    nodes = np.zeros((len(files), n_theta), dtype=np.float32)
+    most_nodes = 2
+    for k, file in enumerate(files):
+        if file.phi_i_rad.shape[0] > 1:
+            raise UsageError(
+                f"material {file.name} is anisotropic, and the plugin `manifold` takes isotropic ones; "
+                "render its prediction as a .bsdf"
+            )
+        row = []
+        density = np.maximum(file.luminance, 0.0)
+        density[density.sum(axis=(2, 3)) <= 0] = 1.0
+        for values in (file.vndf, density):
+            warp = Warp.from_values(values, file.phi_i_rad, file.theta_i_rad)
+            row += [warps.add(_warp_cells(warp)), marginals.add(warp.marginal), *warp.data.shape[1:]]
+            most_nodes = max(most_nodes, *warp.data.shape[1:])
+        # The factor ndf / (4 sigma) is 1 where a file holds final values.
+        one = np.ones((2, 2))
+        ndf, sigma = (file.ndf, 4.0 * file.sigma) if file.jacobian else (one, one)
+        unit = _unit(file.spectra) if is_half else 1.0
+        for grid in (unit * ndf, sigma):
+            row += [grids.add(_corners(grid)), *grid.shape]
+        cells = _corners(file.spectra[0][:, kept]) / np.float32(unit)  # [T, B, H - 1, W - 1, 4]
+        cells = np.moveaxis(cells, 1, 3)
+        pairs = _neighbours(cells)  # [T - 1, H - 1, W - 1, B, 2, 4]
+        row += [spectra.add(np.pad(pairs, ((0, 0),) * 3 + ((0, n_bands - len(kept)),) + ((0, 0),) * 2))]
+        row += [len(file.theta_i_rad)]
+        if file.spectra.shape[3:] != file.luminance.shape[2:]:
+            raise UsageError(f"material {file.name}: luminance and spectra have grids of different sizes")
+        meta[k, : len(row)] = row
+        nodes[k] = np.pad(file.theta_i_rad, (0, n_theta - len(file.theta_i_rad)), mode="edge")
+    return Tables(
+        meta=meta.ravel(),
+        theta_nodes=nodes.ravel(),
+        n_theta=n_theta,
+        warps=warps.joined(),
+        marginals=marginals.joined(),
+        grids=grids.joined(),
+        spectra=spectra.joined(),
+        n_bands=n_bands,
+        most_nodes=most_nodes,
+    )
+
+
+class _Store:
+    """Blocks of packets, one after the other."""
+
+    def __init__(self, packet: int, dtype: type = np.float32) -> None:
+        self._packet, self._dtype, self._length = packet, dtype, 0
+        self._blocks: list[Array] = []
+
+    def add(self, block: Array) -> int:
+        """Append; the index of its first packet."""
+        start = self._length
+        self._blocks.append(np.ascontiguousarray(block, dtype=self._dtype).ravel())
+        self._length += self._blocks[-1].size // self._packet
+        return start
+
+    def joined(self) -> Array:
+        """Everything, shape (packets * size,)."""
+        joined = np.concatenate(self._blocks)
+        self._blocks.clear()
+        if joined.size > np.iinfo(np.uint32).max:
+            raise UsageError("the materials are too many for 32-bit indices; leave out those of small weight")
+        return joined
+
+
+def _unit(values: Array) -> float:
+    """The power of two in which the largest of some values is between 2^14 and 2^15, near the end of float16."""
+    largest = float(np.abs(values).max())
+    return 2.0 ** (np.floor(np.log2(largest)) - 14) if largest > 0 else 1.0
+
+
+def _corners(grid: Array) -> Array:
+    """Corners of all cells of node values (..., R, C), shape (..., R - 1, C - 1, 4): row by row."""
+    return np.stack([grid[..., :-1, :-1], grid[..., :-1, 1:], grid[..., 1:, :-1], grid[..., 1:, 1:]], axis=-1)
+
+
+def _neighbours(slices: Array) -> Array:
+    """Each of S slices (S, ..., K) and the next, shape (S - 1, ..., 2, K); a single one with itself."""
+    upper = slices[1:] if len(slices) > 1 else slices
+    return np.stack([slices[: len(upper)], upper], axis=-2)
+
+
+def _warp_cells(warp: Warp) -> Array:
+    """All cells of a warp, shape (S - 1, R - 1, C - 1, 2, 8)."""
+    before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
+    totals = warp.conditional[:, :, -1]
+    rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]
+    cells = [_corners(warp.data), before, np.broadcast_to(rows, before.shape)]
+    return _neighbours(np.concatenate(cells, axis=-1))

@@ -1,0 +1,128 @@
+"""The warps of `manifold.brdf.warp` on Dr.Jit arrays: density, inverse and sampling of packed tables.
+
+Functions take the modules of the variant that is set; arrays have one entry per lane. `slices` are the indices of the
+two elevations around the incident one, and `t` the weight of the second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from manifold.rendering.plugin.packed_tables import WARP_VALUES
+
+_FLAT = 1e-4  # relative slope under which a linear density is treated as constant, as in `manifold.brdf.warp`
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """One warp per lane: where its cells and its marginal begin, and its numbers of rows and columns."""
+
+    cells: Any
+    marginals: Any
+    rows: Any
+    columns: Any
+
+
+class PackedWarps:
+    """Warps in packed tables; see `packed_tables.Tables`."""
+
+    def __init__(self, mi: Any, dr: Any, warps: Any, marginals: Any, most_nodes: int) -> None:
+        """Take flat Dr.Jit arrays."""
+        self._mi, self._dr = mi, dr
+        self._warps, self._marginals = warps, marginals
+        self._n_steps = max(1, (most_nodes - 1).bit_length())
+
+    def cell(self, x: Any, n: Any) -> tuple[Any, Any]:
+        """Index of the cell that holds x in [0, 1] on n nodes, and the position inside it."""
+        mi, dr = self._mi, self._dr
+        scaled = dr.clip(x, 0.0, 1.0) * mi.Float(n - 1)
+        i = dr.minimum(mi.UInt32(scaled), n - 2)
+        return i, scaled - mi.Float(i)
+
+    def _index(self, family: Family, slices: Any, i: Any, j: Any) -> Any:
+        """Number of the packet of a cell, which holds both elevations."""
+        return family.cells + (slices[0] * (family.rows - 1) + i) * (family.columns - 1) + j
+
+    def _marginal(self, family: Family, slices: Any, t: Any, i: Any, active: Any) -> Any:
+        a, b = (
+            self._dr.gather(self._mi.Float, self._marginals, family.marginals + s * family.rows + i, active)
+            for s in slices
+        )
+        return self._dr.lerp(a, b, t)
+
+    def _blended(self, family: Family, slices: Any, t: Any, i: Any, j: Any, active: Any) -> list[Any]:
+        """The values of a cell between two elevations; see `packed_tables.WARP_VALUES`."""
+        index = self._index(family, slices, i, j)
+        shape = (2 * WARP_VALUES, self._dr.width(index))
+        packet = self._dr.gather(self._mi.ArrayXf, self._warps, index, active, shape=shape)
+        return [self._dr.lerp(packet[k], packet[WARP_VALUES + k], t) for k in range(WARP_VALUES)]
+
+    def invert(
+        self, family: Family, slices: Any, t: Any, x: Any, y: Any, active: Any
+    ) -> tuple[Any, Any, Any]:
+        """The variates that `sample` maps to (x, y), and the density there."""
+        dr, mi = self._dr, self._mi
+        j, tx = self.cell(x, family.columns)
+        i, ty = self.cell(y, family.rows)
+        d00, d01, d10, d11, b0, b1, r0, r1 = self._blended(family, slices, t, i, j, active)
+        c0, c1 = dr.lerp(d00, d10, ty), dr.lerp(d01, d11, ty)
+        density = dr.lerp(c0, c1, tx) * mi.Float((family.rows - 1) * (family.columns - 1))
+        total = dr.lerp(r0, r1, ty)
+        u = (tx * (c0 + 0.5 * tx * (c1 - c0)) + dr.lerp(b0, b1, ty)) / total
+        v = ty * (r0 + 0.5 * ty * (r1 - r0)) + self._marginal(family, slices, t, i, active)
+        return dr.select(total > 0.0, u, 0.0), v, density
+
+    def density(self, family: Family, slices: Any, t: Any, x: Any, y: Any, active: Any) -> Any:
+        """The density at (x, y), which integrates to 1 over the unit square."""
+        dr, mi = self._dr, self._mi
+        j, tx = self.cell(x, family.columns)
+        i, ty = self.cell(y, family.rows)
+        first = 2 * WARP_VALUES // 4 * self._index(family, slices, i, j)  # corners are the first of each half
+        a, b = (dr.gather(mi.Vector4f, self._warps, first + k, active) for k in (0, WARP_VALUES // 4))
+        d = dr.lerp(a, b, t)
+        value = dr.lerp(dr.lerp(d.x, d.y, tx), dr.lerp(d.z, d.w, tx), ty)
+        return value * mi.Float((family.rows - 1) * (family.columns - 1))
+
+    def sample(self, family: Family, slices: Any, t: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
+        """The point (x, y) of uniform variates (u, v)."""
+        dr, mi = self._dr, self._mi
+        u, v = dr.clip(u, 1e-7, 1.0 - 1e-7), dr.clip(v, 1e-7, 1.0 - 1e-7)
+        i = self._bisect(family.rows, v, lambda m: self._marginal(family, slices, t, m, active))
+        first = self._blended(family, slices, t, i, mi.UInt32(0), active)
+        r0, r1 = first[6], first[7]
+        ty = self._invert_linear(r0, r1, v - self._marginal(family, slices, t, i, active))
+        target = u * dr.lerp(r0, r1, ty)
+
+        def reached(m: Any) -> Any:
+            packet = self._blended(family, slices, t, i, m, active)
+            return dr.lerp(packet[4], packet[5], ty)
+
+        j = self._bisect(family.columns, target, reached)
+        d00, d01, d10, d11, b0, b1, _r0, _r1 = self._blended(family, slices, t, i, j, active)
+        c0, c1 = dr.lerp(d00, d10, ty), dr.lerp(d01, d11, ty)
+        tx = self._invert_linear(c0, c1, target - dr.lerp(b0, b1, ty))
+        x = (mi.Float(j) + tx) / mi.Float(family.columns - 1)
+        y = (mi.Float(i) + ty) / mi.Float(family.rows - 1)
+        return x, y
+
+    def _bisect(self, n: Any, value: Any, at: Any) -> Any:
+        """The last index below n - 1 at which an increasing function is still below a value."""
+        mi, dr = self._mi, self._dr
+        low, high = mi.UInt32(0), mi.UInt32(n - 1)
+        for _ in range(self._n_steps):
+            middle = (low + high) >> 1
+            is_open = high - low > 1
+            is_below = at(middle) < value
+            low = dr.select(is_open & is_below, middle, low)
+            high = dr.select(is_open & ~is_below, middle, high)
+        return low
+
+    def _invert_linear(self, f0: Any, f1: Any, area: Any) -> Any:
+        """Position t in [0, 1] where the integral of the line from f0 to f1 over [0, t] is `area`."""
+        dr = self._dr
+        total, fall = f0 + f1, f0 - f1
+        is_flat = (dr.abs(fall) < _FLAT * total) | (total <= 0.0)
+        flat = dr.select(total > 0.0, 2.0 * area / total, 0.0)
+        steep = (f0 - dr.sqrt(dr.maximum(f0 * f0 - 2.0 * area * fall, 0.0))) / fall
+        return dr.clip(dr.select(is_flat, flat, steep), 0.0, 1.0)

@@ -1,0 +1,162 @@
+"""Renders of the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
+
+Spectral scenes are seen by a colorimetric film: its three channels weigh the light that arrives by colour-science's
+matching functions and by the illuminant, which the scene itself need not know. So one scene serves all illuminants,
+and the spikes of fluorescent lamps are sampled where they are. White is adapted to that of sRGB, as the eye does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from manifold.colour import spectra
+from manifold.colour.spectra import Illuminant
+from manifold.errors import UsageError
+from manifold.records import Array, Progress
+from manifold.rendering import backend, scenes
+from manifold.rendering.plugin import bsdf
+
+LARGEST_SIZE = 8192
+_LANES = 1 << 20  # samples rendered at once
+
+bsdf.register_always()
+
+
+def _d65() -> Illuminant:
+    return Illuminant.named("D65")
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How a picture is made.
+
+    Attributes:
+        size: pixels per side.
+        samples: light paths per pixel.
+        seed: fixes the noise: same seed, same picture.
+        illuminant: the light's spectrum.
+        environment: linear RGB radiance as `scenes.studio` lays it out, (H, W, 3); that by default.
+    """
+
+    size: int = 256
+    samples: int = 64
+    seed: int = 0
+    illuminant: Illuminant = field(default_factory=_d65)
+    environment: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name, most in (("size", LARGEST_SIZE), ("samples", 1 << 20)):
+            if not 1 <= getattr(self, name) <= most:
+                raise UsageError(f"{name} is {getattr(self, name)}, expected 1 to {most}")
+        if self.seed < 0:
+            raise UsageError(f"seed is {self.seed}, expected 0 or more")
+
+
+def render_ball(
+    material: Mapping[str, Any],
+    is_rgb: bool,
+    settings: RenderSettings = RenderSettings(),
+    on_progress: Progress | None = None,
+) -> Array:
+    """The material ball in linear sRGB, shape (size, size, 3).
+
+    Args:
+        material: a BSDF as a dictionary of Mitsuba.
+        is_rgb: whether it is linear sRGB, with no spectrum.
+        settings: see there.
+        on_progress: called with (done, total, what).
+    Raises:
+        UsageError: the material has no spectrum, and the light is not D65; or there is no visible light.
+    """
+    if is_rgb:
+        require_d65(settings.illuminant)
+        mi = backend.mitsuba("rgb")
+        scene = mi.load_dict(
+            scenes.material_ball(mi, material, rgb_film(settings.size), settings.environment)
+        )
+        return render_scene(mi, scene, settings, on_progress)
+    mi = backend.mitsuba("spectral")
+    film = colorimetric_film(mi, settings.size, settings.illuminant)
+    scene = mi.load_dict(scenes.material_ball(mi, material, film, settings.environment))
+    xyz = render_scene(mi, scene, settings, on_progress)
+    return spectra.xyz_to_srgb(xyz, spectra.sensor_responses(settings.illuminant)[1].sum(axis=0))
+
+
+def require_d65(illuminant: Illuminant) -> None:
+    """Raise UsageError for a light under which linear sRGB colours mean nothing."""
+    if not illuminant.is_d65:
+        raise UsageError(
+            f"illuminant {illuminant.name} needs a spectrum, and RGB materials have none; use the _spec file, or D65"
+        )
+
+
+def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Progress | None = None) -> Array:
+    """What the film of a scene sees, float64, shape (size, size, channels).
+
+    Rendered in passes that fit in memory, each with a seed of its own that follows from the settings'.
+    """
+    most = max(1, _LANES // settings.size**2)
+    n_passes = -(-settings.samples // most)
+    seeds = np.random.SeedSequence(settings.seed).generate_state(n_passes)
+    ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
+    total: Array | float = 0.0
+    for k, count in enumerate(np.diff(ends, prepend=0)):
+        picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
+        total = total + int(count) * np.array(picture, dtype=np.float64)
+        if on_progress is not None:
+            on_progress(k + 1, n_passes, "")
+    return np.asarray(total) / settings.samples
+
+
+def rgb_film(size: int) -> dict[str, Any]:
+    """Mitsuba's own film in linear sRGB, as a dictionary. In spectral variants its white is that of D65."""
+    return {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "pixel_format": "rgb",
+        "rfilter": {"type": "box"},
+    }
+
+
+def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, Any]:
+    """A film with the channels X, Y, Z of the scene as it were under an illuminant; a white diffuser has Y = 1.
+
+    Environments of Mitsuba shine like D65, times a reflectance; what the film weighs by makes up for that.
+    """
+    wavelengths_nm, responses = spectra.sensor_responses(illuminant)
+    seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)
+    wavelengths_nm, responses = wavelengths_nm[seen], responses[seen]
+    shining = _environment_spectrum(mi, wavelengths_nm)
+    weights = responses / shining[:, None]
+    channels = {
+        name: {
+            "type": "regular",
+            "wavelength_min": float(wavelengths_nm[0]),
+            "wavelength_max": float(wavelengths_nm[-1]),
+            "values": ",".join(f"{v:.9g}" for v in column),
+        }
+        for name, column in zip("XYZ", weights.T, strict=True)
+    }
+    return {
+        "type": "specfilm",
+        "width": size,
+        "height": size,
+        "rfilter": {"type": "box"},
+        **channels,
+    }
+
+
+def _environment_spectrum(mi: Any, wavelengths_nm: Array) -> Array:
+    """Radiance of a white environment of Mitsuba at wavelengths (K,)."""
+    light = mi.load_dict({"type": "d65"})
+    interaction = mi.SurfaceInteraction3f()
+    values = np.empty(len(wavelengths_nm))
+    for k, wavelength in enumerate(wavelengths_nm):
+        interaction.wavelengths = mi.Spectrum(float(wavelength))
+        values[k] = np.ravel(light.eval(interaction))[0]
+    return values

@@ -1,0 +1,122 @@
+"""The whole program on the built-in corpus, into one folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from manifold import atomic
+from manifold.errors import LibraryError
+from manifold.experiments.budget import example_scenes
+from manifold.experiments.evaluation.report import Report, make_report
+from manifold.experiments.evaluation.report_text import format_report
+from manifold.model.manifold import Settings
+from manifold.plots import figures, plot_chart, plot_latents
+from manifold.rendering import backend
+from manifold.rendering.render import RenderSettings
+from manifold.synthetic import corpus
+from manifold.workflows import ball_pictures, budgets, charts, failures, fits, pipeline, renders
+from manifold.workflows.budgets import BudgetSettings
+from manifold.workflows.fit_pictures import picture_of_fit
+from manifold.workflows.fits import FitSettings
+from manifold.workflows.pictures import slices, sources
+from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
+
+START, END = "syn_satin_gold", "syn_metallic_gold"
+"""The materials that the demo predicts between, and walks between."""
+
+CHARTED = (
+    "nearest", "linear", "seed", "pca_6_identity", "pca_6_cube-root", "gplvm_2_identity", "gplvm_2_cube-root",
+    "gplvm_6_cube-root", "monochrome_2_1_3", "monochrome_3_1_3", "monochrome_3_1_3_half",
+    "monochrome_3_1_3_angles_2_1", "fit_gauss-newton",
+)  # fmt: skip
+"""Settings in the demo's chart; `manifold chart` measures all."""
+
+TRIED = (
+    "short_length_scale",
+    "few_materials",
+    "negative_values",
+    "across_classes",
+    "exact_zeros",
+    "rough_or_smooth",
+)
+"""Failure modes that the demo tries; `manifold stability` tries all."""
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What `run` left in its folder.
+
+    Attributes:
+        library, model, report_text, report_json, fit: paths.
+        pictures: what was drawn.
+        predicted: the prediction.
+        report: the report.
+    """
+
+    library: Path
+    model: Path
+    report_text: Path
+    report_json: Path
+    fit: Path
+    pictures: tuple[Path, ...]
+    predicted: Prediction
+    report: Report
+
+
+def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
+    """Files, library, model, a prediction, renders, a fit, the report.
+
+    A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
+    made anew.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
+    with stage("Measuring the synthetic corpus") as step:
+        corpus.write(files, keep=True, on_progress=step)
+    with stage("Importing it into a library") as step:
+        imported = pipeline.import_library(library, [files], on_progress=step)
+        if imported.failed:
+            raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
+    fitted = pipeline.embed(library, model, Settings(), stage=stage).model
+    with stage("Predicting a material between two") as step:
+        between = fitted.between(START, END, 0.75)
+        predicted = pipeline.predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+    pictures = []
+    with stage("Rendering the prediction") as step:
+        pictures.append(folder / "predicted.png")
+        source = renders.file_source(predicted.path)
+        renders.render(source, pictures[-1], RenderSettings(), step)
+    pictures.append(folder / "slices.png")
+    slices(sources([START, END], [between], model), pictures[-1])
+    with stage("Drawing the map and the walk") as step:
+        pictures.append(folder / "map.png")
+        if backend.choose().is_llvm:
+            ball_pictures.latent_map(model, pictures[-1], marked=between, on_progress=step)
+            pictures.append(folder / "walk.png")
+            ball_pictures.walk(model, START, END, pictures[-1], on_progress=step)
+        else:  # balls would take minutes
+            figures.save(plot_latents.latent_map(fitted, marked=between), pictures[-1])
+    with stage("Fitting game parameters to the prediction") as step:
+        fit = folder / "predicted.fit.json"
+        fits.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
+        pictures.append(folder / "predicted.fit.png")
+        picture_of_fit(fit, predicted.path, pictures[-1])
+    with stage("Budgeting three scenes"):
+        settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
+        for name in example_scenes.EXAMPLES:
+            pictures.append(folder / f"budget_{name}.png")
+            budgets.example(name, settings=settings, output=folder / "budget" / name, picture=pictures[-1])
+    with stage("Charting speed against accuracy") as step:
+        pictures.append(folder / "chart.png")
+        figures.save(plot_chart.chart(charts.chart(library, only=CHARTED, on_progress=step)), pictures[-1])
+    with stage("Trying where methods fail") as step:
+        pictures.append(folder / "stability.png")
+        failures.stability(TRIED, pictures[-1], on_progress=step)
+    with stage("Evaluating the model") as step:
+        made = make_report(fitted, "default", step)
+    text, document = folder / "report.txt", folder / "report.json"
+    atomic.write_text(text, format_report(made))
+    atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
+    return DemoResult(library, model, text, document, fit, tuple(pictures), predicted, made)

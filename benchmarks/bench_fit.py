@@ -234,7 +234,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if options.cases:
         first = sorted(options.files.glob("*.bsdf"))[0]
         wi, wo = fit_samples.file_pairs(read_bsdf(first))
-        pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).thinned(fit_samples.MAX_PAIRS)
+        pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).subsample(fit_samples.MAX_PAIRS)
         fit(pairs)  # compile
         results["known_truths"] = known_truths(pairs, options.cases, options.baseline_cases)
     if options.rough_cases:

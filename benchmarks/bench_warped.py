@@ -56,9 +56,9 @@ class Warped:
         """Resampled; cells that hold nothing take their nearest neighbour's values."""
         spectra = file.spectra[0][:, bands].astype(np.float64)
         for t in range(len(spectra)):
-            hole = np.all(spectra[t] == 0, axis=0)
-            if hole.any() and not hole.all():
-                nearest = distance_transform_edt(hole, return_distances=False, return_indices=True)
+            unmeasured = np.all(spectra[t] == 0, axis=0)
+            if unmeasured.any() and not unmeasured.all():
+                nearest = distance_transform_edt(unmeasured, return_distances=False, return_indices=True)
                 spectra[t] = spectra[t][:, nearest[0], nearest[1]]
         for axis in (2, 3):
             spectra = _resampled(
@@ -172,7 +172,7 @@ class Held:
         bands = evenly_spaced(self.files[0].spectra.shape[2], BANDS)
         warped = [Warped.of_file(file, self.theta, bands) for file in self.files]
         self.wi, self.wo, self.weight = _pairs()
-        self.truth = [MeasuredBRDF(f).thinned(bands.tolist()).eval(self.wi, self.wo) for f in self.files]
+        self.truth = [MeasuredBRDF(f).select_bands(bands.tolist()).eval(self.wi, self.wo) for f in self.files]
         N, B = len(warped), len(bands)
         self.group = 1 if self.setting.whole else B
         forward, self.inverse = _PROFILES[profile]

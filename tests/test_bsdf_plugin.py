@@ -282,7 +282,9 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng):
     si.wi = mi.Vector3f(wi.T.copy())
     si.uv = mi.Point2f(np.tile([1 / 6, 3 / 6, 5 / 6], 200).astype(np.float32), 0.5)
     value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.copy()))).T
-    closed = model.load_materials()  # a field has no holes, not even where it passes a measured material
+    closed = (
+        model.load_materials()
+    )  # a field has no unmeasured cells, not even where it passes a measured material
     for k, brdf in enumerate((closed[0], closed[2], model.predict(0.5 * (a + b)))):
         expected = np.maximum(brdf.eval_cos(wi[k::3], wo[k::3]), 0.0)
         # Latents are float32 there; weights of both signs cancel.

@@ -35,9 +35,9 @@ def test_a_material_that_has_no_place_is_said_so():
     assert "0.80" in sentence
 
 
-def test_holes_are_said_from_one_percent_on():
-    assert diagnostics.of_holes(0.005) == ()
-    (sentence,) = diagnostics.of_holes(0.12)
+def test_unmeasured_cells_are_reported_from_one_percent_on():
+    assert diagnostics.of_unmeasured(0.005) == ()
+    (sentence,) = diagnostics.of_unmeasured(0.12)
     assert "12%" in sentence
 
 

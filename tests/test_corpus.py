@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import find_holes, share_of_holes
+from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -47,7 +47,7 @@ def test_files_have_the_shape_of_the_real_ones(name):
     non_zero = np.any(file.spectra != 0, axis=2)
     unmeasured = 1.0 - file.measured_mask[non_zero].mean()
     assert 0.01 < unmeasured < 0.05  # 3 to 4 % of the non-zero cells of real files are extrapolated,
-    assert share_of_holes(file, find_holes(file)) < 0.01  # all of them next to the horizon
+    assert unmeasured_share(file, unmeasured_cells(file)) < 0.01  # all of them next to the horizon
 
 
 def test_elevations_differ_from_material_to_material():
@@ -72,7 +72,7 @@ def test_files_follow_the_analytic_truth(name, rng):
     theta = rng.uniform(0, np.deg2rad(70), (2, 2000))
     wi, wo = (from_spherical(t, rng.uniform(-np.pi, np.pi, 2000)) for t in theta)
     error = np.abs(brdf.eval(wi, wo) / truth.eval(wi, wo) - 1.0)
-    # Interpolation, 0.6 % of speckle, up to 0.8 % of detector noise, and the odd hole.
+    # Interpolation, 0.6 % of speckle, up to 0.8 % of detector noise, and the odd unmeasured cell.
     assert np.median(error) < 0.02
     assert np.quantile(error, 0.9) < 0.12
 

@@ -221,7 +221,7 @@ def test_gram_matrices_are_sums_over_pairs(data):
 # -- many bands --------------------------------------------------------------------------------------------
 
 
-def test_many_bands_are_thinned_evenly(many_bands):
+def test_of_many_bands_some_are_selected_evenly(many_bands):
     found = heldout.Data.evaluate(many_bands[:2], GRID)
     assert found.f.shape[2] == 20
     assert (found.bands[0], found.bands[-1]) == (0, 59)

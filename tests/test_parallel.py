@@ -14,15 +14,15 @@ from threadpoolctl import threadpool_info
 from manifold import parallel
 from manifold.parallel import in_turn, one_blas_thread
 
-HOLES_IN_THREADS = """
+UNMEASURED_IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor
 import numba
 from sample_files import sample_file
-from manifold.holes import find_holes
+from manifold.brdf.unmeasured import unmeasured_cells
 files = [sample_file(f"m{k}", k, size=24) for k in range(8)]
 with ThreadPoolExecutor(4) as pool:
     for _ in range(5):
-        list(pool.map(find_holes, files))
+        list(pool.map(unmeasured_cells, files))
 assert numba.threading_layer() == "workqueue", numba.threading_layer()
 """
 
@@ -39,7 +39,11 @@ def test_threads_enter_parallel_kernels_where_neither_openmp_nor_tbb_is_installe
         "PYTHONPATH": str(Path(__file__).parent),
     }
     child = subprocess.run(
-        [sys.executable, "-c", HOLES_IN_THREADS], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", UNMEASURED_IN_THREADS],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert child.returncode == 0, child.stderr[-500:]
 

@@ -182,7 +182,7 @@ def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
     """Few samples see a lobe this sharp: without the walk fits may end in a dip above the truth's cost."""
     file = measured("syn_felt_green")
     wi, wo = fit_samples.file_pairs(file)
-    pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).thinned(2048)
+    pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).subsample(2048)
     family = principled()
     truth = {"base_color": [0.49, 0.48, 0.95], "metallic": 0.74, "roughness": 0.46, "specular": 0.56}
     truth |= {"clearcoat": 0.33, "clearcoat_gloss": 0.963, "sheen": 0.39}

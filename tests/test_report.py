@@ -182,7 +182,7 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
 
 
 def test_other_grids_are_walked_in_blocks(model, monkeypatch):
-    """The seed's grid, thinned for the test: the same weights, other pairs, errors as if evaluated at once."""
+    """The published grid, made coarser for the test: the same weights, other pairs, errors as if evaluated at once."""
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
     monkeypatch.setitem(metrics.NAMED_GRIDS, "seed", grid)
     monkeypatch.setattr(report, "_BLOCK_VALUES", 2000)

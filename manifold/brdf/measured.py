@@ -265,7 +265,7 @@ class MeasuredBRDF:
     def __repr__(self) -> str:
         return f"MeasuredBRDF({self.name!r}, {self._bands})"
 
-    def thinned(self, bands: Sequence[int]) -> MeasuredBRDF:
+    def select_bands(self, bands: Sequence[int]) -> MeasuredBRDF:
         """The same material in a few of its bands, warps shared.
 
         Args:
@@ -277,10 +277,10 @@ class MeasuredBRDF:
             return self
         if self._bands.wavelengths_nm is None:
             raise UsageError(f"bands {list(bands)} of an RGB material, expected all three")
-        thin = copy.copy(self)
-        thin._bands = Bands(tuple(self._bands.wavelengths_nm[b] for b in bands))
-        thin._spectra = np.ascontiguousarray(self._spectra[..., list(bands)])
-        return thin
+        selected = copy.copy(self)
+        selected._bands = Bands(tuple(self._bands.wavelengths_nm[b] for b in bands))
+        selected._spectra = np.ascontiguousarray(self._spectra[..., list(bands)])
+        return selected
 
     @property
     def bands(self) -> Bands:

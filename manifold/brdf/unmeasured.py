@@ -1,8 +1,8 @@
-"""Holes of measured files: cells above the horizon that hold nothing, closed before materials are combined.
+"""Unmeasured cells of files: those above the horizon that hold nothing, filled before materials are combined.
 
 A file marks what it could not measure by zeros in all bands, or in `valid`. Below the horizon that is right; above it,
-a prediction would show the holes of all its materials as dark spots, magnified where weights are large. What a file
-*is* stays as it is: a prediction at a training latent is the file, holes included.
+a prediction would show those of all its materials as dark spots, magnified where weights are large. What a file
+*is* stays as it is: a prediction at a training latent is the file, unmeasured cells included.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _STEEPEST = np.deg2rad(85.0)  # incident elevations beyond it are extrapolated, 
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
-def find_holes(file: BsdfFile) -> Array:
+def unmeasured_cells(file: BsdfFile) -> Array:
     """Cells above the horizon that are zero in all bands or marked as not measured, bool, shape (P, T, H, W)."""
-    holes = np.all(file.spectra == 0, axis=2) | ~file.measured_mask
-    suspects = np.any(holes, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
+    unmeasured = np.all(file.spectra == 0, axis=2) | ~file.measured_mask
+    suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
-        return np.zeros_like(holes)
+        return np.zeros_like(unmeasured)
     for p, t, cosines in _outgoing_cosines(file, np.argwhere(suspects)):
-        holes[p, t] &= cosines > _LEAST_COSINE
-    holes[~suspects] = False
-    return holes
+        unmeasured[p, t] &= cosines > _LEAST_COSINE
+    unmeasured[~suspects] = False
+    return unmeasured
 
 
 def find_rim(file: BsdfFile) -> Array:
@@ -55,37 +55,37 @@ def _outgoing_cosines(file: BsdfFile, slices: Array) -> Iterator[tuple[int, int,
         yield int(p), int(t), np.where(cells.is_above, cells.wo[..., 2], -1.0)
 
 
-def share_of_holes(file: BsdfFile, holes: Array) -> float:
-    """Holes (P, T, H, W) as a share of the cells that should hold something."""
-    expected = np.any(file.spectra != 0, axis=2) | holes
-    return float(np.sum(holes) / max(int(np.sum(expected)), 1))
+def unmeasured_share(file: BsdfFile, cells: Array) -> float:
+    """Unmeasured cells (P, T, H, W) as a share of the cells that should hold something."""
+    expected = np.any(file.spectra != 0, axis=2) | cells
+    return float(np.sum(cells) / max(int(np.sum(expected)), 1))
 
 
-def close_holes(file: BsdfFile, holes: Array | None = None) -> BsdfFile:
-    """The same file with its holes filled from their rims inwards; the file itself where it has none.
+def fill_unmeasured(file: BsdfFile, cells: Array | None = None) -> BsdfFile:
+    """The same file with its unmeasured cells filled from their rims inwards; the file itself where it has none.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
     without any known cell stays as it is.
 
     Args:
-        file: with holes.
-        holes: what `find_holes` found, if that was asked already.
+        file: any file.
+        cells: its `unmeasured_cells`, if they are known already.
     """
-    holes = find_holes(file) if holes is None else holes
-    if not np.any(holes):
+    cells = unmeasured_cells(file) if cells is None else cells
+    if not np.any(cells):
         return file
     spectra = file.spectra.copy()
-    for p, t in np.argwhere(np.any(holes, axis=(2, 3))):
-        _fill(spectra[p, t], holes[p, t], np.any(spectra[p, t] != 0, axis=0) & ~holes[p, t])
+    for p, t in np.argwhere(np.any(cells, axis=(2, 3))):
+        _fill(spectra[p, t], cells[p, t], np.any(spectra[p, t] != 0, axis=0) & ~cells[p, t])
     return replace(file, spectra=spectra)
 
 
-def _fill(values: Array, holes: Array, known: Array) -> None:
-    """Fill the holes (H, W) of values (B, H, W) in place, from the cells that are known (H, W)."""
-    holes = holes.copy()
-    while np.any(holes):
+def _fill(values: Array, unmeasured: Array, known: Array) -> None:
+    """Fill the unmeasured cells (H, W) of values (B, H, W) in place, from the cells that are known (H, W)."""
+    unmeasured = unmeasured.copy()
+    while np.any(unmeasured):
         weight = convolve(known.astype(float), _NEIGHBOURS, mode="constant")
-        rim = holes & (weight > 0)
+        rim = unmeasured & (weight > 0)
         if not np.any(rim):
             return
         for row, column in np.argwhere(rim):
@@ -93,7 +93,7 @@ def _fill(values: Array, holes: Array, known: Array) -> None:
             near = _NEIGHBOURS[_cut(row, values.shape[1]), _cut(column, values.shape[2])] * known[i, j]
             values[:, row, column] = np.tensordot(values[:, i, j], near, axes=2) / near.sum()
         known = known | rim
-        holes &= ~rim
+        unmeasured &= ~rim
 
 
 def _cut(index: int, size: int) -> slice:

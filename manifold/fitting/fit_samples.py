@@ -8,7 +8,7 @@ import numpy as np
 
 from manifold.brdf.cells import Cells
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.unmeasured import find_holes
+from manifold.brdf.unmeasured import unmeasured_cells
 from manifold.brdf.warp import Warp
 from manifold.colour import spectra
 from manifold.directions import normalize, require_directions
@@ -85,7 +85,7 @@ class FitSamples:
         """f * cos(theta_o) in 1/sr, shape (M, B): what Mitsuba's `eval` returns."""
         return self.f * self.wo[:, 2:]
 
-    def thinned(self, n: int) -> FitSamples:
+    def subsample(self, n: int) -> FitSamples:
         """At most n of the samples, the same ones each time, spread over the table's order."""
         if len(self) <= n:
             return self
@@ -129,7 +129,7 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
         UsageError: nothing is left.
     """
     warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
-    mask = file.measured_mask & ~find_holes(file)
+    mask = file.measured_mask & ~unmeasured_cells(file)
     all_wi, all_wo = [], []
     for p, t in np.ndindex(mask.shape[:2]):
         cells = Cells.seen_from(
@@ -148,11 +148,11 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
 
 
 def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
-    """Samples of a file at the direction pairs at which it was measured, thinned to at most `max_pairs`."""
+    """Samples of a file at the direction pairs at which it was measured, at most `max_pairs` of them."""
     wi, wo = file_pairs(file)
     brdf = MeasuredBRDF(file)
     f = np.maximum(brdf.eval(wi, wo), 0.0)
-    return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).thinned(max_pairs)
+    return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
 
 
 def from_brdf(brdf: BRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS) -> FitSamples:

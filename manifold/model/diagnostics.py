@@ -8,7 +8,7 @@ MOST_NEGATIVE = 0.005  # share of values, above which a prediction carries a cau
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_MISSED = 0.02  # of a reflectance
-MOST_HOLES = 0.01  # of the cells that should hold something
+MOST_UNMEASURED = 0.01  # of the cells that should hold something
 _BRIGHTER = 1.1  # of a file against what it was written from; elsewhere interpolation errs by a few per cent
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not given back
 
@@ -51,11 +51,13 @@ def of_file(predicted_albedo: float, file_albedo: float) -> tuple[str, ...]:
     )
 
 
-def of_holes(share: float) -> tuple[str, ...]:
-    """Of values that were not measured: holes as a share of the cells that should hold something."""
-    if share <= MOST_HOLES:
+def of_unmeasured(share: float) -> tuple[str, ...]:
+    """Of values that were not measured, as a share of the cells that should hold something."""
+    if share <= MOST_UNMEASURED:
         return ()
-    return (f"{share:.0%} of the cells were not measured, but guessed from neighbours; see `manifold info`",)
+    return (
+        f"{share:.0%} of the cells were not measured and are filled from their neighbours; see `manifold info`",
+    )
 
 
 def of_embedding(relative_error: float) -> tuple[str, ...]:

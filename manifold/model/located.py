@@ -8,7 +8,7 @@ from typing import Any
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import close_holes, find_holes, share_of_holes
+from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.io_rgl import read_bsdf
 from manifold.model import diagnostics
 from manifold.model.manifold import Manifold
@@ -45,15 +45,15 @@ class Located:
 def locate(
     model: Path, path: Path, *, library: Path | None = None, on_progress: Progress | None = None
 ) -> Located:
-    """Embed a measured file, its holes closed, in a manifold that has not seen it.
+    """Embed a measured file, its unmeasured cells filled, in a manifold that has not seen it.
 
     Raises:
         FileFormatError: it is no RGL file.
         BandMismatchError: its bands are not the library's.
     """
     file = read_bsdf(path)
-    holes = find_holes(file)
-    brdf = MeasuredBRDF(close_holes(file, holes))
+    cells = unmeasured_cells(file)
+    brdf = MeasuredBRDF(fill_unmeasured(file, cells))
     loaded = Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = loaded.embed(brdf)
@@ -66,5 +66,5 @@ def locate(
         std=float(loaded.std(found.latent, found.colours)),
         nearest=tuple(loaded.nearest(found.latent, 3)),
         cautions=diagnostics.of_embedding(found.relative_error)
-        + diagnostics.of_holes(share_of_holes(file, holes)),
+        + diagnostics.of_unmeasured(unmeasured_share(file, cells)),
     )

@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature
-from manifold.brdf.unmeasured import close_holes, find_holes, share_of_holes
+from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.errors import LatentError, LibraryError, ShapeError, UsageError
 from manifold.gplvm import GPLVM, OPTIMIZERS
@@ -134,8 +134,8 @@ class Manifold:
         self.statistics = statistics
         self._materials: dict[str, MeasuredBRDF] = {}
         self._closed: dict[str, MeasuredBRDF] = {}
-        self._thin: list[MeasuredBRDF] | None = None
-        self._hole_shares: dict[str, float] = {}
+        self._sampled: list[MeasuredBRDF] | None = None
+        self._unmeasured_shares: dict[str, float] = {}
 
     # -- fitting -------------------------------------------------------------------------------------------
 
@@ -229,7 +229,7 @@ class Manifold:
         materials = self.load_materials(on_progress)
         per_band = chosen is not None
         if chosen is not None:
-            materials = [material.thinned(chosen) for material in materials]
+            materials = [material.select_bands(chosen) for material in materials]
         matrix = gram.gram_matrix(materials, self.mapping, grid, on_progress, per_band=per_band)
         self.library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
         return matrix
@@ -281,10 +281,10 @@ class Manifold:
         return self._materials[name]
 
     def _closed_material(self, name: str) -> MeasuredBRDF:
-        """A measured material with its holes closed, as predictions combine it."""
+        """A measured material with unmeasured cells filled, as predictions combine it."""
         if name not in self._closed:
             file = self.library.read(name)
-            closed = self._without_holes(file)
+            closed = self._with_unmeasured_filled(file)
             self._closed[name] = MeasuredBRDF(closed)
             if closed is file:
                 self._materials[name] = self._closed[name]
@@ -307,7 +307,7 @@ class Manifold:
         )
 
     def load_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All measured materials in the order of the latents, holes closed; see `holes`."""
+        """All measured materials in the order of the latents, unmeasured cells filled; see `brdf.unmeasured`."""
         return self._read_all(self._closed_material, on_progress)
 
     def prepare(self, on_progress: Progress | None = None) -> None:
@@ -315,7 +315,7 @@ class Manifold:
         if isinstance(self.space, MaterialSpace):
             self.load_materials(on_progress)
         else:
-            self._thinned(on_progress)
+            self._sampled_materials(on_progress)
 
     def _read_all(
         self, read: Callable[[str], MeasuredBRDF], on_progress: Progress | None
@@ -328,23 +328,23 @@ class Manifold:
                     on_progress(done, len(self.names), material.name)
         return loaded
 
-    def _thinned(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
+    def _sampled_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         """All measured materials in the bands that find latents, of a monochrome manifold its samples."""
-        if self._thin is None:
-            self._thin = self._read_all(self._thin_material, on_progress)
-        return self._thin
+        if self._sampled is None:
+            self._sampled = self._read_all(self._sampled_material, on_progress)
+        return self._sampled
 
-    def _thin_material(self, name: str) -> MeasuredBRDF:
-        """A measured material, holes closed, in a few of its bands; the others are not kept."""
+    def _sampled_material(self, name: str) -> MeasuredBRDF:
+        """A measured material, unmeasured cells filled, in a few of its bands; the others are not kept."""
         whole = self._closed.get(name)
         if whole is None:
-            whole = MeasuredBRDF(self._without_holes(self.library.read(name)))
-        return whole.thinned(self._embedding_bands.tolist())
+            whole = MeasuredBRDF(self._with_unmeasured_filled(self.library.read(name)))
+        return whole.select_bands(self._embedding_bands.tolist())
 
-    def _without_holes(self, file: BsdfFile) -> BsdfFile:
-        holes = find_holes(file)
-        self._hole_shares[file.name] = share_of_holes(file, holes)
-        return close_holes(file, holes)
+    def _with_unmeasured_filled(self, file: BsdfFile) -> BsdfFile:
+        cells = unmeasured_cells(file)
+        self._unmeasured_shares[file.name] = unmeasured_share(file, cells)
+        return fill_unmeasured(file, cells)
 
     # -- latents -------------------------------------------------------------------------------------------
 
@@ -421,14 +421,14 @@ class Manifold:
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
-    def hole_share(self, x: Array) -> float:
-        """Share of the cells around a latent x (Q,) that are holes: of the materials', by magnitudes of weights."""
+    def unmeasured_share(self, x: Array) -> float:
+        """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight."""
         weights = np.abs(self.weights(self.require_latent(x)))
         used = [(self.names[k], weights[k]) for k in np.flatnonzero(weights)]
         for name, _ in used:
-            if name not in self._hole_shares:
-                self._without_holes(self.library.read(name))
-        return float(sum(w * self._hole_shares[name] for name, w in used) / weights.sum())
+            if name not in self._unmeasured_shares:
+                self._with_unmeasured_filled(self.library.read(name))
+        return float(sum(w * self._unmeasured_shares[name] for name, w in used) / weights.sum())
 
     def latent(self, name: str) -> Array:
         """The latent of a material, shape (Q,).
@@ -564,7 +564,7 @@ class Manifold:
         if owner is not None:
             return self._predict_from_materials(np.eye(len(self.names))[owner])
         weights = self.gp.weights(self.space.join(x[None], colours[None]))
-        return MonochromePrediction(self._thinned(), weights, self.mapping, self.bands)
+        return MonochromePrediction(self._sampled_materials(), weights, self.mapping, self.bands)
 
     def owner(self, x: Array, colours: Array) -> int | None:
         """The material whose structure x (Q,) and colours (B,) these are."""
@@ -637,7 +637,7 @@ class Manifold:
         cosines = pairs.cosines
         rows = []
         located = DirectionPairs(pairs.wi, pairs.wo)
-        for material in self._thinned():
+        for material in self._sampled_materials():
             f = np.empty((len(located), material.bands.count))
             material.eval_into(located, f)
             rows.append(self.mapping.forward(f, cosines).T)  # [B_s, P]

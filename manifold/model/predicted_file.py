@@ -141,7 +141,7 @@ def predict(
         file_albedo=file_albedo,
         cautions=diagnostics.of_prediction(is_extrapolation, found, chosen.missed)
         + diagnostics.of_file(found.max_albedo, file_albedo)
-        + diagnostics.of_holes(model.hole_share(x)),
+        + diagnostics.of_unmeasured(model.unmeasured_share(x)),
         clipped_share=clipped.clipped_share,
         seconds=seconds,
     )

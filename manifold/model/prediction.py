@@ -187,10 +187,10 @@ class MonochromePrediction(Mixture):
     """
 
     def __init__(self, samples: Sequence[BRDF], weights: Array, mapping: Mapping, bands: Bands):
-        """Combine N materials, thinned to the sample bands, with weights V (B, N B_s) under a mapping T.
+        """Combine N materials in the sample bands with weights V (B, N B_s) under a mapping T.
 
         Args:
-            samples: the thinned materials; sample n B_s + s is band s of material n.
+            samples: the materials in their sample bands; sample n B_s + s is band s of material n.
             weights: shape (B, N B_s).
             mapping: T.
             bands: the B bands to predict.

@@ -82,7 +82,7 @@ def _materials(recipes: dict[str, Callable[[Bands], BRDF]]) -> tuple[Material, .
 
 
 def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile:
-    """Measure a material as the instrument would, noise and holes included.
+    """Measure a material as the instrument would, noise and unmeasured cells included.
 
     Args:
         material: one of this corpus.
@@ -165,15 +165,15 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
 
     # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
     rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)
-    # A few cells are holes: no value in any band.
-    holes = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
-    values[holes] = 0.0
+    # A few cells are unmeasured: no value in any band.
+    lost = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
+    values[lost] = 0.0
     luminance = np.maximum(spectra.luminance(values, file.bands), 0.0).astype(np.float32)
     return replace(
         file,
         spectra=np.moveaxis(values, -1, 2),
         luminance=luminance,
-        valid=goniometer.pack_valid(measured & ~rim & ~holes, file.version),
+        valid=goniometer.pack_valid(measured & ~rim & ~lost, file.version),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.unmeasured import find_holes, share_of_holes
+from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -104,7 +104,7 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
     P, T, B, H, W = file.spectra.shape
     mask = file.measured_mask
-    hole_share = share_of_holes(file, find_holes(file))
+    share = unmeasured_share(file, unmeasured_cells(file))
     rows: dict[str, object] = {
         "description": file.description,
         "kind": "isotropic" if file.is_isotropic else f"anisotropic, {P} incident azimuths",
@@ -116,7 +116,7 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "pipeline version": ".".join(str(v) for v in file.version),
         "measured cells": f"{mask.mean():.1%}",
         "exact zeros": f"{np.mean(file.spectra == 0):.1%}",
-        "holes above the horizon": f"{hole_share:.1%}",
+        "unmeasured cells above the horizon": f"{share:.1%}",
         "values": f"{file.spectra.min():.4g} to {file.spectra.max():.4g}",
         "size": f"{path.stat().st_size / 1e6:.1f} MB",
     }
@@ -131,7 +131,7 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "version": list(file.version),
         "measured_share": float(mask.mean()),
         "zero_share": float(np.mean(file.spectra == 0)),
-        "hole_share": hole_share,
+        "unmeasured_share": share,
     }
     return Inspection(f"{path.name}: RGL material", rows, document)
 

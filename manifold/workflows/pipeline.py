@@ -9,7 +9,7 @@ from pathlib import Path
 
 from manifold import atomic
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import close_holes
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.experiments.evaluation import selection
 from manifold.experiments.evaluation.report import Report, make_report
@@ -95,7 +95,7 @@ def embed(
         with stage("Reading materials") as step:
             materials = []
             for name in opened.names:
-                materials.append(MeasuredBRDF(close_holes(opened.read(name))))
+                materials.append(MeasuredBRDF(fill_unmeasured(opened.read(name))))
                 if step is not None:
                     step(len(materials), len(opened.names), name)
         with stage("Leaving materials out") as step:

@@ -12,7 +12,7 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.brdf.unmeasured import close_holes
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.experiments.chart import instruments
 from manifold.experiments.chart.instruments import Kept, Measured, Stopwatch, Target, Timed
 from manifold.experiments.chart.registry import Setting
@@ -45,7 +45,7 @@ class HeldOut:
 
     def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Setting]) -> None:
         """Tabulate N files at the direction pairs of a grid, in the bands that the chosen settings need."""
-        files = [close_holes(file) for file in files]
+        files = [fill_unmeasured(file) for file in files]
         self._files, self.watch = files, Stopwatch()
         self.folds = min(_FOLDS, len(files))
         n_bands = files[0].bands.count
@@ -135,7 +135,7 @@ def _predictor(
         return _from_table(np.stack([instruments.evaluated(m, block) for m in kept.brdfs]), weights)
     if combination.sample_bands is not None:
         bands = combination.sample_bands.tolist()
-        samples = [m.thinned(bands) for m in kept.brdfs]
+        samples = [m.select_bands(bands) for m in kept.brdfs]
         curve = MonochromePrediction(samples, weights, mapping, kept.brdfs[0].bands)
         return lambda: curve.eval(block.wi, block.wo)
     whole = PredictedBRDF(kept.brdfs, weights, mapping)

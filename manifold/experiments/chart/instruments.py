@@ -154,14 +154,14 @@ class Kept:
         self.brdfs = [MeasuredBRDF(file) for file in kept]
         self._files, self._storage = kept, storage
         self.cells = float(np.median([file.luminance.size for file in kept]))
-        thin, self.back, self._some_back = self.brdfs, None, None
+        sampled, self.back, self._some_back = self.brdfs, None, None
         if storage.bands is None:
-            thin = [brdf.thinned(target.data.bands.tolist()) for brdf in self.brdfs]
+            sampled = [brdf.select_bands(target.data.bands.tolist()) for brdf in self.brdfs]
         else:
             self.back = storage_forms.interpolation(files[0].bands, storage.bands)
             self._some_back = self.back[target.data.bands]
         self._at = [
-            Values(np.stack([evaluated(brdf, pairs) for brdf in thin]), cosine_weight(pairs.wi, pairs.wo))
+            Values(np.stack([evaluated(brdf, pairs) for brdf in sampled]), cosine_weight(pairs.wi, pairs.wo))
             for pairs in (target.pairs, target.ball_pairs)
         ]
 
@@ -187,8 +187,8 @@ class Target:
         self.ball_pairs = DirectionPairs(self._ball.wi, self._ball.wo)
         nm = materials[0].bands.wavelengths_nm
         self.bands = materials[0].bands if nm is None else Bands(tuple(nm[b] for b in data.bands))
-        thin = [m.thinned(data.bands.tolist()) for m in materials]
-        self._xyz = [self._ball.xyz(evaluated(m, self.ball_pairs), self.bands) for m in thin]
+        sampled = [m.select_bands(data.bands.tolist()) for m in materials]
+        self._xyz = [self._ball.xyz(evaluated(m, self.ball_pairs), self.bands) for m in sampled]
 
     def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, float, float]:
         """Relative error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""

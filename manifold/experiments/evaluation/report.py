@@ -267,10 +267,10 @@ def _blocks(
     materials: Sequence[MeasuredBRDF], bands: Array, grid: RusinkiewiczGrid, on_progress: Progress | None
 ) -> Iterator[Values]:
     """Measured values on a grid in some bands, block by block."""
-    thin = [material.thinned(bands.tolist()) for material in materials]
+    sampled = [material.select_bands(bands.tolist()) for material in materials]
     size = _block_pairs(len(materials), len(bands))
     total = -(-grid.n_pairs // size)
-    for done, (wi, wo, f) in enumerate(gram.value_blocks(thin, grid, size), start=1):
+    for done, (wi, wo, f) in enumerate(gram.value_blocks(sampled, grid, size), start=1):
         yield Values(f, cosine_weight(wi, wo))
         if on_progress is not None:
             on_progress(done, total, "direction pairs")
@@ -362,11 +362,11 @@ def _plausibilities(
     materials: Sequence[MeasuredBRDF], bands: Array, encoded: Sequence[Encoded]
 ) -> list[list[Plausibility]]:
     """Of all predictions, method by method, in some bands."""
-    thin = [material.thinned(bands.tolist()) for material in materials]
+    sampled = [material.select_bands(bands.tolist()) for material in materials]
     combinations = [[c.in_bands(bands) for c in each.combinations] for each in encoded]
 
     def predict(wi: Array, wo: Array) -> Array:
-        values = Values(np.stack([m.eval(wi, wo) for m in thin]), cosine_weight(wi, wo))
+        values = Values(np.stack([m.eval(wi, wo) for m in sampled]), cosine_weight(wi, wo))
         return np.concatenate([evaluate(each, values) for each in combinations])
 
     found = plausibilities(predict, all(material.is_isotropic for material in materials))

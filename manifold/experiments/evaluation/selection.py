@@ -118,7 +118,7 @@ class _Trials:
         wi, wo, above = GRID.directions()
         wi, wo = wi[above], wo[above]
         self._cosines = cosine_weight(wi, wo)
-        self._f = np.stack([m.thinned(bands).eval(wi, wo).T for m in materials])  # [N, B, P]
+        self._f = np.stack([m.select_bands(bands).eval(wi, wo).T for m in materials])  # [N, B, P]
         folds = len(materials) if len(materials) <= LEAVE_ONE_OUT_UP_TO else FOLDS
         self._folds = [np.arange(k, len(materials), folds) for k in range(folds)]
 

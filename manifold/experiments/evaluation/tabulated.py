@@ -63,12 +63,14 @@ class Data(Values):
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
         measured = [material for material in materials if isinstance(material, MeasuredBRDF)]
-        can_thin = len(measured) == len(materials)
-        thin = [material.thinned(bands.tolist()) for material in measured] if can_thin else materials
-        kept = slice(None) if can_thin else bands
+        can_select = len(measured) == len(materials)
+        sampled = (
+            [material.select_bands(bands.tolist()) for material in measured] if can_select else materials
+        )
+        kept = slice(None) if can_select else bands
         blocks = []
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
-        for wi, wo, f in gram.value_blocks(thin, grid):
+        for wi, wo, f in gram.value_blocks(sampled, grid):
             blocks.append((cosine_weight(wi, wo), f[..., kept]))
             if on_block is not None:
                 on_block(len(blocks), total)

@@ -1,4 +1,4 @@
-"""Failure modes of what files hold: holes, grazing directions, sharp lobes, coarse grids, versions, rounding."""
+"""Failure modes of what files hold: unmeasured cells, grazing directions, sharp lobes, coarse grids, versions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
 
 
 def lost_cells(file: BsdfFile, share: float) -> Array:
-    """Cells of a few round holes per incidence that cover a share of the measured ones, bool, shape (P, T, H, W)."""
+    """Cells of a few round patches per incidence that cover a share of the measured ones, bool, shape (P, T, H, W)."""
     rng = np.random.default_rng(5)
     measured = file.measured_mask
     rows, columns = np.indices(measured.shape[2:])
@@ -136,7 +136,7 @@ def _fitted(spoil: Spoil) -> Callable[[Bench, float], Found]:
     return trial
 
 
-def _holes(key: str, concerns: str, severity: str, spoil: Spoil, advice: str) -> Mode:
+def _unmeasured(key: str, concerns: str, severity: str, spoil: Spoil, advice: str) -> Mode:
     return Mode(
         key=key,
         concerns=concerns,
@@ -212,14 +212,14 @@ def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
 
 
 MODES: tuple[Mode, ...] = (
-    _holes(
+    _unmeasured(
         "exact_zeros",
         "cells that were lost and hold zeros, though they count as measured",
         "share of the measured cells",
         _zeroed,
-        "Look at `manifold info FILE` before importing; measure again what has large holes.",
+        "Look at `manifold info FILE` before importing; measure again what has large unmeasured areas.",
     ),
-    _holes(
+    _unmeasured(
         "masked_cells",
         "cells that are marked as not measured and hold half of their value",
         "share of the measured cells",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.brdf.unmeasured import close_holes
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
@@ -197,6 +197,6 @@ def _by_size(files: list[BsdfFile]) -> list[int]:
 
 
 def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:
-    """Measured files as predictions combine them, holes closed."""
+    """Measured files as predictions combine them, unmeasured cells filled."""
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda k: close_holes(model.library.read(model.names[k])), which))
+        return list(pool.map(lambda k: fill_unmeasured(model.library.read(model.names[k])), which))

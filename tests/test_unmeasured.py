@@ -1,4 +1,4 @@
-"""Holes of measured files are found above the horizon and closed from their rims."""
+"""Unmeasured cells of files are found above the horizon and filled from their rims."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from conftest import real_rgl_files
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import close_holes, find_holes, share_of_holes
+from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
@@ -31,25 +31,25 @@ def punched(file, share, seed=0):
     return replace(file, spectra=spectra), out & np.any(file.spectra != 0, axis=2)
 
 
-def test_a_file_without_holes_is_returned_itself(whole):
-    assert not np.any(find_holes(whole))
-    assert close_holes(whole) is whole
+def test_a_fully_measured_file_is_returned_itself(whole):
+    assert not np.any(unmeasured_cells(whole))
+    assert fill_unmeasured(whole) is whole
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
-def test_holes_above_the_horizon_are_found_and_closed(whole, share):
+def test_unmeasured_cells_above_the_horizon_are_found_and_filled(whole, share):
     file, out = punched(whole, share)
-    holes = find_holes(file)
-    assert np.all(out[holes])  # nothing that was empty before
+    cells = unmeasured_cells(file)
+    assert np.all(out[cells])  # nothing that was empty before
     steep = file.theta_i_rad < np.deg2rad(85)
-    assert holes[:, steep].sum() > 0.85 * out[:, steep].sum()
-    closed = close_holes(file)
-    np.testing.assert_array_equal(closed.spectra[:, :, 0][~holes], file.spectra[:, :, 0][~holes])
-    assert np.all(closed.spectra[:, :, 0][holes] > 0)
+    assert cells[:, steep].sum() > 0.85 * out[:, steep].sum()
+    closed = fill_unmeasured(file)
+    np.testing.assert_array_equal(closed.spectra[:, :, 0][~cells], file.spectra[:, :, 0][~cells])
+    assert np.all(closed.spectra[:, :, 0][cells] > 0)
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
-def test_closing_brings_values_back(whole, share):
+def test_filling_brings_values_back(whole, share):
     file, _ = punched(whole, share)
     wi = from_spherical(np.deg2rad(40.0), 0.0)
     theta, phi = np.meshgrid(np.deg2rad(np.arange(5.0, 75.0, 5.0)), np.deg2rad(np.arange(0.0, 360.0, 20.0)))
@@ -59,30 +59,32 @@ def test_closing_brings_values_back(whole, share):
     def error(candidate):
         return np.linalg.norm(MeasuredBRDF(candidate).eval(wi, wo) - truth) / np.linalg.norm(truth)
 
-    assert error(close_holes(file)) < 0.25 * error(file)
+    assert error(fill_unmeasured(file)) < 0.25 * error(file)
 
 
 def test_an_empty_slice_stays_empty(whole):
     spectra = whole.spectra.copy()
     spectra[:, 2] = 0.0
-    closed = close_holes(replace(whole, spectra=spectra))
+    closed = fill_unmeasured(replace(whole, spectra=spectra))
     assert np.all(closed.spectra[:, 2] == 0)
 
 
 @pytest.mark.parametrize("path", real_rgl_files(), ids=lambda path: path.stem)
-def test_real_files_have_no_holes_at_measured_elevations(path):
+def test_real_files_have_no_unmeasured_cells_at_measured_elevations(path):
     file = read_bsdf(path)
-    assert close_holes(file) is file
+    assert fill_unmeasured(file) is file
 
 
-def test_cells_marked_as_not_measured_are_holes_whatever_they_hold(whole):
+def test_cells_marked_as_not_measured_count_as_such_whatever_they_hold(whole):
     marked = np.zeros_like(whole.measured_mask)
     marked[:, :5, 8:14, 8:14] = True
     wrong = np.where(marked[:, :, None], 7.0, whole.spectra).astype(np.float32)
     file = replace(
         whole, spectra=wrong, valid=goniometer.pack_valid(whole.measured_mask & ~marked, whole.version)
     )
-    holes = find_holes(file)
-    np.testing.assert_array_equal(holes, marked & whole.measured_mask)
-    assert close_holes(file).spectra.max() <= whole.spectra.max()
-    assert share_of_holes(file, holes) == pytest.approx(holes.sum() / np.any(file.spectra != 0, axis=2).sum())
+    cells = unmeasured_cells(file)
+    np.testing.assert_array_equal(cells, marked & whole.measured_mask)
+    assert fill_unmeasured(file).spectra.max() <= whole.spectra.max()
+    assert unmeasured_share(file, cells) == pytest.approx(
+        cells.sum() / np.any(file.spectra != 0, axis=2).sum()
+    )

@@ -251,7 +251,7 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     if made.colour is not None:
         rows["colour"] = made.colour
     rows |= {
-        "uncertainty": f"{made.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
+        "uncertainty": f"{made.std:.3f} (posterior over prior standard deviation)",
         "nearest": [f"{name} ({distance:.2f})" for name, distance in made.nearest],
         "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
         "negative values": f"{physical.negative_share:.2%}" + ", zero in the file" * (made.clipped_share > 0),
@@ -259,8 +259,8 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
         "largest albedo": f"{physical.max_albedo:.3f} (to 75 degrees), of the file {made.file_albedo:.3f} (to 85)",
         "time": f"{made.seconds:.2f} s after loading",
     }
-    if made.cautions:
-        rows["caution"] = list(made.cautions)
+    if made.diagnostics:
+        rows["diagnostics"] = list(made.diagnostics)
     results.rows(f"Predicted {made.path}", rows)
 
 
@@ -278,12 +278,12 @@ def locate(
         found = pipeline.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
         "latent": ",".join(f"{v:.4g}" for v in found.latent),
-        "error of what is there": f"{found.relative_error:.3g} (0 is exact, 1 is as wrong as black)",
-        "uncertainty": f"{found.std:.3f} of the prior's (0 is sure, 1 knows nothing)",
+        "reconstruction error": f"{found.relative_error:.3g} (relative)",
+        "uncertainty": f"{found.std:.3f} (posterior over prior standard deviation)",
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
     }
-    if found.cautions:
-        rows["caution"] = list(found.cautions)
+    if found.diagnostics:
+        rows["diagnostics"] = list(found.diagnostics)
     results.rows(f"Located {path}", rows)
     results.document(found.to_json())
 

@@ -99,12 +99,12 @@ def walk(
 
     results = terminal.Results(json)
     with terminal.progress("Rendering") as step:
-        cautions = ball_pictures.walk(
+        diagnostics = ball_pictures.walk(
             model, start, end, output, steps=steps, library=library, on_progress=step
         )
-    results.rows(f"Drawn {output}", {"caution": list(cautions)} if cautions else {})
+    results.rows(f"Drawn {output}", {"diagnostics": list(diagnostics)} if diagnostics else {})
     results.document(
-        {"program": f"manifold {__version__}", "picture": str(output), "cautions": list(cautions)}
+        {"program": f"manifold {__version__}", "picture": str(output), "diagnostics": list(diagnostics)}
     )
 
 

@@ -64,13 +64,13 @@ def test_lost_cells_are_the_share_of_the_measured_ones_that_was_asked_for(bench,
 # Mutations: each takes one guard away.
 
 
-def test_without_the_caution_unmeasured_cells_are_silently_wrong(bench, monkeypatch):
+def test_without_the_diagnostic_unmeasured_cells_are_silently_wrong(bench, monkeypatch):
     assert tried(bench, "exact_zeros", "prediction at a material", 0.1).outcome == WARNED
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
     assert tried(bench, "exact_zeros", "prediction at a material", 0.1).outcome == WRONG
 
 
-def test_without_filling_and_caution_embedded_unmeasured_cells_are_silently_wrong(bench, monkeypatch):
+def test_without_filling_and_diagnostic_embedded_unmeasured_cells_are_silently_wrong(bench, monkeypatch):
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
     assert tried(bench, "exact_zeros", "embedding a file").outcome == FINE
     monkeypatch.setattr("manifold.model.located.fill_unmeasured", lambda file, cells: file)

@@ -114,18 +114,18 @@ def test_without_fresh_factorisations_the_objective_is_silently_wrong(bench, mon
     assert tried(bench, "drift_of_updates", "dls").outcome == WRONG
 
 
-def test_without_the_caution_an_impossible_reflectance_is_silently_wrong(bench, monkeypatch):
+def test_without_the_diagnostic_an_impossible_reflectance_is_silently_wrong(bench, monkeypatch):
     monkeypatch.setattr(diagnostics, "MOST_MISSED", np.inf)
     monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
     assert tried(bench, "impossible_reflectance", "monochrome").outcome == WRONG
 
 
-def test_without_the_caution_a_lobe_sharper_than_the_library_is_silently_wrong(bench, monkeypatch):
+def test_without_the_diagnostic_a_lobe_sharper_than_the_library_is_silently_wrong(bench, monkeypatch):
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_ERROR", np.inf)
     assert tried(bench, "sharper_than_library", "material").outcome == WRONG
 
 
-def test_without_cautions_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bench, monkeypatch):
+def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bench, monkeypatch):
     for name in ("MOST_NEGATIVE", "MOST_ALBEDO", "MOST_NON_RECIPROCAL"):
         monkeypatch.setattr(diagnostics, name, np.inf)
     for key in ("negative_values", "energy_gain"):

@@ -1,4 +1,4 @@
-"""What samples say of each parameter of a fit: a standard error, and whether it is determined at all."""
+"""Identifiability of the parameters of a fit: standard errors, and whether the data determine them at all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _STEP = 0.1  # of every range: how far a linear model is trusted
 
 
 @dataclass(frozen=True)
-class Statement:
+class ParameterIdentifiability:
     """What is known of one parameter, or of one band's value of it.
 
     Attributes:
@@ -85,10 +85,10 @@ def cost_after_a_step(layout: Layout, p: Array, residual: Array, J: Array) -> fl
     return 2.0 * float(lsq_linear(J * span, -residual, bounds).cost)
 
 
-def state_parameters(
+def identify_parameters(
     layout: Layout, p: Array, J: Array, variance: float, alternatives: list[Array]
-) -> tuple[Statement, ...]:
-    """One statement per place of the layout.
+) -> tuple[ParameterIdentifiability, ...]:
+    """The identifiability of every value of the layout.
 
     Args:
         layout: of the K values.
@@ -125,7 +125,7 @@ def state_parameters(
         partner = int(np.argmax(correlation[k]))
         entangled = state != DETERMINED and correlation[k, partner] > _CORRELATED
         made.append(
-            Statement(
+            ParameterIdentifiability(
                 name=label,
                 value=float(p[k]),
                 standard_error=error,

@@ -25,7 +25,7 @@ from manifold.fitting.bsdf_parameters import BsdfFamily, Layout, diffuse, princi
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
-from manifold.fitting.identifiability import Statement
+from manifold.fitting.identifiability import ParameterIdentifiability
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering import backend
 
@@ -71,7 +71,7 @@ class FitResult:
         diffuse_residual: that of the best constant-albedo diffuse, in the metric of the fit.
         spectral_residual: in the metric of the fit over all bands; None for RGB samples.
         minima: all distinct minima found, best first.
-        statements: what the samples say of each value.
+        statements: how well the samples determine each value.
         notes: what a user should know, one line each.
         n_pairs: number of samples.
         variant: Mitsuba's.
@@ -89,7 +89,7 @@ class FitResult:
     diffuse_residual: float
     spectral_residual: float | None
     minima: tuple[FittedMinimum, ...]
-    statements: tuple[Statement, ...]
+    statements: tuple[ParameterIdentifiability, ...]
     notes: tuple[str, ...] = field(default=())
     n_pairs: int = 0
     variant: str = ""
@@ -235,7 +235,7 @@ def _result(
     minima = gauss_newton.listed(minima, is_as_good)
     as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
-    statements = identifiability.state_parameters(layout, best.p, J, variance, others)
+    statements = identifiability.identify_parameters(layout, best.p, J, variance, others)
     is_minimum = is_as_good(best.cost, identifiability.cost_after_a_step(layout, best.p, residual, J))
     norm = fit_metrics.norm(rgb, metric)
     diffuse = np.sqrt(fit_metrics.best_diffuse(rgb, metric)[1]) / norm
@@ -265,7 +265,7 @@ def _result(
 
 
 def _notes(
-    family: BsdfFamily, values: Mapping[str, Any], statements: tuple[Statement, ...], n_others: int,
+    family: BsdfFamily, values: Mapping[str, Any], statements: tuple[ParameterIdentifiability, ...], n_others: int,
     residual: float, diffuse: float,
 ) -> list[str]:  # fmt: skip
     notes = []
@@ -280,12 +280,12 @@ def _notes(
         notes.append(f"the samples cannot tell {n_others + 1} different solutions apart; all are listed")
     unknown = [s.name for s in statements if s.state == identifiability.UNSEEN]
     if unknown:
-        notes.append(f"the samples do not show: {', '.join(unknown)}")
+        notes.append(f"not determined by the data: {', '.join(unknown)}")
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     if residual > _UNREACHED:
         notes.append(
-            f"{family.type} does not reach these samples: {residual:.0%} of them is left over; look at --picture"
+            f"{family.type} does not reach these samples: relative residual {100.0 * residual:.0f} %; look at --picture"
         )
     return notes
 

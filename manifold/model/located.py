@@ -23,10 +23,10 @@ class Located:
         path: the file.
         latent: shape (Q,).
         colours: colour coordinate of every band, of a monochrome manifold.
-        relative_error: of the material that the manifold gives back there.
+        relative_error: of the reconstruction there.
         std: posterior standard deviation there, as a fraction of the prior's.
         nearest: the three nearest materials with their distances.
-        cautions: what speaks against it.
+        diagnostics: what speaks against it.
     """
 
     path: Path
@@ -35,7 +35,7 @@ class Located:
     relative_error: float
     std: float
     nearest: tuple[tuple[str, float], ...]
-    cautions: tuple[str, ...]
+    diagnostics: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
@@ -65,6 +65,6 @@ def locate(
         relative_error=found.relative_error,
         std=float(loaded.std(found.latent, found.colours)),
         nearest=tuple(loaded.nearest(found.latent, 3)),
-        cautions=diagnostics.of_embedding(found.relative_error)
+        diagnostics=diagnostics.of_embedding(found.relative_error)
         + diagnostics.of_unmeasured(unmeasured_share(file, cells)),
     )

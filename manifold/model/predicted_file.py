@@ -46,7 +46,7 @@ class Prediction:
         weights: the materials with the largest weights, by magnitude, in this colour.
         plausibility: of the prediction, before negative values are clipped for the file.
         file_albedo: largest directional albedo of the written file, over bands and incidences.
-        cautions: what a user should know before trusting it, in sentences.
+        diagnostics: what a user should know before trusting it, in sentences.
         clipped_share: share of the file's values that were negative and became zero.
         seconds: evaluating and writing, without loading the library.
     """
@@ -62,7 +62,7 @@ class Prediction:
     weights: tuple[tuple[str, float], ...]
     plausibility: Plausibility
     file_albedo: float
-    cautions: tuple[str, ...]
+    diagnostics: tuple[str, ...]
     clipped_share: float
     seconds: float
 
@@ -139,7 +139,7 @@ def predict(
         weights=tuple(model.largest_weights(x, 5, chosen.colours)),
         plausibility=found,
         file_albedo=file_albedo,
-        cautions=diagnostics.of_prediction(is_extrapolation, found, chosen.missed)
+        diagnostics=diagnostics.of_prediction(is_extrapolation, found, chosen.missed)
         + diagnostics.of_file(found.max_albedo, file_albedo)
         + diagnostics.of_unmeasured(model.unmeasured_share(x)),
         clipped_share=clipped.clipped_share,

@@ -34,13 +34,13 @@ class Mixture:
     A subclass evaluates blocks of direction pairs in `_combine`.
     """
 
-    def __init__(self, materials: Sequence[BRDF], say: Array, bands: Bands) -> None:
-        """Take N materials with non-negative shares `say` (N,) in the density, and the bands to predict."""
+    def __init__(self, materials: Sequence[BRDF], sampling_weights: Array, bands: Bands) -> None:
+        """Take N materials, their non-negative shares (N,) in the density of `sample`, and the bands to predict."""
         for material in materials[1:]:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
         self._materials = list(materials)
-        # Sampling needs a density that covers every material with a say, not the exact shape of the sum.
-        self._lobes = say / say.sum()
+        # Sampling needs a density that covers every material that counts, not the exact shape of the sum.
+        self._lobes = sampling_weights / sampling_weights.sum()
         self._bands = bands
 
     @property
@@ -205,8 +205,8 @@ class MonochromePrediction(Mixture):
             raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, finite")
         self._mapping = mapping
         self._weights_T = np.ascontiguousarray(weights.T)
-        say = np.abs(weights).reshape(bands.count, len(samples), n_bands).sum(axis=(0, 2))
-        super().__init__(samples, say, bands)
+        sampling_weights = np.abs(weights).reshape(bands.count, len(samples), n_bands).sum(axis=(0, 2))
+        super().__init__(samples, sampling_weights, bands)
 
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""

@@ -73,7 +73,7 @@ def walk(
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
     rows: list[tuple[str, list[Array]]] = []
-    said: dict[float, tuple[str, ...]] = {}
+    diagnosed: dict[float, tuple[str, ...]] = {}
     for name, along in (("manifold", loaded.interpolate), ("linear", loaded.blend)):
         images: list[Array] = []
         for value in t.tolist():
@@ -81,10 +81,12 @@ def walk(
             images.append(cropped(thumbnails.of_brdf(brdf)))
             if name == "manifold" and 0.0 < value < 1.0:
                 is_extrapolation = bool(loaded.is_extrapolation(loaded.between(start, end, value)))
-                said[value] = diagnostics.of_prediction(is_extrapolation, plausibility(brdf))
+                diagnosed[value] = diagnostics.of_prediction(is_extrapolation, plausibility(brdf))
             if on_progress is not None:
                 on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
         rows.append((name, images))
-    doubtful = [bool(said.get(value)) for value in t.tolist()]
+    doubtful = [bool(diagnosed.get(value)) for value in t.tolist()]
     figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows, doubtful), output)
-    return tuple(f"t = {value:.2g}: {caution}" for value, found in said.items() for caution in found)
+    return tuple(
+        f"t = {value:.2g}: {diagnostic}" for value, found in diagnosed.items() for diagnostic in found
+    )

@@ -136,7 +136,7 @@ def in_space(model: Manifold, space: MaterialSpace | CurveSpace) -> Manifold:
 def predict(
     model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
 ) -> tuple[Mixture, tuple[str, ...]]:
-    """What a manifold predicts at a latent, and what it says about that; `missed` as in `cautions`."""
+    """What a manifold predicts at a latent, and what it says about that; `missed` as in `diagnostics`."""
     return _predict(model, x, colours, (), missed)
 
 

@@ -102,7 +102,7 @@ def _predicted(spoil: Spoil, t: float) -> Callable[[Bench, float], Found]:
                 model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6
             )
         whole = _whole(bench).interpolate(*_PAIR, t)
-        return Found(bench.error(model.predict(x), whole), made.cautions)
+        return Found(bench.error(model.predict(x), whole), made.diagnostics)
 
     return trial
 
@@ -118,7 +118,7 @@ def _embedded(spoil: Spoil) -> Callable[[Bench, float], Found]:
             found = locate(Path(folder, "model.h5"), Path(folder, "spoilt_rgb.bsdf"))
         whole = bench.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
         there = model.predict(np.array(found.latent))
-        return Found(bench.error(there, model.predict(whole)), found.cautions)
+        return Found(bench.error(there, model.predict(whole)), found.diagnostics)
 
     return trial
 

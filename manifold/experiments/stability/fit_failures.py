@@ -118,7 +118,7 @@ def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
 def _few(bench: Bench, n_pairs: float) -> Found:
     rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
     found = fit(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
-    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "do not show"))
+    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
 
 
 def _one_incidence(bench: Bench, n_pairs: float) -> Found:
@@ -128,7 +128,7 @@ def _one_incidence(bench: Bench, n_pairs: float) -> Found:
     )
     wi = np.broadcast_to(from_spherical(np.deg2rad(45.0), 0.0), wo.shape)
     found = fit(_samples(_TRUTH, (wi, wo)))
-    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "do not show"))
+    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
 
 
 def _unreached(brdf: Callable[[float], BRDF]) -> Trial:

@@ -167,7 +167,7 @@ def _located(damage: Damage) -> Trial:
         with _copy(bench) as folder:
             damage(folder, severity)
             found = locate(folder / "model.h5", folder / _FILE)
-        return Found(float(severity > 0), found.cautions)
+        return Found(float(severity > 0), found.diagnostics)
 
     return trial
 
@@ -214,7 +214,7 @@ def _located_bands(bench: Bench, count: float) -> Found:
     with _copy(bench) as folder:
         write_bsdf(folder / _FILE, _in_other_bands(bench.file(MIDDLE), count))
         found = locate(folder / "model.h5", folder / _FILE)
-    return Found(count, found.cautions)
+    return Found(count, found.diagnostics)
 
 
 MODES: tuple[Mode, ...] = (

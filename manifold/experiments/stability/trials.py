@@ -1,7 +1,7 @@
 """Where methods fail, and whether they say so: trials of a catalogue of failure modes, judged by what happened.
 
 A mode makes its inputs by severity and runs every method that it concerns on them. A trial measures an error, and keeps
-what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning, a caution or a flag is a
+what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning or a diagnostic is a
 warning. An error above the mode's threshold about which nothing was said is *silently wrong*: a defect of the package.
 """
 
@@ -29,7 +29,7 @@ class Found:
 
     Attributes:
         error: what the mode's `number` says, at least 0; not finite where a method gave no usable number.
-        said: cautions and flags that came with the result.
+        said: diagnostics and flags that came with the result.
     """
 
     error: float

@@ -1,0 +1,48 @@
+"""Diagnostics of predictions and embeddings."""
+
+from __future__ import annotations
+
+import pytest
+
+from manifold.brdf.plausibility import Plausibility
+from manifold.model import diagnostics
+
+SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9)
+
+
+def test_a_sound_result_has_no_diagnostics():
+    assert diagnostics.of_prediction(False, SOUND) == ()
+    assert diagnostics.of_embedding(0.1) == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((True, SOUND), "extrapolated"),
+        ((False, Plausibility(0.2, 0.0, 0.9)), "20 % of the values were negative"),
+        ((False, Plausibility(0.0, 0.0, 3.0)), "directional albedo 3.00"),
+        ((False, Plausibility(0.0, 0.6, 0.9)), "differ by 60 %"),
+        ((False, SOUND, 0.3), "missed by up to 0.30"),
+    ],
+)
+def test_each_defect_of_a_prediction_has_its_diagnostic(arguments, said):
+    (sentence,) = diagnostics.of_prediction(*arguments)
+    assert said in sentence
+
+
+def test_a_material_outside_the_manifold_is_diagnosed():
+    (sentence,) = diagnostics.of_embedding(0.8)
+    assert "error 0.80: outside the manifold" in sentence
+
+
+def test_unmeasured_cells_are_diagnosed_from_one_percent_on():
+    assert diagnostics.of_unmeasured(0.005) == ()
+    (sentence,) = diagnostics.of_unmeasured(0.12)
+    assert "12 %" in sentence
+
+
+def test_a_file_that_is_brighter_than_its_prediction_is_diagnosed():
+    assert diagnostics.of_file(0.9, 1.04) == ()
+    assert diagnostics.of_file(1.5, 1.6) == ()
+    (sentence,) = diagnostics.of_file(0.9, 2.0)
+    assert "directional albedo 2.00, that of the prediction itself 0.90" in sentence

@@ -126,7 +126,7 @@ def test_a_walk_says_what_speaks_against_its_steps(folder, tmp_path, monkeypatch
         folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
     )
     assert [line for line in said if "30 % of the values were negative" in line] == [
-        "t = 0.5: 30 % of the values were negative: the data do not support this point"
+        "t = 0.5: 30 % of the values were negative; the data do not support this point"
     ]
 
 

@@ -24,7 +24,7 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold, Settings
 from manifold.workflows import pipeline
 
-GRID_BLOCK = 65536  # direction pairs of the seed's grid evaluated at once
+GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 
 
 def embed(library: Path, kind: str) -> dict[str, float]:
@@ -50,10 +50,10 @@ def predict(library: Path, kind: str) -> dict[str, float]:
 
 
 def seed_grid(library: Path, kind: str) -> dict[str, float]:
-    """One prediction at all direction pairs of the seed's grid and all bands, kept as float32."""
+    """One prediction at all direction pairs of the grid of Hikichi & Iwasaki and all bands, kept as float32."""
     model, x = loaded(library, kind)
     brdf = model.predict(x)
-    grid = RusinkiewiczGrid.named("seed")
+    grid = RusinkiewiczGrid.named("hikichi")
     values = np.zeros((grid.n_pairs, model.bands.count), np.float32)
     start, row = time.perf_counter(), 0
     for wi, wo, above in grid.blocks(GRID_BLOCK):

@@ -55,7 +55,7 @@ class Grid(StrEnum):
     """Choices of --grid."""
 
     default = "default"
-    seed = "seed"
+    hikichi = "hikichi"
 
 
 def register(app: typer.Typer) -> None:
@@ -307,7 +307,8 @@ def report(
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     grid: Annotated[
-        Grid, typer.Option(help="12,420 direction pairs, or the 1,458,000 of the seed's eq. 22 (minutes).")
+        Grid,
+        typer.Option(help="12,420 direction pairs, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."),
     ] = Grid.default,
     json: JsonOption = None,
     compare: Annotated[

@@ -186,7 +186,7 @@ class RusinkiewiczGrid:
 
     @classmethod
     def named(cls, name: str) -> RusinkiewiczGrid:
-        """`default` (45 x 23 x 12, held-out errors) or `seed` (90 x 90 x 180 whole degrees, eq. 22).
+        """`default` (45 x 23 x 12, held-out errors) or `hikichi` (90 x 90 x 180, Hikichi & Iwasaki, eq. 22).
 
         Raises:
             UsageError: the name is unknown.
@@ -224,13 +224,13 @@ class RusinkiewiczGrid:
 
 NAMED_GRIDS = {
     "default": RusinkiewiczGrid(),
-    "seed": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
+    "hikichi": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
 }
 
 
 def rusinkiewicz_grid(name: str = "default") -> tuple[Array, Array, Array]:
     """Direction pairs of a named grid: wi (M, 3), wo (M, 3), above the horizon (M,).
 
-    `default` has 12,420 pairs, `seed` 1,458,000: walk those by `RusinkiewiczGrid.named("seed").blocks()`.
+    `default` has 12,420 pairs, `hikichi` 1,458,000: walk those by `RusinkiewiczGrid.named("hikichi").blocks()`.
     """
     return RusinkiewiczGrid.named(name).directions()

@@ -106,7 +106,7 @@ def test_help_loads_nothing_heavy(tmp_path):
         (["predict"], "--latent"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
         (["embed", "--optimizer", "adam"], "l-bfgs"),
-        (["report", "--grid", "huge"], "seed"),
+        (["report", "--grid", "huge"], "hikichi"),
     ],
 )
 def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments, words):

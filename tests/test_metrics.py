@@ -99,9 +99,9 @@ def test_rusinkiewicz_angles_mean_half_vector_and_difference(rng):
 
 
 def test_named_grids_have_the_stated_nodes():
-    seed = RusinkiewiczGrid.named("seed")
-    assert seed.n_pairs == 1_458_000
-    theta_h, theta_d, phi_d = np.rad2deg(seed.angles(181 * 180, 181 * 180 + 2))
+    grid = RusinkiewiczGrid.named("hikichi")
+    assert grid.n_pairs == 1_458_000
+    theta_h, theta_d, phi_d = np.rad2deg(grid.angles(181 * 180, 181 * 180 + 2))
     np.testing.assert_allclose(theta_h, 2.0)
     np.testing.assert_allclose(theta_d, 1.0)
     np.testing.assert_allclose(phi_d, [0.0, 1.0], atol=1e-12)
@@ -122,5 +122,5 @@ def test_blocks_walk_the_whole_grid_in_order():
 
 
 def test_unknown_grids_name_the_known_ones():
-    with pytest.raises(UsageError, match="default, seed"):
+    with pytest.raises(UsageError, match="default, hikichi"):
         RusinkiewiczGrid.named("merl")

@@ -184,9 +184,9 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
 def test_other_grids_are_walked_in_blocks(model, monkeypatch):
     """The published grid, made coarser for the test: the same weights, other pairs, errors as if evaluated at once."""
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
-    monkeypatch.setitem(metrics.NAMED_GRIDS, "seed", grid)
+    monkeypatch.setitem(metrics.NAMED_GRIDS, "hikichi", grid)
     monkeypatch.setattr(report, "_BLOCK_VALUES", 2000)
-    made = report.make_report(model, "seed")
+    made = report.make_report(model, "hikichi")
     wi, wo, above = grid.directions()
     f = np.stack([m.eval(wi[above], wo[above]) for m in model.load_materials()])
     data = Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
@@ -199,7 +199,7 @@ def test_other_grids_are_walked_in_blocks(model, monkeypatch):
 
 def test_standardised_errors_are_given_where_a_method_has_a_variance(made):
     for m in made.methods:
-        has_variance = m.is_held_out and (m.key.startswith(("gp", "mono", "seed")))
+        has_variance = m.is_held_out and (m.key.startswith(("gp", "mono", "published")))
         assert (m.rms_standardised_error is not None) == has_variance
         if m.standardised_error is not None:
             rms = np.sqrt(np.mean(np.square(m.standardised_error)))
@@ -214,7 +214,7 @@ def test_bytes_count_files_and_numbers(model, made):
 
 def test_long_methods_are_left_out_unless_asked_for(models):
     long = {m.key for m in heldout.standard_methods() if report.is_long(m, 51, 195)}
-    assert long == {"seed", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2"}
+    assert long == {"published", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2"}
     assert not any(report.is_long(m, 20, 3) for m in heldout.standard_methods())
     assert report.is_long(method_of(models["monochrome"], "gp_refitted"), 51, 195)
 

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from manifold.experiments.chart.experiment import COSTS, Chart, Charted, cost_of
 from manifold.experiments.chart.fits import FAMILY
-from manifold.experiments.chart.registry import SEED
+from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED
 from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 
@@ -40,10 +40,10 @@ LOOKS = {
     "PCA": _Look("o", "#0072b2"),
     "GPLVM, whole materials": _Look("s", "#e69f00"),
     "GPLVM, monochrome samples": _Look("^", "#009e73"),
-    "seed": _Look("*", "#d55e00"),
+    AS_PUBLISHED: _Look("*", "#d55e00"),
     FAMILY: _Look("x", "#555555"),
 }
-_FRONT_POINTS, _OTHER_POINTS, _SEED_POINTS = 8.5, 5.0, 15.0
+_FRONT_POINTS, _OTHER_POINTS, _PUBLISHED_POINTS = 8.5, 5.0, 15.0
 _LABEL = 8.8
 _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
 
@@ -87,8 +87,10 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
     for row in made.charted:
         look = LOOKS[row.family]
-        size = _SEED_POINTS if row.key == SEED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
-        is_plain = row.key in on or row.key == SEED
+        size = (
+            _PUBLISHED_POINTS if row.key == PUBLISHED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
+        )
+        is_plain = row.key in on or row.key == PUBLISHED
         is_cross = look.marker == "x"
         axes.plot(
             cost_of(row, cost), getattr(row, error), look.marker, markersize=size, color=look.colour,
@@ -132,7 +134,7 @@ def _legend(made: Chart) -> list[Line2D]:
 
 
 def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> None:
-    """Write the names of the front, of the seed, and of fits, where they cover least."""
+    """Write the names of the front, of the published setting, and of fits, where they cover least."""
 
     def at(row: Charted) -> tuple[float, float]:
         return cost_of(row, cost), getattr(row, error)
@@ -145,7 +147,7 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
     taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot)
-    named = [row for row in made.charted if row.key in on or row.key == SEED or not row.is_held_out]
+    named = [row for row in made.charted if row.key in on or row.key == PUBLISHED or not row.is_held_out]
     groups: list[list[Charted]] = []
     for row in named:  # those that are drawn on each other share a name
         pixel = axes.transData.transform(at(row))
@@ -193,8 +195,6 @@ def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> l
 def _title(group: Sequence[Charted]) -> str:
     """One name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
     first = group[0]
-    if first.key == SEED:
-        return "seed, as published"
     if not first.is_held_out:
         return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
     return first.title + (f" (+{len(group) - 1})" if len(group) > 1 else "")

@@ -27,7 +27,7 @@ START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
 
 CHARTED = (
-    "nearest", "linear", "seed", "pca_6_identity", "pca_6_cube-root", "gplvm_2_identity", "gplvm_2_cube-root",
+    "nearest", "linear", "published", "pca_6_identity", "pca_6_cube-root", "gplvm_2_identity", "gplvm_2_cube-root",
     "gplvm_6_cube-root", "monochrome_2_1_3", "monochrome_3_1_3", "monochrome_3_1_3_half",
     "monochrome_3_1_3_angles_2_1", "fit_gauss-newton",
 )  # fmt: skip

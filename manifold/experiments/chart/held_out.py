@@ -26,7 +26,7 @@ from manifold.records import Array, BsdfFile, evenly_spaced
 _FOLDS = 10
 _TIMED, _REPEATS = 3, 5
 _BLOCK_PAIRS = 512
-_DENSE_PAIRS = RusinkiewiczGrid.named("seed").n_pairs
+_DENSE_PAIRS = RusinkiewiczGrid.named("hikichi").n_pairs
 _BYTES_PER_NUMBER = 8
 _STREAMED_BYTES = 1 << 26  # far more than caches hold
 
@@ -74,7 +74,7 @@ class HeldOut:
         combinations, fit, warned = self._fitted(setting)
         if setting.is_dense:
             fit = Timed(fit.median - self._tabulating + self._resampling, fit.spread)
-        combinations = [_sparse(c, setting.threshold) for c in combinations]
+        combinations = [without_small_weights(c, setting.threshold) for c in combinations]
         kept = self._kept_as(setting.storage)
         relative, rmse, delta_e = np.median(self.target.errors_of(kept, combinations), axis=0)
         scale = (_DENSE_PAIRS if setting.is_dense else kept.cells) / _BLOCK_PAIRS
@@ -154,8 +154,8 @@ def _from_table(f: Array, weights: Array) -> Callable[[], object]:
     return lambda: np.tensordot(share, tables[next(turn) % copies], axes=1)
 
 
-def _sparse(combination: Combination, threshold: float) -> Combination:
-    """Small weights dropped; the others scaled to the same sum."""
+def without_small_weights(combination: Combination, threshold: float) -> Combination:
+    """Weights below a share of the largest set to 0; the others scaled to the same sum."""
     if threshold <= 0.0:
         return combination
     w = combination.weights

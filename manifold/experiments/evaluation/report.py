@@ -144,7 +144,7 @@ def make_report(
 
     Args:
         model: a fitted manifold.
-        grid_name: `default`, or `seed` for the 1,458,000 pairs of Hikichi & Iwasaki.
+        grid_name: `default`, or `hikichi` for the 1,458,000 pairs of Hikichi & Iwasaki.
         on_progress: called with (done, total, what).
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.

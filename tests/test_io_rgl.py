@@ -25,7 +25,8 @@ from hypothesis import strategies as st
 from sample_files import assert_same, assert_same_array, sample_file
 
 from manifold.errors import FileFormatError, ManifoldError, UsageError
-from manifold.io_rgl import material_name, read_bsdf, read_tensors, write_bsdf, write_tensors
+from manifold.formats.tensor_file import read_tensors, write_tensors
+from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.records import Array, BsdfFile
 
 REAL_FILES = real_rgl_files()

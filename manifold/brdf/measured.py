@@ -6,16 +6,13 @@ import copy
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
-import numba as nb
 import numpy as np
 
-from manifold.brdf import warp
-from manifold.brdf.cube_root import cube_root
-from manifold.brdf.pairs import DirectionPairs, elevation, locate, phi_to_u, signs, theta_to_u
+from manifold.brdf import lookup
+from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions
 from manifold.errors import ShapeError, UsageError
-from manifold.parallel import in_turn
 from manifold.records import Array, Bands, BsdfFile
 
 
@@ -48,188 +45,6 @@ class BRDF(Protocol):
 
     def albedo(self, wi: Array) -> Array:
         """Directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
-
-
-@nb.njit(cache=True, inline="always")
-def _half_vector_jacobian(ux, theta_m, cos_im):
-    """Solid angle of outgoing directions per area of the half vector's unit square."""
-    return max(2.0 * np.pi * np.pi * ux * np.sin(theta_m), 1e-6) * 4.0 * cos_im
-
-
-_FASTMATH = {"contract", "reassoc", "nsz"}  # no assumption that values are finite: a masked cell may be NaN
-
-
-@nb.njit(cache=True, fastmath=_FASTMATH)
-def _eval_row(
-    theta_i,
-    phi_i,
-    ux,
-    uy,
-    cos_o,
-    jacobian,
-    divide,
-    ndf,
-    sigma,
-    data,
-    conditional,
-    marginal,
-    phi_nodes,
-    theta_nodes,
-    spectra,
-    row,
-):
-    """All bands of one located pair above the horizon, into row (B,)."""
-    slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
-    u, v, _pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
-    scale = 1.0
-    if jacobian:
-        scale = warp.bilinear(ndf, ux, uy) / (
-            4.0 * warp.bilinear(sigma, theta_to_u(theta_i), phi_to_u(phi_i))
-        )
-    if divide:
-        scale /= cos_o
-    j, tx = warp.cell(u, spectra.shape[2])
-    i, ty = warp.cell(v, spectra.shape[1])
-    # Two slices a pass: the elevations around theta_i, at the one or two azimuths around phi_i.
-    for s in range(0, 4, 2):
-        if s > 0 and weights[s] == 0.0 and weights[s + 1] == 0.0:
-            continue
-        a, b = slices[s], slices[s + 1]
-        # A slice without weight is not read: it may hold what is not a number.
-        if weights[s] == 0.0:
-            a = b
-        if weights[s + 1] == 0.0:
-            b = a
-        wa, wb = weights[s] * scale, weights[s + 1] * scale
-        w00, w01, w10, w11 = (1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx
-        a00, a01, a10, a11 = wa * w00, wa * w01, wa * w10, wa * w11
-        b00, b01, b10, b11 = wb * w00, wb * w01, wb * w10, wb * w11
-        # One name per row: the compiler then sees eight streams with stride one.
-        p00, p01 = spectra[a, i, j], spectra[a, i, j + 1]
-        p10, p11 = spectra[a, i + 1, j], spectra[a, i + 1, j + 1]
-        q00, q01 = spectra[b, i, j], spectra[b, i, j + 1]
-        q10, q11 = spectra[b, i + 1, j], spectra[b, i + 1, j + 1]
-        if s == 0:
-            for k in range(row.shape[0]):
-                row[k] = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
-                    b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
-                )
-        else:
-            for k in range(row.shape[0]):
-                row[k] += (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
-                    b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
-                )
-
-
-@in_turn
-@nb.njit(cache=True, parallel=True, fastmath=_FASTMATH)
-def _eval_loop(
-    wi, wo, isotropic, reduction, jacobian, divide, ndf, sigma, data, conditional, marginal, phi_nodes,
-    theta_nodes, spectra, out,
-):  # fmt: skip
-    for k in nb.prange(wi.shape[0]):
-        if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
-            out[k] = 0.0
-            continue
-        theta_i, phi_i, ux, uy, _theta_m, _c = locate(wi[k], wo[k], isotropic, reduction)
-        _eval_row(
-            theta_i, phi_i, ux, uy, wo[k, 2], jacobian, divide, ndf, sigma, data, conditional, marginal,
-            phi_nodes, theta_nodes, spectra, out[k],
-        )  # fmt: skip
-
-
-# The next two run on one core and let go of the interpreter: their callers have several blocks to share out.
-
-
-@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
-def _eval_located(
-    located, jacobian, ndf, sigma, data, conditional, marginal, phi_nodes, theta_nodes, spectra, out
-):
-    for k in range(located.shape[0]):
-        theta_i, phi_i, ux, uy, cos_o = located[k]
-        if cos_o <= 0.0:
-            out[k] = 0.0
-            continue
-        _eval_row(
-            theta_i, phi_i, ux, uy, cos_o, jacobian, True, ndf, sigma, data, conditional, marginal, phi_nodes,
-            theta_nodes, spectra, out[k],
-        )  # fmt: skip
-
-
-@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
-def _add_located(
-    located, jacobian, ndf, sigma, data, conditional, marginal, phi_nodes, theta_nodes, spectra, weight,
-    take_root, total,
-):  # fmt: skip
-    row = np.empty(total.shape[1])  # stays in the first cache
-    for k in range(located.shape[0]):
-        theta_i, phi_i, ux, uy, cos_o = located[k]
-        if cos_o <= 0.0:
-            continue
-        _eval_row(
-            theta_i, phi_i, ux, uy, cos_o, jacobian, True, ndf, sigma, data, conditional, marginal, phi_nodes,
-            theta_nodes, spectra, row,
-        )  # fmt: skip
-        sums = total[k]
-        if take_root:
-            for b in range(row.shape[0]):
-                sums[b] += weight * cube_root(row[b])
-        else:
-            for b in range(row.shape[0]):
-                sums[b] += weight * row[b]
-
-
-@in_turn
-@nb.njit(cache=True, parallel=True)
-def _pdf_loop(
-    wi, wo, isotropic, reduction, phi_nodes, theta_nodes, data, conditional, marginal, luminance, out
-):
-    for k in nb.prange(wi.shape[0]):
-        out[k] = 0.0
-        if wi[k, 2] <= 0.0 or wo[k, 2] <= 0.0:
-            continue
-        theta_i, phi_i, ux, uy, theta_m, cos_im = locate(wi[k], wo[k], isotropic, reduction)
-        slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
-        u, v, vndf_pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
-        lum_pdf = warp.density(luminance, slices, weights, u, v)
-        out[k] = vndf_pdf * lum_pdf / _half_vector_jacobian(ux, theta_m, cos_im)
-
-
-@in_turn
-@nb.njit(cache=True, parallel=True)
-def _sample_loop(
-    wi, uniforms, use_luminance, isotropic, reduction, phi_nodes, theta_nodes, data, conditional, marginal,
-    lum_data, lum_conditional, lum_marginal, wo, pdf,
-):  # fmt: skip
-    for k in nb.prange(wi.shape[0]):
-        pdf[k] = 0.0
-        wo[k, 0], wo[k, 1], wo[k, 2] = 0.0, 0.0, 1.0
-        if wi[k, 2] <= 0.0:
-            continue
-        sx, sy = signs(reduction, wi[k, 0], wi[k, 1])
-        ix, iy, iz = wi[k, 0] * sx, wi[k, 1] * sy, wi[k, 2]
-        theta_i = elevation(ix, iy, iz)
-        phi_i = np.arctan2(iy, ix)
-        slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
-        x, y, lum_pdf = uniforms[k, 1], uniforms[k, 0], 1.0
-        if use_luminance:
-            x, y, lum_pdf = warp.sample(lum_data, lum_conditional, lum_marginal, slices, weights, x, y)
-        ux, uy, vndf_pdf = warp.sample(data, conditional, marginal, slices, weights, x, y)
-        theta_m = ux * ux * (0.5 * np.pi)
-        phi_m = (2.0 * uy - 1.0) * np.pi
-        if isotropic:
-            phi_m += phi_i
-        sin_m = np.sin(theta_m)
-        mx, my, mz = np.cos(phi_m) * sin_m, np.sin(phi_m) * sin_m, np.cos(theta_m)
-        cos_im = ix * mx + iy * my + iz * mz
-        if cos_im <= 0.0:
-            continue
-        oz = 2.0 * cos_im * mz - iz
-        wo[k, 0] = sx * (2.0 * cos_im * mx - ix)
-        wo[k, 1] = sy * (2.0 * cos_im * my - iy)
-        wo[k, 2] = oz
-        if oz > 0.0:
-            pdf[k] = vndf_pdf * lum_pdf / _half_vector_jacobian(ux, theta_m, cos_im)
 
 
 def _samplable(luminance: Array) -> Array:
@@ -293,19 +108,17 @@ class MeasuredBRDF:
         return self._isotropic
 
     @property
-    def _lookup(self) -> Any:
-        """What the compiled loops look a located pair up in."""
+    def _tables(self) -> tuple[Any, ...]:
+        """What `manifold.brdf.lookup` reads."""
         return (
-            self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
+            self._jacobian, self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
             self._spectra,
         )  # fmt: skip
 
     def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self._bands.count))
-        _eval_loop(  # type: ignore[call-arg]
-            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._jacobian, divide, *self._lookup, out
-        )
+        lookup.eval_pairs(pairs.wi, pairs.wo, self._isotropic, self._reduction, divide, self._tables, out)
         return out.reshape(*pairs.shape, out.shape[1])
 
     def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
@@ -321,7 +134,7 @@ class MeasuredBRDF:
         """
         self._require_rows(pairs, out)
         located = pairs.located(self._isotropic, self._reduction)
-        _eval_located(located, self._jacobian, *self._lookup, out)  # type: ignore[call-arg]
+        lookup.eval_located(located, self._tables, out)
 
     def add_weighted(self, pairs: DirectionPairs, weight: float, total: Array, *, cube_root: bool) -> None:
         """Add weight * f, or weight times the signed cube root of f, in one pass; threads as in `eval_into`.
@@ -336,7 +149,7 @@ class MeasuredBRDF:
         """
         self._require_rows(pairs, total)
         located = pairs.located(self._isotropic, self._reduction)
-        _add_located(located, self._jacobian, *self._lookup, weight, cube_root, total)  # type: ignore[call-arg]
+        lookup.add_located(located, self._tables, weight, cube_root, total)
 
     def _require_rows(self, pairs: DirectionPairs, rows: Array) -> None:
         expected = (len(pairs), self._bands.count)
@@ -363,10 +176,9 @@ class MeasuredBRDF:
         """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
         pairs = DirectionPairs(wi, wo)
         out = np.empty(len(pairs))
-        _pdf_loop(
-            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._vndf.phi_nodes, self._vndf.theta_nodes,
-            *self._vndf.tables, self._luminance.data, out,
-        )  # fmt: skip
+        lookup.pdf_of_pairs(
+            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._tables, self._luminance.data, out
+        )
         return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
@@ -390,9 +202,9 @@ class MeasuredBRDF:
         flat_u = np.ascontiguousarray(np.broadcast_to(u, (*shape, 2)).reshape(-1, 2))
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
-        _sample_loop(
-            flat_wi, flat_u, use_luminance, self._isotropic, self._reduction, self._vndf.phi_nodes,
-            self._vndf.theta_nodes, *self._vndf.tables, *self._luminance.tables, wo, pdf,
+        lookup.sample_directions(
+            flat_wi, flat_u, use_luminance, self._isotropic, self._reduction, self._tables, self._luminance.tables,
+            wo, pdf,
         )  # fmt: skip
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 

@@ -15,7 +15,8 @@ from manifold.errors import FileFormatError
 from manifold.experiments.stability.bench import ALPHAS, BANDS, MIDDLE, Bench, named
 from manifold.experiments.stability.data_failures import middle_of_family
 from manifold.experiments.stability.trials import Found, Mode, Trial
-from manifold.io_rgl import read_tensors, write_bsdf, write_tensors
+from manifold.formats.tensor_file import read_tensors, write_tensors
+from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model import model_file

@@ -1,0 +1,33 @@
+"""What a file that is no tensor file seems to be: formats that share the extension .bsdf, and failed downloads."""
+
+from __future__ import annotations
+
+# By how files begin.
+_FOREIGN = (
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (b"PK\x03\x04", "a ZIP archive"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"SCATFUN", "a Fourier BSDF of layerlab or pbrt-v3"),
+    (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
+)
+_FOREIGN_WORDS = (
+    (("<!doctype html", "<html"), "an HTML page, as failed downloads leave"),
+    (("<windowelement", "<opticsdefinition", "<?xml"), "a Radiance / WINDOW BSDF (XML)"),
+    # Mini-Diff files share most words with Zemax files; only theirs write the incidence as AOI.
+    (("mini-diff", "minidiff", "reflet", "lighttools", "light tools", "\naoi"), "a Synopsys Mini-Diff BSDF"),
+    (("spectralcontent", "scattertype", "sampleorientation", "samplerotation", "zemax"), "a Zemax BSDF"),
+)
+
+
+def name_format(head: bytes) -> str:
+    """What a file seems to be, by its first kilobytes."""
+    for magic, name in _FOREIGN:
+        if head.startswith(magic):
+            return name
+    text = head.replace(b"\0", b"").decode("latin-1").lower()  # without zeros UTF-16 reads like ASCII
+    for words, name in _FOREIGN_WORDS:
+        if any(word in text for word in words):
+            return name
+    if all(byte in b"\t\n\r\f" or 32 <= byte < 127 for byte in head):
+        return "a text file"
+    return "an unknown format"

@@ -36,6 +36,7 @@ from threadpoolctl import threadpool_limits
 
 from manifold.gplvm import GPLVM, LatentObjective, pca_start
 from manifold.gpr import centre_gram
+from manifold.models.kernels import SquaredExponential
 from manifold.models.sparse import SparseGPLVM, SparseObjective, farthest_points, pca_start_of_factor
 
 SIZES = (51, 200, 1000, 5000)
@@ -76,7 +77,7 @@ def measure_size(kind: str, N: int) -> dict[str, float]:
     if kind == "sparse":
         X = pca_start_of_factor(Y, 2)
         Z = X[farthest_points(X, min(INDUCING, N))]
-        sparse = SparseObjective(Y, OUTPUTS, MU, 1.0)
+        sparse = SparseObjective(Y, OUTPUTS, SquaredExponential(MU))
         out["evaluation_s"] = seconds_per_call(lambda: sparse(X, Z))
         start = time.perf_counter()
         model = SparseGPLVM(n_inducing=INDUCING, mu=MU, max_iter=ITERATIONS).fit_factor(Y, OUTPUTS)
@@ -84,7 +85,7 @@ def measure_size(kind: str, N: int) -> dict[str, float]:
     else:
         S = Y @ Y.T
         X = pca_start(S, 2)
-        exact = LatentObjective(S, OUTPUTS, MU, 1.0)
+        exact = LatentObjective(S, OUTPUTS, SquaredExponential(MU))
         out["evaluation_s"] = seconds_per_call(lambda: exact(X))
         if N <= EXACT_FIT_LIMIT:
             start = time.perf_counter()
@@ -174,7 +175,7 @@ def judged(S: np.ndarray, n_outputs: int, X: np.ndarray) -> tuple[float, float, 
     """F of latents X minimised over noise filter and length scale, from many starts: F, mu, l."""
 
     def value(z: np.ndarray) -> float:
-        return LatentObjective(S, n_outputs, float(np.exp(z[0])), float(np.exp(z[1])))(X)[0]
+        return LatentObjective(S, n_outputs, SquaredExponential(*np.exp(z).tolist()))(X)[0]
 
     bounds = [np.log((1e-8, 1e1)), np.log((1e-2, 1e2))]
     starts = [np.log([mu, l]) for mu in (1e-4, 1e-2, 1e-1) for l in (0.5, 1.0, 2.0)]
@@ -206,7 +207,9 @@ def fit_with_noise(
 
     def flat(z: np.ndarray) -> tuple[float, np.ndarray]:
         mu = float(np.exp(z[-1]))
-        F, dX, d_mu = LatentObjective(S, n_outputs, mu, 1.0).with_noise(z[:-1].reshape(X.shape))
+        F, dX, d_mu = LatentObjective(S, n_outputs, SquaredExponential(mu)).with_noise(
+            z[:-1].reshape(X.shape)
+        )
         return F, np.append(dX.ravel(), mu * d_mu)
 
     bounds = [(None, None)] * X.size + [tuple(np.log((1e-8, 1e1)))]

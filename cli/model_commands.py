@@ -123,6 +123,14 @@ def embed(
             metavar="MU",
         ),
     ] = None,
+    kernel: Annotated[
+        str,
+        typer.Option(
+            help="How alike neighbours on the map are: se (the smoothest, as published), matern52, matern32, rq; "
+            "each also with +linear, which carries trends beyond the materials.",
+            metavar="NAME",
+        ),
+    ] = "se",
     json: JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
@@ -130,7 +138,7 @@ def embed(
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
-    given = {"optimizer": optimizer and optimizer.value, "mu": mu}
+    given = {"optimizer": optimizer and optimizer.value, "mu": mu, "kernel": kernel}
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
     if not auto_mapping:
@@ -162,6 +170,7 @@ def embed(
             "latent dimensions": f"{settings.latent_dim}"
             + ", and a colour per band" * (kind is Kind.monochrome),
             "mapping": settings.mapping,
+            "kernel": settings.kernel,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
             "condition of K": f"{fitted.gp.condition:.3g}",

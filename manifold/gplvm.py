@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -27,15 +28,14 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gpr import GPWeights, centre_gram
-from manifold.models.kernels import SquaredExponentialDelta
+from manifold.models.kernels import Kernel, kernel_named, radial_of_pair, require_mu
 from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 OPTIMIZERS = ("dls", "l-bfgs", "both")
 CRITERIA = ("likelihood", "residual")
-SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
-LARGEST_MU = 1e6  # above, everything is noise
-_DRIFT = 5e-9  # largest entry of K P - I tolerated before P is computed afresh
+_DRIFT = 2e-9  # largest entry of K P - I tolerated before P is computed afresh
+_RENEWED = 500  # accepted moves after which P is computed afresh in any case
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
 _SEARCH_ROUNDS = 10  # of every direct local search: later rounds gain slowly, and the polish has a gradient
 _WIDE_MU = 0.1  # of the second search, which first follows a smoother objective
@@ -50,15 +50,16 @@ FitCallback = Callable[[int, float], Any]
 
 
 class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
-    """Gaussian-process latent variable model with the SE + delta kernel.
+    """Gaussian-process latent variable model.
 
     Starts from principal components and refines the latents by direct local search or L-BFGS. The latents
-    are centred, and each axis has its longer tail positive.
+    are centred, unless the kernel has an origin, and each axis has its longer tail positive.
 
     Args:
         n_components: Q, the number of latent dimensions.
         mu: noise filter of the kernel, at least 1e-10.
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
+        kernel: its name, see `kernel_named`.
         optimizer: `dls`, direct local search: two searches from the start, one of which first sees a wider
             noise filter, each ended by a short polish along the gradient; then random groups of latents are
             moved next to others, polished, and kept where that pays. `l-bfgs`: the gradient alone. `both`:
@@ -91,6 +92,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         *,
         mu: float = 1e-4,
         length_scale: float = 1.0,
+        kernel: str = "se",
         optimizer: str = "dls",
         prior: float = 0.0,
         start_scale: float = 1.0,
@@ -102,6 +104,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         self.n_components = n_components
         self.mu = mu
         self.length_scale = length_scale
+        self.kernel = kernel
         self.optimizer = optimizer
         self.prior = prior
         self.start_scale = start_scale
@@ -185,7 +188,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         if self.max_iter > 0:
             with blas_threads(N):
                 X, n_iter, n_evaluations = self._refine(objective, start, callback)
-        X = fix_gauge(X)
+        X = fix_gauge(X, centre=not objective.kernel.has_origin)
         objective_end = objective(X)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal
             X, objective_end = start, objective_start
@@ -209,14 +212,18 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         return run.best_X, run.n_iter, run.n_evaluations
 
     def _set_fitted(self, X: Array, S: Array, n_outputs: int) -> None:
-        self.gp_ = GPWeights(X, self.mu, self.length_scale)
+        self.gp_ = GPWeights(X, self._kernel)
         self.embedding_ = X
         self.gram_ = S
         self.n_outputs_ = n_outputs
         self.output_variance_ = self.gp_.output_variance(S, n_outputs)
 
     def _objective(self, S: Array, n_outputs: int) -> LatentObjective:
-        return LatentObjective(S, n_outputs, self.mu, self.length_scale, float(self.prior))
+        return LatentObjective(S, n_outputs, self._kernel, float(self.prior))
+
+    @property
+    def _kernel(self) -> Kernel:
+        return kernel_named(self.kernel, self.mu, self.length_scale)
 
     def _require_parameters(self) -> None:
         if self.optimizer not in OPTIMIZERS:
@@ -327,15 +334,16 @@ def _embedding_objective(
     """What `transform_gram` minimises for one sample, with its gradient: x (Q,) to (value, gradient (Q,))."""
     gp, X, S = model.gp_, model.embedding_, model.gram_
     scale = model.n_outputs_ * max(model.output_variance_, np.finfo(float).tiny)
-    prior, inverse_l2 = float(model.prior), 1.0 / model.length_scale**2
+    kernel, prior = gp.kernel, float(model.prior)
     floor = 1e-14 * (norm + float(np.trace(S)) / S.shape[0])  # r^2 is a difference of such numbers
 
     def objective(x: Array) -> tuple[float, Array]:
-        k = gp.kernel.smooth(x[None, :], X)[0]  # [N]
+        K, slope = kernel.smooth_and_slope(x[None, :], X)  # [1, N]
+        k = K[0]
         w = cho_solve((gp.L, True), k)
         Sw = S @ w
         residual = max(norm - 2.0 * (w @ cross) + w @ Sw, floor)
-        variance = gp.prior_variance - k @ w
+        variance = float(kernel.prior_variance(x[None, :])[0]) - k @ w
         d_residual = 2.0 * cho_solve((gp.L, True), Sw - cross)  # by k, [N]
         if criterion == "likelihood":
             value = 0.5 * np.log(variance) + 0.5 * residual / (scale * variance)
@@ -343,8 +351,9 @@ def _embedding_objective(
             d_k = 0.5 / (scale * variance) * d_residual - 2.0 * d_variance * w
         else:
             value = 0.5 * np.log(residual)
-            d_k = 0.5 / residual * d_residual
-        gradient = -inverse_l2 * ((d_k * k) @ (x[None, :] - X)) + prior * x
+            d_variance, d_k = 0.0, 0.5 / residual * d_residual
+        gradient = kernel.pull_back(x[None, :], X, d_k[None, :], slope)[0] + prior * x
+        gradient += kernel.pull_back_variance(x[None, :], d_variance)[0]
         return value + 0.5 * prior * float(x @ x), gradient
 
     return objective
@@ -356,19 +365,19 @@ class LatentObjective:
     Args:
         S: centred Gram matrix, shape (N, N).
         n_outputs: D.
-        mu, length_scale: of the kernel.
+        kernel: the covariance function.
         prior: weight of the Gaussian prior per output.
     """
 
-    def __init__(self, S: Array, n_outputs: int, mu: float, length_scale: float, prior: float = 0.0) -> None:
+    def __init__(self, S: Array, n_outputs: int, kernel: Kernel, prior: float = 0.0) -> None:
         self.S = np.ascontiguousarray(S)
         self.n_outputs = n_outputs
-        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.kernel = kernel
         self.prior = prior
 
     def with_mu(self, mu: float) -> LatentObjective:
         """The same objective under another noise filter."""
-        return LatentObjective(self.S, self.n_outputs, mu, self.kernel.length_scale, self.prior)
+        return LatentObjective(self.S, self.n_outputs, replace(self.kernel, mu=mu), self.prior)
 
     def __call__(self, X: Array) -> tuple[float, Array]:
         """F at X (N, Q) and its gradient (N, Q).
@@ -382,12 +391,12 @@ class LatentObjective:
     def with_noise(self, X: Array) -> tuple[float, Array, float]:
         """F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
         N = self.S.shape[0]
-        K, P, log_det = self.factorise(X)
+        K, slope = self.kernel.training_and_slope(X)
+        P, log_det = self.factorise(K)
         PS = P @ self.S
         trace = float(np.trace(PS))
         dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
-        K[np.diag_indices_from(K)] = 1.0
-        gradient = self.kernel.gradient(X, dK, smooth=K) + self.prior * X
+        gradient = self.kernel.gradient(X, dK, slope) + self.prior * X
         return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
 
     def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
@@ -398,28 +407,28 @@ class LatentObjective:
         log_variance = np.log(trace / (N * self.n_outputs))
         return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
 
-    def factorise(self, X: Array) -> tuple[Array, Array, float]:
-        """K, its inverse P (by Cholesky) and log|K|."""
-        K = self.kernel.training(X)
+    def factorise(self, K: Array) -> tuple[Array, float]:
+        """The inverse P of K (N, N), by Cholesky, and log|K|."""
         L, failed = dpotrf(K, lower=1)
         if failed:
             raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
         log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
         P, _ = dpotri(L, lower=1)
         P = np.tril(P)
-        return K, np.ascontiguousarray(P + np.tril(P, -1).T), log_det
+        return np.ascontiguousarray(P + np.tril(P, -1).T), log_det
 
 
 class IncrementalObjective:
     """F as a `MoveObjective`: a move of one coordinate of one latent costs O(N^2).
 
-    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T` with `d_i = 0`. With
+    Moving latent i changes row and column i of K, `K' = K + e_i d^T + d e_i^T`; `d_i` is half of what its
+    diagonal changes by, which a linear term does. With
     `P = K^-1`, `p = P e_i`, `q = P d`, `a = p_i`, `b = q_i`, `c = d^T q` and `t = (1 + b)^2 - a c`,
 
         |K'| = t |K|,    P' = P + (c p p^T - (1 + b) (p q^T + q p^T) + a q q^T) / t.
 
     Every accepted move measures the error of P on the row it changed and on one more, and P is computed
-    afresh when that exceeds 5e-9.
+    afresh when that exceeds 2e-9, and after 500 moves: log|K| and the trace gather rounding too.
 
     Args:
         objective: F.
@@ -435,7 +444,8 @@ class IncrementalObjective:
         N, Q = X.shape
         self._Q = Q
         self._work = np.zeros((4, N))  # d, P d, S P d, S p
-        self._inverse_2l2 = 0.5 / objective.kernel.length_scale**2
+        kernel = objective.kernel
+        self._kernel = kernel.family, 1.0 / kernel.length_scale**2, kernel.slope_of_linear
         self.move_to(np.ascontiguousarray(X, dtype=np.float64).reshape(-1))
 
     @property
@@ -452,7 +462,8 @@ class IncrementalObjective:
         return self.value
 
     def _factorise(self) -> None:
-        self._K, self._P, self._log_det = self.objective.factorise(self._X)
+        self._K = self.objective.kernel.training(self._X)
+        self._P, self._log_det = self.objective.factorise(self._K)
         self._trace = float(np.sum(self._P * self.objective.S))
         self._squared_norm = float(np.sum(self._X**2))
         self.value = self.objective.value_of(self._log_det, self._trace, self._squared_norm)
@@ -470,7 +481,7 @@ class IncrementalObjective:
             i,
             q,
             delta,
-            self._inverse_2l2,
+            self._kernel,
             self._cached,
         )
         self._cached = i
@@ -493,7 +504,7 @@ class IncrementalObjective:
         self._X[i, q] += delta
         drift = _commit(self._K, self._P, self._work, i, t, a, b, c, other)
         self._cached = -1
-        if not drift < _DRIFT:
+        if not drift < _DRIFT or self.n_commits % _RENEWED == 0:
             self.n_refactorisations += 1
             self._factorise()
 
@@ -502,24 +513,24 @@ class IncrementalObjective:
 
 
 @nb.njit(cache=True)
-def _price(X, K, P, S, work, i, q, delta, inverse_2l2, cached):
+def _price(X, K, P, S, work, i, q, delta, kernel, cached):
     """A rank-two update of K, latent i moved by delta along axis q: t, a, b, c and the change of the trace.
 
     Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share.
     """
     N, Q = X.shape
+    family, inverse_l2, slope = kernel
     d, Pd, SPd, Sp = work[0], work[1], work[2], work[3]
     for j in range(N):
-        squared = 0.0
+        squared, product = 0.0, 0.0
         for k in range(Q):
-            difference = X[i, k] - X[j, k]
-            if k == q:
-                difference += delta
-            squared += difference * difference
-        d[j] = np.exp(-squared * inverse_2l2) - K[i, j]
+            moved = X[i, k] + delta if k == q else X[i, k]
+            squared += (moved - X[j, k]) ** 2
+            product += moved * X[j, k]
+        d[j] = radial_of_pair(family, squared * inverse_l2) + slope * product - K[i, j]
         Pd[j] = 0.0
         SPd[j] = 0.0
-    d[i] = 0.0
+    d[i] = slope * delta * (X[i, q] + 0.5 * delta)
     for j in range(N):  # symmetric: rows serve as columns, and the inner loop runs along memory
         w = d[j]
         for k in range(N):
@@ -558,7 +569,7 @@ def _commit(K, P, work, i, t, a, b, c, other):
         along_q = (a * Pd[j] - (1.0 + b) * p[j]) / t
         for k in range(N):
             P[j, k] += along_p * p[k] + along_q * Pd[k]
-        K[i, j] += d[j]
+        K[i, j] += d[j] if j != i else 2.0 * d[i]
         K[j, i] = K[i, j]
     drift = 0.0
     for row in (i, other):
@@ -717,13 +728,14 @@ def pca_start(S: Array, n_components: int) -> Array:
     return fix_gauge(X)
 
 
-def fix_gauge(X: Array) -> Array:
-    """Latents (N, Q) centred, each axis with its longer tail positive, by the sum of cubes.
+def fix_gauge(X: Array, *, centre: bool = True) -> Array:
+    """Latents (N, Q) centred, if asked for, each axis with its longer tail positive.
 
-    The likelihood is blind to both: the kernel sees distances only. A sum over all latents keeps its sign where
-    the largest of them would change with the last digit; it decides where an axis is as good as symmetric.
+    The likelihood is blind to both, unless the kernel has an origin: such latents must not be shifted. The tail is
+    told by the sum of cubes: a sum over all latents keeps its sign where the largest of them would change with the
+    last digit; that decides where an axis is as good as symmetric.
     """
-    X = X - X.mean(axis=0)
+    X = X - X.mean(axis=0) if centre else X
     tail = np.sum(X**3, axis=0)
     largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
     is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)
@@ -749,14 +761,6 @@ def require_different(centred: Array, power: float) -> None:
     """
     if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
         raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
-
-
-def require_mu(mu: float) -> None:
-    """Raise UsageError unless a noise filter can be used."""
-    if not SMALLEST_MU <= mu <= LARGEST_MU:
-        raise UsageError(
-            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: K must stay definite, and tell samples apart"
-        )
 
 
 def require_prior(prior: float) -> None:

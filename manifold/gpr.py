@@ -19,11 +19,11 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import NumericalError, ShapeError
-from manifold.models.kernels import SquaredExponentialDelta, first_equal_row
+from manifold.models.kernels import Kernel, first_equal_row, kernel_named
 from manifold.records import Array
 
 LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is said to be flat
-_ALONE = 0.5  # share of the prior variance above which a sample is out of reach of the others
+_ALONE = 0.5  # share of the prior's radial variance above which a sample is out of reach of the others
 _MOST_ALONE = 0.25  # share of such samples
 _FIRST_JITTER = 1e-12
 _LAST_JITTER = 1e-2
@@ -50,7 +50,8 @@ class LengthScaleBound:
         nearest: index of the nearest training latent, shape (M,).
         distance: distance to it, shape (M,).
         displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
-        bound: `e^(-1/2) sqrt(2 N) / l * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,).
+        bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
+            kernel, `e^(-1/2) / l` of the squared exponential.
     """
 
     nearest: Array
@@ -77,12 +78,10 @@ class GPWeights:
 
     Args:
         X: training latents, shape (N, Q). Duplicates are allowed.
-        mu: noise filter, >= 0.
-        length_scale: l > 0, in units of the latents.
+        kernel: the covariance function.
 
     Attributes:
         X: the latents, float64, shape (N, Q).
-        kernel: the covariance function.
         K: covariance of the training latents (jitter included), shape (N, N).
         L: its lower Cholesky factor, shape (N, N).
         jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
@@ -94,9 +93,9 @@ class GPWeights:
     Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 12-14.
     """
 
-    def __init__(self, X: Array, mu: float = 1e-4, length_scale: float = 1.0) -> None:
+    def __init__(self, X: Array, kernel: Kernel) -> None:
         self.X = _require_latents(X, None, "X").copy()
-        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.kernel = kernel
         self.K, self.L, self.jitter = _factorise(self.X, self.kernel)
 
     @property
@@ -127,24 +126,23 @@ class GPWeights:
         return V
 
     def variance(self, X_new: Array) -> Array:
-        """Posterior variance in units of the output variance: `1 + mu - k*^T K^-1 k*`, shape (M,).
+        """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
 
-        Exactly 0 at a training latent, at most 1 + mu, which is the prior's.
+        Exactly 0 at a training latent, at most the prior's.
         """
         X_new = _require_latents(X_new, self.X.shape[1], "X_new")
         A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
-        variance = np.maximum(self.prior_variance - np.einsum("nm,nm->m", A, A), 0.0)
+        variance = np.maximum(self.kernel.prior_variance(X_new) - np.einsum("nm,nm->m", A, A), 0.0)
         variance[first_equal_row(X_new, self.X) >= 0] = 0.0
         return variance
 
     def variance_fraction(self, X_new: Array) -> Array:
-        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates."""
-        return self.variance(X_new) / self.prior_variance
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates.
 
-    @property
-    def prior_variance(self) -> float:
-        """Variance of the prior in units of the output variance, 1 + mu."""
-        return 1.0 + self.kernel.mu
+        The prior's without a linear term: that grows with the distance from the origin, and the line that far
+        latents follow is no knowledge of what lies there. At most 1.
+        """
+        return np.minimum(self.variance(X_new) / (1.0 + self.kernel.mu), 1.0)
 
     def output_variance(self, S: Array, n_outputs: int) -> float:
         """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
@@ -186,7 +184,7 @@ class GPWeights:
                 FlatModelWarning,
                 stacklevel=3,
             )
-        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * self.prior_variance)
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * (1.0 + self.kernel.mu))
         if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
             warnings.warn(
                 f"{alone} of {self.n_samples} latents are out of reach of all others (length scale "
@@ -250,7 +248,7 @@ class GPWeights:
         rows = np.arange(X_new.shape[0])
         V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
         squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
-        factor = np.exp(-0.5) * np.sqrt(2.0 * self.n_samples) / self.kernel.length_scale
+        factor = self.kernel.steepest_at(self.X) * np.sqrt(2.0 * self.n_samples)
         norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
         distance = distances[rows, nearest]
         return LengthScaleBound(
@@ -284,11 +282,12 @@ class GPWeights:
 
 
 class GPRegressor(RegressorMixin, BaseEstimator):
-    """Gaussian-process regression with the SE + delta kernel, mean-centred, exact at its training points.
+    """Gaussian-process regression, mean-centred, exact at its training points.
 
     Args:
         mu: noise filter, >= 0.
         length_scale: l > 0, in units of the inputs.
+        kernel: its name, see `kernel_named`.
 
     Attributes:
         gp_: the `GPWeights` of the training inputs.
@@ -296,9 +295,10 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         output_variance_: `s^2 = tr(K^-1 S) / (N D)`, the output variance that maximises the likelihood.
     """
 
-    def __init__(self, mu: float = 1e-4, length_scale: float = 1.0) -> None:
+    def __init__(self, mu: float = 1e-4, length_scale: float = 1.0, kernel: str = "se") -> None:
         self.mu = mu
         self.length_scale = length_scale
+        self.kernel = kernel
 
     def __sklearn_tags__(self) -> Tags:
         tags = super().__sklearn_tags__()
@@ -312,7 +312,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 13.
         """
         X, Y = validate_data(self, X, Y, multi_output=True, y_numeric=True, dtype=np.float64)
-        self.gp_ = GPWeights(X, self.mu, self.length_scale)
+        self.gp_ = GPWeights(X, kernel_named(self.kernel, self.mu, self.length_scale))
         self.Y_fit_ = np.array(Y, dtype=np.float64)
         Y_c = self._centred_outputs()  # [N, D]
         fit = max(float(np.sum(Y_c * self.gp_._solve(Y_c))), 0.0)
@@ -383,10 +383,10 @@ def _require_square(S: Array, n: int, name: str) -> Array:
     return S
 
 
-def _factorise(X: Array, kernel: SquaredExponentialDelta) -> tuple[Array, Array, float]:
+def _factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
     """K, its lower Cholesky factor and the jitter that was needed (0 as a rule)."""
     K = kernel.training(X)
-    diagonal = np.diag_indices_from(K)
+    diagonal, variance = np.diag_indices_from(K), np.diag(K).copy()
     jitter = 0.0
     while True:
         L = _cholesky_or_none(K)
@@ -399,7 +399,7 @@ def _factorise(X: Array, kernel: SquaredExponentialDelta) -> tuple[Array, Array,
                 f"mu = {kernel.mu:.0e}): {_name_coinciding(X, kernel)}; raise mu"
             )
         jitter = raised
-        K[diagonal] = 1.0 + kernel.mu + jitter
+        K[diagonal] = variance + jitter
     if jitter > 0.0:
         warnings.warn(
             f"K is not positive definite (N = {X.shape[0]}, mu = {kernel.mu:.0e}): "
@@ -422,7 +422,7 @@ def _cholesky_or_none(K: Array) -> Array | None:
     return L if smallest_pivot > 4.0 * K.shape[0] * np.finfo(float).eps else None
 
 
-def _name_coinciding(X: Array, kernel: SquaredExponentialDelta) -> str:
+def _name_coinciding(X: Array, kernel: Kernel) -> str:
     """Which latents are to blame, in words."""
     if X.shape[0] < 2:
         return "a single latent"

@@ -13,6 +13,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from manifold.errors import ShapeError
 from manifold.gpr import GPRegressor, GPWeights, JitterWarning, centre_gram
+from manifold.models.kernels import SquaredExponential
 
 
 @parametrize_with_checks([GPRegressor()])
@@ -33,7 +34,7 @@ def test_posterior_is_the_textbook_posterior(n, m, q, d):
 
 def test_weights_at_training_latents_are_exactly_unit_vectors(rng):
     X = rng.normal(size=(20, 2))
-    assert np.array_equal(GPWeights(X).weights(X), np.eye(20))
+    assert np.array_equal(GPWeights(X, SquaredExponential()).weights(X), np.eye(20))
 
 
 def test_prediction_at_training_latents_is_the_data_bit_for_bit(rng):
@@ -43,7 +44,7 @@ def test_prediction_at_training_latents_is_the_data_bit_for_bit(rng):
 
 
 def test_weights_sum_to_one(rng):
-    V = GPWeights(rng.normal(size=(30, 3))).weights(3 * rng.normal(size=(50, 3)))
+    V = GPWeights(rng.normal(size=(30, 3)), SquaredExponential()).weights(3 * rng.normal(size=(50, 3)))
     np.testing.assert_allclose(V.sum(axis=1), 1.0, rtol=1e-10)  # eps times kappa(K)
 
 
@@ -81,7 +82,7 @@ def test_output_variance_maximises_the_likelihood(rng):
 def _refit_without(X, i, **parameters):
     keep = np.arange(len(X)) != i
     row = np.zeros(len(X))
-    process = GPWeights(X[keep], **parameters)
+    process = GPWeights(X[keep], SquaredExponential(**parameters))
     row[keep] = process.weights(X[i : i + 1])[0]
     return row, process.variance(X[i : i + 1])[0]
 
@@ -89,7 +90,7 @@ def _refit_without(X, i, **parameters):
 @pytest.mark.parametrize(("n", "mu", "length_scale"), [(2, 1e-4, 1.0), (20, 1e-2, 0.5), (51, 1e-4, 1.0)])
 def test_closed_form_leave_one_out_is_refitting_n_times(rng, n, mu, length_scale):
     X = 2.0 * rng.normal(size=(n, 2))
-    process = GPWeights(X, mu, length_scale)
+    process = GPWeights(X, SquaredExponential(mu, length_scale))
     refitted = [_refit_without(X, i, mu=mu, length_scale=length_scale) for i in range(n)]
     V = process.leave_one_out_weights()
     assert np.array_equal(np.diag(V), np.zeros(n))
@@ -100,7 +101,7 @@ def test_closed_form_leave_one_out_is_refitting_n_times(rng, n, mu, length_scale
 def test_leave_one_out_of_a_duplicate_is_its_twin(rng):
     X = rng.normal(size=(9, 2))
     X[[4, 7]] = X[1]
-    process = GPWeights(X, 1e-2)
+    process = GPWeights(X, SquaredExponential(1e-2))
     refitted = [_refit_without(X, i, mu=1e-2) for i in range(9)]
     V = process.leave_one_out_weights()
     np.testing.assert_allclose(V, [row for row, _ in refitted], rtol=0, atol=1e-10)
@@ -122,20 +123,20 @@ def test_jitter_names_the_coinciding_latents(rng):
     X = rng.normal(size=(12, 2))
     X[9] = X[4]
     with pytest.warns(JitterWarning, match=r"latents 4 and 9 coincide; added 1e-12 .* raise mu"):
-        process = GPWeights(X, mu=0.0, length_scale=0.2)
+        process = GPWeights(X, SquaredExponential(0.0, 0.2))
     assert process.jitter == 1e-12
     assert np.all(np.isfinite(process.weights(X + 0.1)))
 
 
 def test_jitter_escalates_until_the_factorisation_holds():
     with pytest.warns(JitterWarning, match="closest"):
-        process = GPWeights(np.linspace(0, 1, 60)[:, None], mu=0.0, length_scale=5.0)
+        process = GPWeights(np.linspace(0, 1, 60)[:, None], SquaredExponential(0.0, 5.0))
     assert process.jitter > 1e-13
     np.testing.assert_allclose(process.L @ process.L.T, process.K, atol=1e-13)
 
 
 def test_condition_is_the_ratio_of_singular_values(rng):
-    process = GPWeights(rng.normal(size=(10, 2)), mu=1e-2)
+    process = GPWeights(rng.normal(size=(10, 2)), SquaredExponential(1e-2))
     assert process.condition == pytest.approx(np.linalg.cond(process.K), rel=1e-9)
 
 
@@ -172,9 +173,9 @@ def test_centred_gram_is_the_gram_of_centred_data(rng):
 @pytest.mark.parametrize("X", [np.zeros(3), np.zeros((0, 2)), np.array([[np.nan, 0.0]])])
 def test_bad_latents_are_refused(X):
     with pytest.raises(ShapeError, match="X has"):
-        GPWeights(X)
+        GPWeights(X, SquaredExponential())
 
 
 def test_latents_of_another_dimension_are_refused(rng):
     with pytest.raises(ShapeError, match=r"X_new has shape \(4, 3\), expected \(samples, 2\)"):
-        GPWeights(rng.normal(size=(5, 2))).weights(np.zeros((4, 3)))
+        GPWeights(rng.normal(size=(5, 2)), SquaredExponential()).weights(np.zeros((4, 3)))

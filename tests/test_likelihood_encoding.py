@@ -7,6 +7,7 @@ import pytest
 
 from manifold.gplvm import GPLVM
 from manifold.gpr import GPWeights
+from manifold.models.kernels import SquaredExponential
 from manifold.models.likelihood_encoding import LikelihoodEncoder
 
 N, BANDS, D = 8, 2, 300
@@ -18,7 +19,7 @@ def curves(rng):
     structure = np.repeat(rng.normal(size=(N, 2)), BANDS, axis=0)
     X = np.hstack([structure, rng.normal(size=(N * BANDS, 1))])
     frequencies, phases = rng.normal(size=(3, D)), rng.uniform(0, 2 * np.pi, D)
-    gp = GPWeights(X, 1e-3)
+    gp = GPWeights(X, SquaredExponential(1e-3))
     return gp, lambda x: np.cos(0.7 * x @ frequencies + phases)
 
 

@@ -12,6 +12,7 @@ from manifold.gpr import GPWeights
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.models import encoding
 from manifold.models.encoding import Decoder
+from manifold.models.kernels import SquaredExponential
 from manifold.models.per_band import MonochromeGPLVM, join_latents
 
 N, B, P = 8, 3, 60
@@ -59,7 +60,7 @@ def test_fitting_is_deterministic(values):
 @pytest.mark.parametrize("kind", ["mapped residual", "decoded error"])
 def test_gradients_of_the_encoder_agree_with_differences(values, rng, mapping, kind):
     X = rng.standard_normal((N * B, 3))
-    gp = GPWeights(X, 1e-3)
+    gp = GPWeights(X, SquaredExponential(1e-3))
     model = type("Fitted", (), {"gp_": gp})
     d = decoder(values, model, 2, B, mapping, prior=0.1)
     new = values[0] * rng.uniform(0.8, 1.2, (B, 1))

@@ -11,6 +11,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from manifold.errors import ShapeError, UsageError
 from manifold.gplvm import GPLVM, LatentObjective, pca_start
 from manifold.gpr import centre_gram
+from manifold.models.kernels import KERNELS, SquaredExponential, kernel_named
 from manifold.models.sparse import (
     SparseGPLVM,
     SparseObjective,
@@ -46,14 +47,14 @@ def bound_written_out(X, Z, Y, mu, length_scale):
 def test_objective_is_the_bound_written_out(rng):
     Y, X, Z = curved(rng, 15), rng.normal(size=(15, 2)), 2.0 * rng.normal(size=(5, 2))
     expected = bound_written_out(X, Z, Y, 1e-2, 1.3)
-    found = SparseObjective(Y, 12, 1e-2, 1.3)(X, Z)[0]
+    found = SparseObjective(Y, 12, SquaredExponential(1e-2, 1.3))(X, Z)[0]
     assert found == pytest.approx(expected, rel=1e-5)  # the jitter is 1e-5 of mu
 
 
-@pytest.mark.parametrize("prior", [0.0, 0.3])
-def test_gradients_agree_with_central_differences(rng, prior):
+@pytest.mark.parametrize(("kernel", "prior"), [*((kernel, 0.0) for kernel in KERNELS), ("se", 0.3)])
+def test_gradients_agree_with_central_differences(rng, kernel, prior):
     Y, X, Z = curved(rng, 20), rng.normal(size=(20, 2)), rng.normal(size=(6, 2))
-    objective = SparseObjective(Y, 12, 1e-2, 1.2, prior)
+    objective = SparseObjective(Y, 12, kernel_named(kernel, 1e-2, 1.2), prior)
     _, dX, dZ = objective(X, Z)
     numeric_X = reference.central_differences(lambda x: objective(x, Z)[0], X)
     numeric_Z = reference.central_differences(lambda z: objective(X, z)[0], Z)
@@ -62,11 +63,12 @@ def test_gradients_agree_with_central_differences(rng, prior):
     np.testing.assert_allclose(dZ, numeric_Z, rtol=0, atol=1e-6 * np.abs(numeric_Z).max())
 
 
-@pytest.mark.parametrize("prior", [0.0, 0.3])
-def test_bound_meets_the_exact_objective_where_inducing_points_are_the_latents(rng, prior):
+@pytest.mark.parametrize(("name", "prior"), [*((kernel, 0.0) for kernel in KERNELS), ("se", 0.3)])
+def test_bound_meets_the_exact_objective_where_inducing_points_are_the_latents(rng, name, prior):
+    kernel = kernel_named(name, 1e-2)
     Y, X = curved(rng, 25), 2.0 * rng.normal(size=(25, 2))
-    exact, gradient = LatentObjective(Y @ Y.T, 12, 1e-2, 1.0, prior)(X)
-    F, dX, dZ = SparseObjective(Y, 12, 1e-2, 1.0, prior)(X, X)
+    exact, gradient = LatentObjective(Y @ Y.T, 12, kernel, prior)(X)
+    F, dX, dZ = SparseObjective(Y, 12, kernel, prior)(X, X)
     # The jitter, 1e-5 of mu, counts N / 2 * 1e-5 = 1.25e-4 in the trace, and as much again through Q.
     assert exact <= F <= exact + 3e-4
     # The bound is stationary in Z where it is tight: latents alone carry the derivative.
@@ -77,16 +79,19 @@ def test_bound_is_never_below_the_exact_objective_and_falls_with_more_inducing_p
     Y = curved(rng)
     X = pca_start(Y @ Y.T, 2)
     order = farthest_points(X, 40)
-    exact = LatentObjective(Y @ Y.T, 12, 1e-2, 1.0)(X)[0]
-    bounds = [SparseObjective(Y, 12, 1e-2, 1.0)(X, X[order[:m]])[0] for m in (2, 5, 10, 20, 40)]
+    exact = LatentObjective(Y @ Y.T, 12, SquaredExponential(1e-2))(X)[0]
+    bounds = [
+        SparseObjective(Y, 12, SquaredExponential(1e-2))(X, X[order[:m]])[0] for m in (2, 5, 10, 20, 40)
+    ]
     assert bounds == sorted(bounds, reverse=True)
     assert bounds[-1] >= exact
 
 
-def test_predictions_agree_with_the_exact_model_where_inducing_points_are_the_latents(rng):
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_predictions_agree_with_the_exact_model_where_inducing_points_are_the_latents(rng, kernel):
     Y = curved(rng, 25) + 3.0
-    sparse = SparseGPLVM(n_inducing=25, mu=1e-2, max_iter=0).fit(Y)
-    exact = GPLVM(mu=1e-2).adopt(Y @ Y.T, 12, sparse.embedding_)
+    sparse = SparseGPLVM(n_inducing=25, mu=1e-2, kernel=kernel, max_iter=0).fit(Y)
+    exact = GPLVM(mu=1e-2, kernel=kernel).adopt(Y @ Y.T, 12, sparse.embedding_)
     x = rng.normal(size=(7, 2))
     np.testing.assert_allclose(sparse.weights(x), exact.weights(x), atol=5e-4)  # the jitter
     np.testing.assert_allclose(sparse.inverse_transform(x), exact.weights(x) @ Y, atol=1e-3)
@@ -157,7 +162,7 @@ def test_rows_may_share_coordinates(rng):
         return np.concatenate([dX[:, 0].reshape(10, 3).sum(axis=1), dX[:, 1]])
 
     z0 = np.concatenate([shared.ravel(), own.ravel()])
-    objective = SparseObjective(Y, 12, 1e-2, 1.0)
+    objective = SparseObjective(Y, 12, SquaredExponential(1e-2))
     X0 = expand(z0)
     z, Z, _, _ = minimise(objective, z0, X0[:8], expand=expand, contract=contract, max_iter=50)
     assert objective(expand(z), Z)[0] < objective(X0, X0[:8])[0]
@@ -168,7 +173,7 @@ def test_rows_may_share_coordinates(rng):
 def test_inducing_points_can_stay_where_they_are(rng):
     Y = curved(rng)
     X0 = pca_start_of_factor(Y, 2)
-    objective = SparseObjective(Y, 12, 1e-2, 1.0)
+    objective = SparseObjective(Y, 12, SquaredExponential(1e-2))
     X, Z, _, _ = minimise(objective, X0, X0[:8], move_inducing=False, max_iter=5)
     assert np.array_equal(Z, X0[:8])
     assert not np.array_equal(X, X0)

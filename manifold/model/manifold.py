@@ -31,6 +31,7 @@ from manifold.model.model_file import ModelRecord, damaged, read_model, write_mo
 from manifold.model.prediction import Mixture, MonochromePrediction, PredictedBRDF
 from manifold.model.spaces import KINDS, CurveSpace, MaterialSpace
 from manifold.models.encoding import Decoder, EncodingPairs
+from manifold.models.kernels import Kernel, kernel_named
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Bands, BsdfFile, Progress, evenly_spaced
 
@@ -57,6 +58,7 @@ class Settings:
         mu: noise filter of the kernel; None is the kind's own.
         prior: weight of the Gaussian prior on the latents; None is the kind's own.
         length_scale: l, in units of the latents.
+        kernel: name of the kernel, see `kernel_named`.
         grid: name of the grid of direction pairs behind the Gram matrix.
         sample_bands: bands per material that are samples of a monochrome manifold, at most.
     """
@@ -68,6 +70,7 @@ class Settings:
     mu: float = cast(float, None)
     prior: float = cast(float, None)
     length_scale: float = 1.0
+    kernel: str = "se"
     grid: str = "default"
     sample_bands: int = 5
 
@@ -84,6 +87,11 @@ class Settings:
             )
         if self.sample_bands < 2:
             raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")
+        self.covariance()  # checks it
+
+    def covariance(self) -> Kernel:
+        """The kernel with its parameters."""
+        return kernel_named(self.kernel, self.mu, self.length_scale)
 
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
@@ -165,7 +173,7 @@ class Manifold:
                 f"{settings.latent_dim} latent dimensions for {len(names)} materials, "
                 f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
             )
-        empty = MaterialSpace(np.empty((len(names), 0)), np.empty((0, 0)), 0, 1.0, 1.0)
+        empty = MaterialSpace(np.empty((len(names), 0)), np.empty((0, 0)), 0, settings.covariance())
         model = cls(library, names, empty, settings, {})
         if settings.kind == "material":
             model._fit_materials(on_progress)
@@ -177,11 +185,9 @@ class Manifold:
         s = self.settings
         matrix = self._gram(None, on_progress)
         fitted = GPLVM(
-            s.latent_dim, mu=s.mu, length_scale=s.length_scale, optimizer=s.optimizer, prior=s.prior
+            s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
         ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
-        self.space = MaterialSpace(
-            fitted.embedding_, matrix.S, matrix.n_outputs, fitted.mu, fitted.length_scale
-        )
+        self.space = MaterialSpace(fitted.embedding_, matrix.S, matrix.n_outputs, s.covariance())
         self._remember(fitted)
 
     def _fit_curves(self, on_progress: Progress | None) -> None:
@@ -189,14 +195,12 @@ class Manifold:
         bands = evenly_spaced(self.bands.count, s.sample_bands)
         matrix = self._gram(bands, on_progress)
         fitted = MonochromeGPLVM(
-            s.latent_dim, mu=s.mu, length_scale=s.length_scale, prior=s.prior
+            s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
         ).fit_gram(matrix.S, len(self.names), matrix.n_outputs)  # fmt: skip
         samples = fitted.colour_[:, :, 0]
         # Colours and reflectances of all bands follow: decoding needs the samples only.
         unknown = np.zeros((len(self.names), 0))
-        self.space = CurveSpace(
-            fitted.structure_, samples, bands, unknown, unknown, fitted.mu, fitted.length_scale
-        )
+        self.space = CurveSpace(fitted.structure_, samples, bands, unknown, unknown, s.covariance())
         self._remember(fitted)
         # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
         pairs = self._encoding_pairs
@@ -726,9 +730,12 @@ def _restored(path: Path, stored: ModelRecord) -> tuple[Settings, MaterialSpace 
         ModelError: they do not fit each other.
     """
     try:
-        settings = Settings(**{field.name: stored.settings[field.name] for field in fields(Settings)})
+        known = {
+            "kernel": "se"
+        } | stored.settings  # models written before kernels could be chosen have no name
+        settings = Settings(**{field.name: known[field.name] for field in fields(Settings)})
         kind = CurveSpace if settings.kind == "monochrome" else MaterialSpace
-        space = kind.from_arrays(stored.arrays, settings.mu, settings.length_scale)
+        space = kind.from_arrays(stored.arrays, settings.covariance())
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from manifold.gpr import GPWeights
+from manifold.models.kernels import Kernel
 from manifold.models.per_band import join_latents
 from manifold.records import Array
 
@@ -29,19 +30,18 @@ class MaterialSpace:
         X: latents, shape (N, Q).
         S: Gram matrix of the mapped materials, not centred, shape (N, N).
         n_outputs: D, the outputs behind S.
-        mu, length_scale: of the kernel.
+        kernel: the covariance function.
     """
 
     X: Array
     S: Array
     n_outputs: int
-    mu: float
-    length_scale: float
+    kernel: Kernel
 
     @cached_property
     def gp(self) -> GPWeights:
         """The Gaussian process of the latents."""
-        return GPWeights(self.X, self.mu, self.length_scale)
+        return GPWeights(self.X, self.kernel)
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -49,7 +49,7 @@ class MaterialSpace:
         return {"X": self.X, "S": self.S, "n_outputs": np.array(self.n_outputs)}
 
     @classmethod
-    def from_arrays(cls, stored: Fields[str, Array], mu: float, length_scale: float) -> MaterialSpace:
+    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel) -> MaterialSpace:
         """The same space again.
 
         Raises:
@@ -59,7 +59,7 @@ class MaterialSpace:
         _require_shape("S", S, (len(X), len(X)))
         if stored["n_outputs"].shape != () or not stored["n_outputs"] >= 1:
             raise ValueError(f"dataset 'n_outputs' holds {stored['n_outputs']}, expected a count")
-        return cls(X, S, int(stored["n_outputs"]), mu, length_scale)
+        return cls(X, S, int(stored["n_outputs"]), kernel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class CurveSpace:
         sample_bands: which bands they are, increasing, shape (B_s,).
         colours: colour coordinates of all bands, shape (N, B).
         reflectances: of the materials at 8 degrees, specular included, shape (N, B): what a colour means to people.
-        mu, length_scale: of the kernel.
+        kernel: the covariance function.
     """
 
     X: Array
@@ -80,13 +80,12 @@ class CurveSpace:
     sample_bands: Array
     colours: Array
     reflectances: Array
-    mu: float
-    length_scale: float
+    kernel: Kernel
 
     @cached_property
     def gp(self) -> GPWeights:
         """The Gaussian process of the samples, structure first, colour last."""
-        return GPWeights(self.join(self.X, self.sample_colours), self.mu, self.length_scale)
+        return GPWeights(self.join(self.X, self.sample_colours), self.kernel)
 
     def join(self, x: Array, colours: Array) -> Array:
         """Latents (M B, Q + 1) of structures x (M, Q) in colours (M, B)."""
@@ -104,7 +103,7 @@ class CurveSpace:
         }
 
     @classmethod
-    def from_arrays(cls, stored: Fields[str, Array], mu: float, length_scale: float) -> CurveSpace:
+    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel) -> CurveSpace:
         """The same space again.
 
         Raises:
@@ -117,7 +116,7 @@ class CurveSpace:
         _require_shape("reflectances", stored["reflectances"], colours.shape)
         if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= colours.shape[1]:
             raise ValueError(f"dataset 'sample_bands' holds {bands.tolist()}, expected increasing bands")
-        return cls(X, stored["sample_colours"], bands, colours, stored["reflectances"], mu, length_scale)
+        return cls(X, stored["sample_colours"], bands, colours, stored["reflectances"], kernel)
 
 
 def _require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:

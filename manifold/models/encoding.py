@@ -224,13 +224,12 @@ class Decoder:
 
         def value_and_gradient(z: Array) -> tuple[float, Array]:
             x = unpack(z)
-            k = gp.kernel.smooth(x, X)  # [R, n]
+            k, slope = gp.kernel.smooth_and_slope(x, X)  # [R, n]
             W = cho_solve((gp.L, True), k.T).T
             value, dV = objective(W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples)
             # Pull the derivative back through the centring, the solve, and the kernel.
             dW = dV - dV.mean(axis=1, keepdims=True)
-            A = cho_solve((gp.L, True), dW.T).T * k
-            gradient = -(A.sum(axis=1, keepdims=True) * x - A @ X) / gp.kernel.length_scale**2
+            gradient = gp.kernel.pull_back(x, X, cho_solve((gp.L, True), dW.T).T, slope)
             gradient = 0.5 * R * gradient + self.prior * x
             shared = np.zeros(Qs) if fixed else gradient[:, :Qs].sum(axis=0)
             total = 0.5 * R * value + 0.5 * self.prior * float(np.sum(x * x))

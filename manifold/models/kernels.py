@@ -2,23 +2,28 @@
 
 The delta is 1 where the coordinates are *equal*, in the cross-covariance too. At a training latent the
 cross-covariance is therefore a column of K and the posterior mean is the datum itself; next to it the posterior is
-the smooth one. Among the training latents themselves the delta is one of *samples*: K = k(X, X) + mu I. The two
-readings differ only for coinciding latents, where delta by coordinates would make K singular.
+the smooth one: the mean jumps there, by design. Among the training latents themselves the delta is one of
+*samples*: K = k(X, X) + mu I. The two readings differ only for coinciding latents, where delta by coordinates
+would make K singular.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numba as nb
 import numpy as np
 from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
 from manifold.records import Array
 
-LINEAR_SUFFIX = "+linear"
+SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
+LARGEST_MU = 1e6  # above, everything is noise
+_LINEAR = "+linear"
 
 
 @dataclass(frozen=True)
@@ -32,6 +37,7 @@ class Kernel(ABC):
         length_scale: l, > 0, in units of the latent coordinates.
         linear: weight of the linear term, >= 0.
         family: what `kernel_named` calls the radial part.
+        steepest: largest |dg/dr|.
 
     Source: Rasmussen & Williams 2006, chapter 4; the delta: Hikichi & Iwasaki, eq. 14.
     """
@@ -40,6 +46,7 @@ class Kernel(ABC):
     length_scale: float = 1.0
     linear: float = 0.0
     family: ClassVar[str]
+    steepest: ClassVar[float]
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mu) and self.mu >= 0):
@@ -52,122 +59,134 @@ class Kernel(ABC):
     @property
     def name(self) -> str:
         """Its name as `kernel_named` takes it."""
-        return self.family + LINEAR_SUFFIX * (self.linear > 0)
+        return self.family + _LINEAR * self.has_origin
+
+    @property
+    def has_origin(self) -> bool:
+        """Whether it changes when all latents are shifted: the linear term does."""
+        return self.linear > 0
+
+    @property
+    def slope_of_linear(self) -> float:
+        """`linear / l^2`."""
+        return self.linear / self.length_scale**2
 
     @abstractmethod
-    def radial(self, squared: Array) -> Array:
-        """g at squared distances in length scales, same shape; 1 at 0."""
-
-    @abstractmethod
-    def radial_slope(self, squared: Array) -> Array:
-        """Derivative of g with respect to the squared distance, same shape."""
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances in length scales, same shape; `xp` has their `exp` and `sqrt`."""
 
     def smooth(self, A: Array, B: Array) -> Array:
         """Covariance of A (M, Q) and B (N, Q) without the delta, shape (M, N)."""
-        K = self.radial(self._squared(A, B))
+        return self.smooth_and_slope(A, B)[0]
+
+    def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
+        """`smooth(A, B)`, and what `pull_back` needs to know of it, shape (M, N) both."""
+        # Differences, not the expanded square: equal coordinates give exactly 0.
+        K, slope = self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
         if self.linear:
-            K += self.linear / self.length_scale**2 * (A @ B.T)
-        return K
+            K += self.slope_of_linear * (A @ B.T)
+        return K, slope
 
     def prior_variance(self, X: Array) -> Array:
         """Variance of the prior at X (M, Q), the delta included, shape (M,)."""
-        variance = np.full(len(X), 1.0 + self.mu)
-        if self.linear:
-            variance += self.linear / self.length_scale**2 * np.einsum("mq,mq->m", X, X)
-        return variance
+        return 1.0 + self.mu + self.slope_of_linear * np.einsum("mq,mq->m", X, X)
 
     def training(self, X: Array) -> Array:
         """Covariance K of the training latents X (N, Q), shape (N, N)."""
-        K = self.smooth(X, X)
+        return self.training_and_slope(X)[0]
+
+    def training_and_slope(self, X: Array) -> tuple[Array, Array]:
+        """`training(X)`, and what `gradient` needs to know of it, shape (N, N) both."""
+        K, slope = self.smooth_and_slope(X, X)
         K[np.diag_indices_from(K)] = self.prior_variance(X)
-        return K
+        return K, slope
 
-    def pull_back(self, A: Array, B: Array, dK: Array) -> Array:
-        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, dK (M, N) and B (N, Q) held, shape (M, Q)."""
-        G = (2.0 / self.length_scale**2) * dK * self.radial_slope(self._squared(A, B))
+    def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
+        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, B held, shape (M, Q).
+
+        Args:
+            A, B: latents, shape (M, Q) and (N, Q).
+            dK: what the entries are multiplied by, shape (M, N).
+            slope: from `smooth_and_slope(A, B)` where it is at hand, shape (M, N).
+        """
+        slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
+        G = (2.0 / self.length_scale**2) * dK * slope
         gradient = G.sum(axis=1)[:, None] * A - G @ B
-        if self.linear:
-            gradient += self.linear / self.length_scale**2 * (dK @ B)
-        return gradient
+        return gradient + self.slope_of_linear * (dK @ B) if self.linear else gradient
 
-    def gradient(self, X: Array, dK: Array) -> Array:
+    def pull_back_variance(self, X: Array, d: Array | float) -> Array:
+        """Gradient with respect to X (M, Q) of `sum(d * prior_variance(X))`, d (M,) or a number, shape (M, Q)."""
+        return 2.0 * self.slope_of_linear * np.reshape(d, (-1, 1)) * X
+
+    def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
         """Gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
 
         Args:
             X: latents, shape (N, Q).
             dK: symmetric derivatives of the function with respect to the entries of K, shape (N, N).
+            slope: from `training_and_slope(X)` where it is at hand, shape (N, N).
         """
-        return 2.0 * self.pull_back(X, X, dK)
+        return 2.0 * self.pull_back(X, X, dK, slope)
 
-    def _squared(self, A: Array, B: Array) -> Array:
-        # Differences, not the expanded square: equal coordinates give exactly 0.
-        return cdist(A, B, "sqeuclidean") / self.length_scale**2
+    def steepest_at(self, X: Array) -> float:
+        """Largest change of the covariance with any row of X (N, Q), per unit of distance."""
+        norms = np.sqrt(np.einsum("nq,nq->n", X, X))
+        return self.steepest / self.length_scale + self.slope_of_linear * float(norms.max())
 
 
 class SquaredExponential(Kernel):
     """`g = exp(-r^2 / 2)`. Source: Hikichi & Iwasaki, eq. 14."""
 
-    family = "se"
+    family, steepest = "se", math.exp(-0.5)
 
-    def radial(self, squared: Array) -> Array:
-        """g at squared distances, same shape."""
-        return np.exp(-0.5 * squared)
-
-    def radial_slope(self, squared: Array) -> Array:
-        """dg / d r^2, same shape."""
-        return -0.5 * np.exp(-0.5 * squared)
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        g = xp.exp(-0.5 * squared)
+        return g, -0.5 * g
 
 
 class Matern32(Kernel):
     """`g = (1 + sqrt(3) r) exp(-sqrt(3) r)`. Source: Rasmussen & Williams 2006, eq. 4.17."""
 
-    family = "matern32"
+    family, steepest = "matern32", math.sqrt(3.0) / math.e
 
-    def radial(self, squared: Array) -> Array:
-        """g at squared distances, same shape."""
-        a = np.sqrt(3.0 * squared)
-        return (1.0 + a) * np.exp(-a)
-
-    def radial_slope(self, squared: Array) -> Array:
-        """dg / d r^2, same shape."""
-        return -1.5 * np.exp(-np.sqrt(3.0 * squared))
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        a = xp.sqrt(3.0 * squared)
+        decay = xp.exp(-a)
+        return (1.0 + a) * decay, -1.5 * decay
 
 
 class Matern52(Kernel):
     """`g = (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)`. Source: Rasmussen & Williams 2006, eq. 4.17."""
 
     family = "matern52"
+    _GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0  # sqrt(5) r where it is steepest
+    steepest = math.sqrt(5.0) / 3.0 * _GOLDEN**3 * math.exp(-_GOLDEN)
 
-    def radial(self, squared: Array) -> Array:
-        """g at squared distances, same shape."""
-        a = np.sqrt(5.0 * squared)
-        return (1.0 + a + a * a / 3.0) * np.exp(-a)
-
-    def radial_slope(self, squared: Array) -> Array:
-        """dg / d r^2, same shape."""
-        a = np.sqrt(5.0 * squared)
-        return -5.0 / 6.0 * (1.0 + a) * np.exp(-a)
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        a = xp.sqrt(5.0 * squared)
+        decay = xp.exp(-a)
+        return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
 
 
 class RationalQuadratic(Kernel):
     """`g = 1 / (1 + r^2 / 2)`, the rational quadratic of alpha = 1. Source: Rasmussen & Williams 2006, eq. 4.19."""
 
-    family = "rq"
+    family, steepest = "rq", math.sqrt(27.0 / 128.0)
 
-    def radial(self, squared: Array) -> Array:
-        """g at squared distances, same shape."""
-        return 1.0 / (1.0 + 0.5 * squared)
-
-    def radial_slope(self, squared: Array) -> Array:
-        """dg / d r^2, same shape."""
-        return -0.5 / (1.0 + 0.5 * squared) ** 2
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        g = 1.0 / (1.0 + 0.5 * squared)
+        return g, -0.5 * g * g
 
 
 _FAMILIES: dict[str, type[Kernel]] = {
     kernel.family: kernel for kernel in (SquaredExponential, Matern32, Matern52, RationalQuadratic)
 }
 
-KERNELS = tuple(family + suffix for family in _FAMILIES for suffix in ("", LINEAR_SUFFIX))
+KERNELS = tuple(family + suffix for suffix in ("", _LINEAR) for family in _FAMILIES)
 """Names that `kernel_named` takes."""
 
 
@@ -179,8 +198,30 @@ def kernel_named(name: str, mu: float = 1e-4, length_scale: float = 1.0) -> Kern
     """
     if name not in KERNELS:
         raise UsageError(f"no kernel is called '{name}', expected one of {', '.join(KERNELS)}")
-    family = name.removesuffix(LINEAR_SUFFIX)
+    family = name.removesuffix(_LINEAR)
     return _FAMILIES[family](mu, length_scale, linear=float(name != family))
+
+
+@nb.njit(cache=True)
+def radial_of_pair(family: str, squared: float) -> float:
+    """g of one squared distance in length scales, for loops that numba compiles; see `Kernel.radial`."""
+    if family == "se":
+        return math.exp(-0.5 * squared)
+    if family == "rq":
+        return 1.0 / (1.0 + 0.5 * squared)
+    if family == "matern32":
+        a = math.sqrt(3.0 * squared)
+        return (1.0 + a) * math.exp(-a)
+    a = math.sqrt(5.0 * squared)
+    return (1.0 + a + a * a / 3.0) * math.exp(-a)
+
+
+def require_mu(mu: float) -> None:
+    """Raise UsageError unless a fit can use a noise filter."""
+    if not SMALLEST_MU <= mu <= LARGEST_MU:
+        raise UsageError(
+            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: K must stay definite, and tell samples apart"
+        )
 
 
 def equal_rows(A: Array, B: Array) -> Array:

@@ -81,17 +81,16 @@ class LikelihoodEncoder:
 
         def value_and_gradient(z: Array) -> tuple[float, Array]:
             x = self.unpack(z, len(norm))
-            k = gp.kernel.smooth(x, X)  # [R, n]
+            k, slope = gp.kernel.smooth_and_slope(x, X)  # [R, n]
             w = cho_solve((gp.L, True), k.T).T
             Sw = w @ self._S
             error = np.maximum(norm - 2.0 * np.sum(w * cross, axis=1) + np.sum(w * Sw, axis=1), floor)
-            variance = gp.prior_variance - np.sum(k * w, axis=1)
+            variance = gp.kernel.prior_variance(x) - np.sum(k * w, axis=1)
             value = np.sum(0.5 * np.log(variance) + 0.5 * error / (self._scale * variance))
             d_error = 2.0 * cho_solve((gp.L, True), (Sw - cross).T).T  # by k, [R, n]
             d_variance = 0.5 / variance - 0.5 * error / (self._scale * variance**2)
             d_k = 0.5 / (self._scale * variance)[:, None] * d_error - 2.0 * d_variance[:, None] * w
-            A = d_k * k
-            gradient = -(A.sum(axis=1, keepdims=True) * x - A @ X) / gp.kernel.length_scale**2
+            gradient = gp.kernel.pull_back(x, X, d_k, slope) + gp.kernel.pull_back_variance(x, d_variance)
             gradient += self.prior * x
             total = float(value + 0.5 * self.prior * np.sum(x * x))
             return total, np.concatenate([gradient[:, :Qs].sum(axis=0), gradient[:, Qs:].ravel()])

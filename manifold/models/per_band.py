@@ -20,10 +20,10 @@ from manifold.gplvm import (
     fix_gauge,
     require_different,
     require_gram,
-    require_mu,
     require_prior,
 )
 from manifold.gpr import GPWeights, centre_gram
+from manifold.models.kernels import kernel_named, require_mu
 from manifold.records import Array
 
 _COMPONENTS = 10  # principal components of the samples that starts are made of
@@ -38,7 +38,7 @@ class MonochromeGPLVM:
     Args:
         n_structure: Q_s, coordinates that the bands of a material share; 0 is allowed.
         n_colour: Q_c, coordinates of each band, at least 1.
-        mu, length_scale: of the SE + delta kernel.
+        mu, length_scale, kernel: of the covariance function; the kernel's name as `kernel_named` takes it.
         prior: weight of the Gaussian prior on the latents per output and sample.
         max_iter: limit on iterations of L-BFGS from each start.
 
@@ -57,6 +57,7 @@ class MonochromeGPLVM:
         *,
         mu: float = 1e-4,
         length_scale: float = 1.0,
+        kernel: str = "se",
         prior: float = 0.1,
         max_iter: int = 300,
     ) -> None:
@@ -68,8 +69,7 @@ class MonochromeGPLVM:
         require_prior(prior)
         self.n_structure = n_structure
         self.n_colour = n_colour
-        self.mu = mu
-        self.length_scale = length_scale
+        self.kernel = kernel_named(kernel, mu, length_scale)
         self.prior = prior
         self.max_iter = max_iter
 
@@ -92,7 +92,7 @@ class MonochromeGPLVM:
         centred = centre_gram(S)
         require_different(centred, float(np.trace(S)))
         n_bands = S.shape[0] // n_materials
-        objective = LatentObjective(centred, n_outputs, self.mu, self.length_scale, self.prior)
+        objective = LatentObjective(centred, n_outputs, self.kernel, self.prior)
         best: tuple[float, float, Array, Array] | None = None
         with blas_threads(S.shape[0]):
             for structure, colour in self._starts(centred, n_materials, n_bands):
@@ -101,8 +101,12 @@ class MonochromeGPLVM:
                     best = (start, end, structure, colour)
         assert best is not None
         self.objective_start_, self.objective_, structure, colour = best
-        colour = _towards_brighter(colour - colour.mean(axis=0), np.diag(S))
-        self.adopt(fix_gauge(structure), colour.reshape(n_materials, n_bands, -1))
+        if not self.kernel.has_origin:
+            colour = colour - colour.mean(axis=0)
+        colour = _towards_brighter(colour, np.diag(S))
+        self.adopt(
+            fix_gauge(structure, centre=not self.kernel.has_origin), colour.reshape(n_materials, n_bands, -1)
+        )
         self.gp_.warn_of_fit(centred)
         return self
 
@@ -110,7 +114,7 @@ class MonochromeGPLVM:
         """Take latents (N, Q_s) and (N, B, Q_c) as they are: a model that was fitted before and stored."""
         self.structure_, self.colour_ = structure, colour
         self.embedding_ = join_latents(structure, colour).reshape(-1, self.n_structure + self.n_colour)
-        self.gp_ = GPWeights(self.embedding_, self.mu, self.length_scale)
+        self.gp_ = GPWeights(self.embedding_, self.kernel)
         return self
 
     def _refine(

@@ -28,7 +28,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gplvm import FitCallback, fix_gauge
-from manifold.models.kernels import SquaredExponentialDelta
+from manifold.models.kernels import Kernel, kernel_named
 from manifold.records import Array
 
 _JITTER = 1e-5  # added to the diagonal of K_uu, in units of mu: far below what the noise filter hides
@@ -43,14 +43,14 @@ class SparseObjective:
     Args:
         Y: centred data, or any factor of their centred Gram matrix, shape (N, r).
         n_outputs: D.
-        mu, length_scale: of the kernel.
+        kernel: the covariance function.
         prior: weight of the Gaussian prior per output.
     """
 
-    def __init__(self, Y: Array, n_outputs: int, mu: float, length_scale: float, prior: float = 0.0) -> None:
+    def __init__(self, Y: Array, n_outputs: int, kernel: Kernel, prior: float = 0.0) -> None:
         self.Y = np.ascontiguousarray(Y, dtype=np.float64)
         self.n_outputs = n_outputs
-        self.kernel = SquaredExponentialDelta(mu, length_scale)
+        self.kernel = kernel
         self.prior = prior
         self._squared_norm = float(np.sum(self.Y**2))
 
@@ -60,10 +60,10 @@ class SparseObjective:
         Raises:
             NumericalError: K_uu is not positive definite.
         """
-        N, M, mu = X.shape[0], Z.shape[0], self.kernel.mu
+        N, M, kernel, mu = X.shape[0], Z.shape[0], self.kernel, self.kernel.mu
         p = SparsePosterior(self, X, Z)
         log_det = 2.0 * float(np.sum(np.log(np.diag(p.L_B)))) + (N - M) * np.log(mu)
-        unexplained = N - float(np.sum(p.V**2))  # tr(K - Q)
+        unexplained = float(np.sum(kernel.prior_variance(X) - mu)) - float(np.sum(p.V**2))  # tr(K - Q)
         F = 0.5 * log_det + 0.5 * N * np.log(p.fit / (N * self.n_outputs)) + 0.5 * unexplained / mu
         F += 0.5 * self.prior * float(np.sum(X**2))
 
@@ -77,11 +77,9 @@ class SparseObjective:
         d_uu = 0.5 * (mu * p.solve_A(eye) - cho_solve((p.L_u, True), eye))
         d_uu += scale * (p.W @ p.W.T) + (0.5 / mu) * (U_uf @ U_uf.T)
 
-        inverse_l2 = 1.0 / self.kernel.length_scale**2
-        G = d_uf * p.K_uf
-        dX = inverse_l2 * (G.T @ Z - G.sum(axis=0)[:, None] * X) + self.prior * X
-        dZ = inverse_l2 * (G @ X - G.sum(axis=1)[:, None] * Z)
-        dZ += self.kernel.gradient(Z, d_uu, smooth=p.K_uu)
+        dX = kernel.pull_back(X, Z, d_uf.T, p.slope_uf.T) + self.prior * X
+        dX += kernel.pull_back_variance(X, 0.5 / mu)
+        dZ = kernel.pull_back(Z, X, d_uf, p.slope_uf) + kernel.gradient(Z, d_uu)
         return float(F), dX, dZ
 
 
@@ -90,6 +88,7 @@ class SparsePosterior:
 
     Attributes:
         K_uu, K_uf: covariances of the inducing points (M, M), with the latents (M, N).
+        slope_uf: what `Kernel.pull_back` needs to know of K_uf, shape (M, N).
         L_u, L_B: lower Cholesky factors of K_uu and of `mu I + V V^T`, shape (M, M).
         V: `L_u^-1 K_uf`, shape (M, N).
         W: weights of the inducing points per column of Y, shape (M, r).
@@ -100,7 +99,7 @@ class SparsePosterior:
         self.kernel, mu, Y = objective.kernel, objective.kernel.mu, objective.Y
         self.Z = Z
         self.K_uu = self.kernel.smooth(Z, Z)
-        self.K_uf = self.kernel.smooth(Z, X)
+        self.K_uf, self.slope_uf = self.kernel.smooth_and_slope(Z, X)
         self.L_u = _cholesky(self.K_uu + _JITTER * mu * np.eye(Z.shape[0]), mu)
         self.V = solve_triangular(self.L_u, self.K_uf, lower=True)
         self.L_B = _cholesky(self.V @ self.V.T + mu * np.eye(Z.shape[0]), mu)
@@ -122,7 +121,8 @@ class SparsePosterior:
         half = solve_triangular(self.L_u, self.kernel.smooth(self.Z, X_new), lower=True)  # [M, M']
         whole = solve_triangular(self.L_B, half, lower=True)
         mu = self.kernel.mu
-        return np.maximum(1.0 + mu - np.sum(half**2, axis=0) + mu * np.sum(whole**2, axis=0), mu)
+        prior = self.kernel.prior_variance(X_new)
+        return np.maximum(prior - np.sum(half**2, axis=0) + mu * np.sum(whole**2, axis=0), mu)
 
 
 class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -136,6 +136,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         n_inducing: M, the number of inducing points; N where that is fewer.
         mu: noise filter of the kernel, at least 1e-6.
         length_scale: l > 0.
+        kernel: its name, see `kernel_named`.
         prior: weight of the Gaussian prior on the latents per output.
         start_scale: standard deviation of the start along every axis.
         move_inducing: whether the inducing points are optimised; else they stay a subset of the start.
@@ -162,6 +163,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         n_inducing: int = 50,
         mu: float = 1e-4,
         length_scale: float = 1.0,
+        kernel: str = "se",
         prior: float = 0.0,
         start_scale: float = 1.0,
         move_inducing: bool = True,
@@ -172,6 +174,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         self.n_inducing = n_inducing
         self.mu = mu
         self.length_scale = length_scale
+        self.kernel = kernel
         self.prior = prior
         self.start_scale = start_scale
         self.move_inducing = move_inducing
@@ -207,8 +210,8 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
 
     def _fit(self, Y: Array, n_outputs: int, X0: Array | None, callback: FitCallback | None) -> SparseGPLVM:
         self._require_parameters()
-        mean = Y.mean(axis=0)
-        Y = Y - mean
+        self.mean_ = Y.mean(axis=0)
+        Y = Y - self.mean_
         if not np.any(Y):
             raise ShapeError(f"all {Y.shape[0]} samples are identical, expected at least two different ones")
         N, Q = Y.shape[0], self.n_components
@@ -216,7 +219,8 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         if X.shape != (N, Q) or not np.all(np.isfinite(X)):
             raise ShapeError(f"latents have shape {X.shape}, expected ({N}, {Q}) finite values")
         Z = X[farthest_points(X, min(self.n_inducing, N))]
-        objective = SparseObjective(Y, n_outputs, self.mu, self.length_scale, float(self.prior))
+        kernel = kernel_named(self.kernel, self.mu, self.length_scale)
+        objective = SparseObjective(Y, n_outputs, kernel, float(self.prior))
         self.objective_start_ = objective(X, Z)[0]
         self.n_iter_, self.n_evaluations_ = 1, 1
         if self.max_iter > 0:
@@ -229,14 +233,15 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
                 tol=self.tol,
                 callback=callback,
             )
-        fixed = fix_gauge(X)
+        fixed = fix_gauge(X, centre=not kernel.has_origin)
         # The inducing points follow the latents into the gauge.
-        sign = np.where(np.sum(fixed * (X - X.mean(axis=0)), axis=0) < 0, -1.0, 1.0)
-        self.embedding_, self.inducing_ = fixed, (Z - X.mean(axis=0)) * sign
+        mean = np.zeros(Q) if kernel.has_origin else X.mean(axis=0)
+        sign = np.where(np.sum(fixed * (X - mean), axis=0) < 0, -1.0, 1.0)
+        self.embedding_, self.inducing_ = fixed, (Z - mean) * sign
         self.objective_ = objective(self.embedding_, self.inducing_)[0]
         self._posterior = SparsePosterior(objective, self.embedding_, self.inducing_)
         self.output_variance_ = self._posterior.fit / (N * n_outputs)
-        self.n_outputs_, self.Y_fit_, self.mean_ = n_outputs, Y, mean
+        self.n_outputs_, self.Y_fit_ = n_outputs, Y
         return self
 
     def _require_parameters(self) -> None:
@@ -303,14 +308,15 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         p, Z = self._posterior, self.inducing_
         target, mu = p.W @ y, self.mu  # [M]
         scale = self.n_outputs_ * max(self.output_variance_, np.finfo(float).tiny)
-        inverse_l2 = 1.0 / self.length_scale**2
 
         def objective(x: Array) -> tuple[float, Array]:
-            k = p.kernel.smooth(Z, x[None, :])[:, 0]
+            K, slope = p.kernel.smooth_and_slope(x[None, :], Z)
+            k = K[0]
             whitened = solve_triangular(p.L_u, k, lower=True)
             explained = solve_triangular(p.L_u, whitened, lower=True, trans=1)
             tempered = p.solve_A(k)
-            variance = max(1.0 + mu - k @ explained + mu * (k @ tempered), mu)
+            prior = float(p.kernel.prior_variance(x[None, :])[0])
+            variance = max(prior - k @ explained + mu * (k @ tempered), mu)
             prediction = k @ p.W
             residual = float(np.sum((y - prediction) ** 2))
             value = 0.5 * np.log(variance) + 0.5 * residual / (scale * variance)
@@ -318,7 +324,8 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
             d_k = (p.W @ prediction - target) / (scale * variance) + 2.0 * d_variance * (
                 mu * tempered - explained
             )
-            gradient = inverse_l2 * ((d_k * k) @ (Z - x[None, :])) + self.prior * x
+            gradient = p.kernel.pull_back(x[None, :], Z, d_k[None, :], slope)[0] + self.prior * x
+            gradient += p.kernel.pull_back_variance(x[None, :], d_variance)[0]
             return value + 0.5 * self.prior * float(x @ x), gradient
 
         ends = [minimize(objective, self.embedding_[n], jac=True, method="L-BFGS-B") for n in order[:4]]

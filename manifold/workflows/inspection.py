@@ -189,7 +189,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         else "whole materials",
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
-        "kernel": f"SE + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
+        "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
         "condition of K": f"{model.gp.condition:.3g}",
         "optimizer": s.optimizer,
         "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",

@@ -222,6 +222,7 @@ def fit_gplvm(
     mapping: str = "cube-root",
     mu: float = 1e-4,
     length_scale: float = 1.0,
+    kernel: str = "se",
     prior: float = 0.0,
     optimizer: str = "l-bfgs",
     by_likelihood: bool = False,
@@ -230,7 +231,7 @@ def fit_gplvm(
 
     Args:
         count: Q; fewer where there are not enough materials.
-        mapping, mu, length_scale, prior, optimizer: of the model.
+        mapping, mu, length_scale, kernel, prior, optimizer: of the model.
         by_likelihood: how to encode.
     """
     T = mapping_named(mapping)
@@ -238,8 +239,8 @@ def fit_gplvm(
     def fit(data: Data, training: Array) -> Encode:
         S = data.gram(T)[np.ix_(training, training)]
         fitted = GPLVM(
-            min(count, len(training) - 1), mu=mu, length_scale=length_scale, prior=prior, optimizer=optimizer,
-            tol=_REFIT_TOLERANCE,
+            min(count, len(training) - 1), mu=mu, length_scale=length_scale, kernel=kernel, prior=prior,
+            optimizer=optimizer, tol=_REFIT_TOLERANCE,
         ).fit_gram(S, data.n_outputs)  # fmt: skip
         if by_likelihood:
             return _likelihood_in_materials(data, training, fitted.gp_, T, prior)
@@ -287,6 +288,7 @@ def fit_monochrome(
     mapping: str = "cube-root",
     mu: float = 1e-3,
     length_scale: float = 1.0,
+    kernel: str = "se",
     prior: float = 0.1,
     sample_bands: int = SAMPLE_BANDS,
     by_likelihood: bool = False,
@@ -294,7 +296,7 @@ def fit_monochrome(
     """The monochrome GPLVM, encoded as `encode_in_curves` does, or by likelihood.
 
     Args:
-        n_structure, n_colour, mu, length_scale, prior: of the model.
+        n_structure, n_colour, mu, length_scale, kernel, prior: of the model.
         mapping: its name.
         sample_bands: bands per material that are samples.
         by_likelihood: how to encode.
@@ -306,7 +308,7 @@ def fit_monochrome(
         S = data.sample_gram(T, bands)
         columns = sample_columns(training, len(bands))
         model = MonochromeGPLVM(
-            n_structure, n_colour, mu=mu, length_scale=length_scale, prior=prior
+            n_structure, n_colour, mu=mu, length_scale=length_scale, kernel=kernel, prior=prior
         ).fit_gram(S[np.ix_(columns, columns)], len(training), data.f.shape[1])  # fmt: skip
         encode = _likelihood_in_curves if by_likelihood else encode_in_curves
         return encode(data, training, model.gp_, n_structure, bands, T, prior)

@@ -141,11 +141,11 @@ def _fit_refitted(model: Manifold, *, by_likelihood: bool = False) -> Fit:
     if isinstance(model.space, CurveSpace):
         return fit_monochrome(
             min(s.latent_dim, len(model.names) - 2), 1, mapping=s.mapping, mu=s.mu,
-            length_scale=s.length_scale, prior=s.prior, sample_bands=s.sample_bands,
+            length_scale=s.length_scale, kernel=s.kernel, prior=s.prior, sample_bands=s.sample_bands,
             by_likelihood=by_likelihood,
         )  # fmt: skip
     return fit_gplvm(
-        s.latent_dim, mapping=s.mapping, mu=s.mu, length_scale=s.length_scale, prior=s.prior,
+        s.latent_dim, mapping=s.mapping, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior,
         optimizer=s.optimizer, by_likelihood=by_likelihood,
     )  # fmt: skip
 
@@ -163,7 +163,7 @@ def _gp_of(model: Manifold, materials: Array) -> GPWeights:
     rows = materials
     if isinstance(space, CurveSpace):
         rows = sample_columns(materials, len(space.sample_bands))
-    return GPWeights(space.gp.X[rows], space.mu, space.length_scale)
+    return GPWeights(space.gp.X[rows], space.kernel)
 
 
 def _output_variance(model: Manifold, data: Data) -> float:

@@ -55,7 +55,7 @@ def _heading(report: Report) -> list[str]:
         f"{len(report.names)} materials{kind}, {report.bands}",
         f"GPLVM of {'whole materials' if whole else 'single bands'}: {s['latent_dim']} dimensions"
         f"{'' if whole else ', and a colour per band'}; mapping {s['mapping']}",
-        f"Kernel: SE + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
+        f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
         f"condition of K {report.condition:.3g}",
         f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){_error_bands(report)}",
     ]

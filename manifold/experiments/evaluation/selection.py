@@ -150,13 +150,16 @@ class _Trials:
         s, (N, B, P) = self._settings, T.shape
         if self._is_curves:
             samples = T.reshape(N * B, P)
-            curves = MonochromeGPLVM(latent_dim, mu=s.mu, length_scale=s.length_scale, prior=s.prior)
+            curves = MonochromeGPLVM(
+                latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
+            )
             gp = curves.fit_gram((samples * self._cosines) @ samples.T, N, P).gp_
             weight, group = self._cosines, B
         else:
             samples, weight, group = T.reshape(N, B * P), np.tile(self._cosines, B), 1
             whole = GPLVM(
-                latent_dim, mu=s.mu, length_scale=s.length_scale, optimizer=s.optimizer, prior=s.prior, tol=_TOLERANCE
+                latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior,
+                tol=_TOLERANCE,
             )  # fmt: skip
             gp = whole.fit_gram((samples * weight) @ samples.T, B * P).gp_
         return Decoder(gp, latent_dim, group, samples, mapping_named(name), weight, weight, s.prior)

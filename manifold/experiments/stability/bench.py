@@ -129,7 +129,7 @@ def embed(model: Manifold, material: BRDF) -> tuple[Mixture, tuple[str, ...]]:
 
 def in_space(model: Manifold, space: MaterialSpace | CurveSpace) -> Manifold:
     """A manifold of the same materials with other latents, or another kernel on them."""
-    settings = replace(model.settings, length_scale=space.length_scale, mu=space.mu)
+    settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
     return Manifold(model.library, model.names, space, settings, {})
 
 

@@ -46,7 +46,9 @@ def _on_rays(kind: str, mapping: str = "cube-root") -> Places:
         model = bench.model(kind, mapping)
         angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
         for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
-            yield predict(model, ray * (float(np.max(model.X @ ray)) + distance * model.space.length_scale))
+            yield predict(
+                model, ray * (float(np.max(model.X @ ray)) + distance * model.space.kernel.length_scale)
+            )
 
     return places
 
@@ -56,7 +58,7 @@ def _brighter(bench: Bench, distance: float) -> Iterator[tuple[Mixture, tuple[st
     model = bench.model("monochrome")
     assert isinstance(model.space, CurveSpace)
     for x, colours in zip(model.X[::3], model.space.colours[::3], strict=True):
-        yield predict(model, x, colours + distance * model.space.length_scale)
+        yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 
 _OUTSIDE: dict[str, Places] = {

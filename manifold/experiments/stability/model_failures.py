@@ -76,7 +76,9 @@ def _rescaled(bench: Bench, length_scale: float, kind: str) -> Found:
     """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
     truth, fitted = held_out(bench), bench.model(kind)
     known = fitted.embed(truth)
-    model = in_space(fitted, replace(fitted.space, length_scale=length_scale))
+    model = in_space(
+        fitted, replace(fitted.space, kernel=replace(fitted.space.kernel, length_scale=length_scale))
+    )
     brdf, said = predict(model, known.latent, known.colours)
     return Found(in_error_of_nearest(bench, brdf), said)
 

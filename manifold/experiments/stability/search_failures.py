@@ -15,6 +15,7 @@ from manifold.gpr import GPWeights, centre_gram
 from manifold.mapping import mapping_named
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.spaces import MaterialSpace
+from manifold.models.kernels import SquaredExponential
 from manifold.records import Array
 
 _MAPPING = mapping_named("cube-root")
@@ -39,7 +40,7 @@ def _fit(bench: Bench, S: Array, optimizer: str, start: Array | None = None) -> 
 def _held_out_by(bench: Bench, fitted: GPLVM) -> Found:
     """The held-out plastic, embedded in a manifold with these latents of the family."""
     truth = held_out(bench)
-    space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.mu, fitted.length_scale)
+    space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
     brdf, said = embed(in_space(bench.model("material"), space), truth)
     return Found(in_error_of_nearest(bench, brdf), said)
 
@@ -102,7 +103,7 @@ def _ill_conditioned(bench: Bench, length_scale: float) -> Found:
     """The held-out plastic from the weights of a kernel without noise filter."""
     model, truth = bench.model("material"), held_out(bench)
     x = bench.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
-    weights = GPWeights(model.X, 0.0, length_scale).weights(x[None])[0]
+    weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
     brdf = PredictedBRDF(model.load_materials(), weights, model.mapping)
     return Found(in_error_of_nearest(bench, brdf))
 
@@ -110,7 +111,7 @@ def _ill_conditioned(bench: Bench, length_scale: float) -> Found:
 def _drift(bench: Bench, moves: float) -> Found:
     """F after many moves of one coordinate each, by updates and afresh, under the least noise filter."""
     S, rng = centre_gram(_gram(bench)), np.random.default_rng(0)
-    objective = LatentObjective(S, bench.data.n_outputs, 1e-10, 1.0)
+    objective = LatentObjective(S, bench.data.n_outputs, SquaredExponential(1e-10))
     start = _CLOSE * pca_start(S, 2)
     updated = IncrementalObjective(objective, start)
     for _ in range(int(moves)):  # each to near where it started, so that latents stay close

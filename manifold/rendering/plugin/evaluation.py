@@ -98,18 +98,17 @@ class Evaluation:
         if latent is None or self._gp is None:
             return _Lobes()
         mi, dr = self._mi, self._dr
-        n, scale = self._n, -0.5 / self._gp.kernel.length_scale**2
+        n, kernel = self._n, self._gp.kernel
+        inverse_l2 = 1.0 / kernel.length_scale**2
         similarity = dr.alloc_local(mi.Float64, n)
         weights = dr.alloc_local(mi.Float, n)
 
-        def distance2(j: Any) -> Any:
-            return sum(
-                dr.square(x - dr.gather(mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)
-            )
-
         def fill(j: Any, k: Any, match: Any) -> Any:
-            d2 = distance2(j)
-            k[j] = dr.exp(scale * mi.Float64(d2))
+            pairs = [(x, dr.gather(mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)]
+            d2 = sum(dr.square(x - c) for x, c in pairs)
+            k[j] = kernel.radial(inverse_l2 * mi.Float64(d2), dr)[0]
+            if kernel.linear:
+                k[j] += kernel.slope_of_linear * mi.Float64(sum(x * c for x, c in pairs))
             return j + 1, k, dr.select((d2 < 1e-12) & (match == n), j, match)
 
         _, similarity, match = dr.while_loop(

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour import spectra
-from manifold.colour.spectra import Illuminant
+from manifold.colour.conversion import to_srgb
+from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf
 from manifold.plots import figures
 from manifold.records import Array, BsdfFile
@@ -31,7 +31,7 @@ MATERIALS = ("syn_satin_gold", "syn_felt_orange", "syn_gloss_red", "syn_metal_co
 def reduced_to_rgb(file: BsdfFile) -> BsdfFile:
     """The same file with three channels of linear sRGB under D65 in place of its bands."""
     band_last = np.moveaxis(file.spectra, 2, -1)
-    rgb = np.maximum(spectra.to_srgb(band_last, file.bands), 0.0).astype(np.float32)
+    rgb = np.maximum(to_srgb(band_last, file.bands), 0.0).astype(np.float32)
     return replace(file, wavelengths_nm=None, version=(1, 0), spectra=np.moveaxis(rgb, -1, 2))
 
 

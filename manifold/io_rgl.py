@@ -77,6 +77,14 @@ def read_bsdf(path: Path | str) -> BsdfFile:
     )
 
 
+def rgl_wavelengths_nm() -> Array:
+    """The 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
+
+    Rounded to float32, as the files hold them, and returned as float64.
+    """
+    return np.linspace(358.63, 1001.89, 195).astype(np.float32).astype(np.float64)
+
+
 def material_name(path: Path) -> str:
     """Name of the material in a file: `satin_gold` for `satin_gold_spec.bsdf`."""
     name = path.name.removesuffix(".bsdf")

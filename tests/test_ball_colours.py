@@ -8,7 +8,7 @@ import pytest
 import small_library
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import spectra
+from manifold.colour.conversion import srgb_to_xyz
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
 from manifold.rendering import ball_colours
@@ -54,7 +54,7 @@ def _render(path: Path) -> np.ndarray:
 def test_the_ball_has_the_colours_of_a_render_of_the_same_ball(tmp_path, name):
     file = small_library.measured(name)
     write_bsdf(tmp_path / "ball_rgb.bsdf", file)
-    rendered = spectra.srgb_to_xyz(np.clip(_render(tmp_path / "ball_rgb.bsdf"), 0.0, 1.0))
+    rendered = srgb_to_xyz(np.clip(_render(tmp_path / "ball_rgb.bsdf"), 0.0, 1.0))
     ball, brdf = ball_colours.ball(PIXELS), MeasuredBRDF(file)
     quick = ball.xyz(brdf.eval(ball.wi, ball.wo), RGB)
     inner = np.sum(ball.places**2, axis=1) < 0.9  # the render's pixels at the outline look past the ball

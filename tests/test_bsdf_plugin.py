@@ -14,7 +14,7 @@ from scipy import stats
 from small_library import small_library
 
 import manifold.rendering.render
-from manifold.colour.spectra import Illuminant
+from manifold.colour.illuminants import Illuminant
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf

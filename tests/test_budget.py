@@ -15,14 +15,17 @@ from small_library import small_model
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli import budget_commands
-from manifold.colour import spectra
+from manifold.colour.conversion import interpolation_matrix, to_xyz
+from manifold.colour.difference import delta_e_2000
+from manifold.colour.illuminants import Illuminant
+from manifold.colour.reflectances import diffuse_reflectance
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.experiments.budget import example_scenes, reduced_file, representations, scene_survey
 from manifold.experiments.budget.pictures import Pictures
 from manifold.experiments.budget.scene_document import SceneDocument
 from manifold.experiments.budget.search import Tolerance
-from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.io_rgl import read_bsdf, rgl_wavelengths_nm, write_bsdf
 from manifold.model.manifold import Manifold
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Bands
@@ -213,7 +216,7 @@ def test_the_pre_pass_predicts_the_render_of_direct_light(tmp_path):
     f_cos = np.zeros((len(asked.wi), len(nm)))
     f_cos[asked.lit] = (
         brdf.eval_cos(asked.wi[asked.lit], asked.wo[asked.lit])
-        @ spectra.interpolation_matrix(np.asarray(BANDS.wavelengths_nm), nm).T
+        @ interpolation_matrix(np.asarray(BANDS.wavelengths_nm), nm).T
     )
     predicted = asked.radiance(f_cos).mean(axis=0)
     mi = backend.mitsuba("spectral", backend.Backend("scalar"))
@@ -266,29 +269,29 @@ def test_a_two_sided_surface_shows_the_side_that_is_seen(tmp_path):
 @pytest.mark.parametrize("count", [3, 5, 9])
 def test_few_bands_keep_the_colour_under_the_light(illuminant, count):
     bands = Bands.from_array(np.arange(360.0, 831.0, 5.0))
-    light = spectra.Illuminant.named(illuminant).at(np.asarray(bands.wavelengths_nm))
-    source = spectra.rgl_wavelengths_nm()
-    reflectance = spectra.diffuse_reflectance("ohta/orange", source)
+    light = Illuminant.named(illuminant).at(np.asarray(bands.wavelengths_nm))
+    source = rgl_wavelengths_nm()
+    reflectance = diffuse_reflectance("ohta/orange", source)
     nodes = reduced_file.band_nodes(bands, light, count)
     few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
     fine = Bands.from_array(source)
-    kept = spectra.interpolation_matrix(nodes, source) @ few
-    xyz, xyz_few = (spectra.to_xyz(values, fine, illuminant) for values in (reflectance, kept))
-    white = spectra.to_xyz(np.ones(len(source)), fine, illuminant)
-    assert float(spectra.delta_e_2000(xyz, xyz_few, white)) < 0.5
+    kept = interpolation_matrix(nodes, source) @ few
+    xyz, xyz_few = (to_xyz(values, fine, illuminant) for values in (reflectance, kept))
+    white = to_xyz(np.ones(len(source)), fine, illuminant)
+    assert float(delta_e_2000(xyz, xyz_few, white)) < 0.5
     assert np.all(np.diff(nodes) > 0)
 
 
 def test_more_bands_keep_more_of_the_spectrum():
     bands = Bands.from_array(np.arange(360.0, 831.0, 5.0))
-    light = spectra.Illuminant.named("D65").at(np.asarray(bands.wavelengths_nm))
+    light = Illuminant.named("D65").at(np.asarray(bands.wavelengths_nm))
     source = np.arange(400.0, 701.0, 5.0)
-    reflectance = spectra.diffuse_reflectance("ohta/orange", source)
+    reflectance = diffuse_reflectance("ohta/orange", source)
     errors = []
     for count in representations.BANDS:
         nodes = reduced_file.band_nodes(bands, light, count)
         few = reduced_file.band_projection(source, nodes, bands, light) @ reflectance
-        errors.append(np.abs(spectra.interpolation_matrix(nodes, source) @ few - reflectance).mean())
+        errors.append(np.abs(interpolation_matrix(nodes, source) @ few - reflectance).mean())
     assert errors == sorted(errors, reverse=True)
 
 

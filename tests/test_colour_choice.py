@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from small_library import small_library
 
-from manifold.colour.spectra import (
-    encode_srgb,
-    read_reflectance,
-    rgl_wavelengths_nm,
-    srgb_reflectance,
-    to_srgb,
-)
+from manifold.colour.conversion import encode_srgb, to_srgb
+from manifold.colour.reflectances import read_reflectance, srgb_reflectance
 from manifold.errors import FileFormatError, UsageError
+from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour, parse_srgb
 from manifold.model.manifold import Manifold, Settings

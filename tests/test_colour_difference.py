@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from manifold.colour.conversion import xyz_weights
 from manifold.colour.difference import (
     ASPECULAR_DEG,
     ILLUMINANTS,
     colour_differences,
+    delta_e_2000,
     illuminants_for,
     multi_angle_pairs,
 )
-from manifold.colour.spectra import delta_e_2000, illuminant_power, rgl_wavelengths_nm, xyz_weights
+from manifold.colour.illuminants import illuminant_power
 from manifold.errors import ShapeError
+from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands
 
 RGB = Bands(None)

@@ -8,7 +8,7 @@ from chi_square import chi_square_p_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from manifold.colour import spectra
+from manifold.colour.metals import metal_ior
 from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands
@@ -29,7 +29,7 @@ from manifold.synthetic.microfacet import (
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)
-GOLD = spectra.metal_ior("Au", NM)
+GOLD = metal_ior("Au", NM)
 RED = np.array([0.05, 0.1, 0.7])
 SKEW = np.array([[4.0, 5.0], [0.5, 3.0]])
 

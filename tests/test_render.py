@@ -15,10 +15,12 @@ import pytest
 from small_library import measured, small_model
 
 from manifold.cli.main import run as run_here
-from manifold.colour import spectra
-from manifold.colour.spectra import Illuminant
+from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, to_xyz, xyz_to_srgb
+from manifold.colour.difference import delta_e_2000
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
+from manifold.records import Bands
 from manifold.rendering import backend, image_metrics, images, render, scenes
 from manifold.rendering.render import RenderSettings, render_ball
 from manifold.synthetic import corpus
@@ -125,18 +127,18 @@ def test_a_spectral_render_has_the_colours_that_colour_science_integrates(name):
         },
     }  # fmt: skip
     xyz = render.render_scene(mi, mi.load_dict(scene), RenderSettings(size=8, samples=2000)).mean(axis=(0, 1))
-    nodes, responses = spectra.sensor_responses(Illuminant.named(name))
+    nodes, responses = sensor_responses(Illuminant.named(name))
     np.testing.assert_allclose(xyz, np.interp(nodes, nm, reflectance) @ responses, rtol=0.01)
 
 
 def test_sensor_responses_are_those_of_spectra(rng):
-    bands = spectra.Bands(tuple(np.linspace(380.0, 780.0, 41).tolist()))
+    bands = Bands(tuple(np.linspace(380.0, 780.0, 41).tolist()))
     values = rng.random(41)
-    nodes, responses = spectra.sensor_responses(Illuminant.named("F2"))
+    nodes, responses = sensor_responses(Illuminant.named("F2"))
     xyz = np.interp(nodes, bands.wavelengths_nm, values) @ responses
-    np.testing.assert_allclose(xyz, spectra.to_xyz(values, bands, "F2"), rtol=1e-9)
+    np.testing.assert_allclose(xyz, to_xyz(values, bands, "F2"), rtol=1e-9)
     white = responses.sum(axis=0)
-    np.testing.assert_allclose(spectra.xyz_to_srgb(white, white), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(xyz_to_srgb(white, white), 1.0, rtol=1e-6)
 
 
 def test_an_illuminant_from_a_file_is_the_illuminant(tmp_path):
@@ -160,7 +162,7 @@ def test_an_illuminant_from_a_file_is_the_illuminant(tmp_path):
 
 def test_tone_mapping_keeps_what_a_display_can_show_and_never_reaches_white():
     x = np.linspace(0.0, 0.7, 50)
-    np.testing.assert_allclose(spectra.decode_srgb(images.tone_map(x)), x, atol=1e-6)
+    np.testing.assert_allclose(decode_srgb(images.tone_map(x)), x, atol=1e-6)
     bright = images.tone_map(np.array([0.7, 0.8, 1.0, 2.0]))
     assert np.all(np.diff(bright) > 0)
     assert bright[-1] < 1.0
@@ -250,9 +252,9 @@ def test_ciede2000_maps_are_those_of_single_colours():
     a, b = np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 0.5)
     b[1, 2] = [0.6, 0.5, 0.4]
     found = image_metrics.ciede2000_map(a, b)
-    white = spectra.srgb_to_xyz(np.ones(3))
-    xyz = [spectra.srgb_to_xyz(spectra.decode_srgb(np.array(c))) for c in ([0.5, 0.5, 0.5], [0.6, 0.5, 0.4])]
-    assert found[1, 2] == pytest.approx(float(spectra.delta_e_2000(*xyz, white)), rel=1e-9)
+    white = srgb_to_xyz(np.ones(3))
+    xyz = [srgb_to_xyz(decode_srgb(np.array(c))) for c in ([0.5, 0.5, 0.5], [0.6, 0.5, 0.4])]
+    assert found[1, 2] == pytest.approx(float(delta_e_2000(*xyz, white)), rel=1e-9)
     assert np.count_nonzero(found > 1e-9) == 1
     with pytest.raises(ShapeError, match="expected the same"):
         image_metrics.ciede2000_map(a, b[:2])

@@ -8,11 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from manifold.colour import spectra
+from manifold.colour.conversion import luminance, to_srgb, to_xyz
+from manifold.colour.illuminants import illuminant_names
+from manifold.colour.metals import metal_ior, metal_names
+from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
 from manifold.errors import ShapeError, UsageError
+from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands
 
-WAVELENGTHS = spectra.rgl_wavelengths_nm()
+WAVELENGTHS = rgl_wavelengths_nm()
 BANDS = Bands.from_array(WAVELENGTHS)
 
 
@@ -25,73 +29,71 @@ def test_rgl_wavelengths_are_the_195_of_the_files():
 
 def test_metal_index_at_a_node_of_the_table_is_the_table_value():
     # Johnson & Christy's gold, line "551.040771" of both files.
-    eta, k = spectra.metal_ior("Au", np.array([551.040771]))
+    eta, k = metal_ior("Au", np.array([551.040771]))
     assert (eta[0], k[0]) == (0.3455, 2.730625)
 
 
 def test_every_shipped_metal_gives_finite_non_negative_indices_on_all_bands():
-    for name in spectra.metal_names():
-        eta, k = spectra.metal_ior(name, WAVELENGTHS)
+    for name in metal_names():
+        eta, k = metal_ior(name, WAVELENGTHS)
         assert eta.shape == k.shape == (195,)
         assert np.all(np.isfinite(eta) & np.isfinite(k) & (eta > 0) & (k >= 0)), name
 
 
 def test_metal_index_is_constant_beyond_its_table():
-    eta, _ = spectra.metal_ior("Au", np.array([885.601257, 950.0, 2000.0]))
+    eta, _ = metal_ior("Au", np.array([885.601257, 950.0, 2000.0]))
     assert eta[0] == eta[1] == eta[2]
 
 
 def test_unknown_metal_lists_the_known_ones():
     with pytest.raises(UsageError, match=r"'gold'.*Ag, Al.*Au"):
-        spectra.metal_ior("gold", WAVELENGTHS)
+        metal_ior("gold", WAVELENGTHS)
 
 
 def normal_incidence(metal: str) -> np.ndarray:
-    eta, k = spectra.metal_ior(metal, WAVELENGTHS)
+    eta, k = metal_ior(metal, WAVELENGTHS)
     return ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
 
 
 def test_gold_is_yellow_copper_is_red_and_silver_is_grey():
-    gold, copper, silver = (
-        spectra.to_srgb(normal_incidence(metal), BANDS, "D65") for metal in ("Au", "Cu", "Ag")
-    )
+    gold, copper, silver = (to_srgb(normal_incidence(metal), BANDS, "D65") for metal in ("Au", "Cu", "Ag"))
     assert gold[0] > gold[1] > 1.5 * gold[2]
     assert copper[0] > 1.2 * copper[1]
     assert np.ptp(silver) < 0.06
 
 
 def test_diffuse_reflectances_are_physical_on_all_bands():
-    names = spectra.diffuse_reflectance_names()
+    names = diffuse_reflectance_names()
     assert len(names) > 100
     for name in names:
-        value = spectra.diffuse_reflectance(name, WAVELENGTHS)
+        value = diffuse_reflectance(name, WAVELENGTHS)
         assert value.shape == (195,)
         assert np.all((value >= 0) & (value <= 1)), name
 
 
 def test_diffuse_reflectance_is_held_constant_outside_the_measured_range():
-    value = spectra.diffuse_reflectance("ohta/red", np.array([300.0, 380.0, 780.0, 1001.89]))
+    value = diffuse_reflectance("ohta/red", np.array([300.0, 380.0, 780.0, 1001.89]))
     assert value[0] == value[1]
     assert value[2] == value[3]
 
 
 def test_bare_reflectance_name_means_the_first_set():
-    bare, full = (spectra.diffuse_reflectance(n, WAVELENGTHS) for n in ("dark skin", "ohta/dark skin"))
+    bare, full = (diffuse_reflectance(n, WAVELENGTHS) for n in ("dark skin", "ohta/dark skin"))
     assert np.array_equal(bare, full)
 
 
 def test_unknown_reflectance_suggests_near_names():
     with pytest.raises(UsageError, match="did you mean dark skin"):
-        spectra.diffuse_reflectance("dark sken", WAVELENGTHS)
+        diffuse_reflectance("dark sken", WAVELENGTHS)
 
 
 def test_perfect_diffuser_has_luminance_one_and_is_white_under_every_illuminant():
-    names = spectra.illuminant_names()
+    names = illuminant_names()
     assert {"D65", "A", "E", "F2", "F11", "LED-B1"} <= set(names)
     for name in names:
-        assert spectra.to_xyz(np.ones(195), BANDS, name)[1] == pytest.approx(1.0, abs=1e-12), name
+        assert to_xyz(np.ones(195), BANDS, name)[1] == pytest.approx(1.0, abs=1e-12), name
         # rtol: rounding of a 3x3 inverse
-        np.testing.assert_allclose(spectra.to_srgb(np.ones(195), BANDS, name), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(to_srgb(np.ones(195), BANDS, name), 1.0, rtol=1e-12)
 
 
 def test_xyz_of_a_smooth_reflectance_agrees_with_colour_science():
@@ -106,7 +108,7 @@ def test_xyz_of_a_smooth_reflectance_agrees_with_colour_science():
             warnings.simplefilter("ignore")
             expected = colour.sd_to_XYZ(patch, illuminant=colour.SDS_ILLUMINANTS[name]) / 100
         # 2e-3: colour interpolates by Sprague's polynomial or sums at 5 nm, we are linear at 1 nm
-        np.testing.assert_allclose(spectra.to_xyz(patch.values, bands, name), expected, atol=2e-3)
+        np.testing.assert_allclose(to_xyz(patch.values, bands, name), expected, atol=2e-3)
 
 
 def test_colour_does_not_depend_on_how_unevenly_the_bands_are_placed(rng):
@@ -116,48 +118,48 @@ def test_colour_does_not_depend_on_how_unevenly_the_bands_are_placed(rng):
     def line(nm: np.ndarray) -> np.ndarray:
         return 0.2 + 0.6 * (nm - 360) / 470
 
-    a = spectra.to_xyz(line(uneven), Bands.from_array(uneven))
-    b = spectra.to_xyz(line(even), Bands.from_array(even))
+    a = to_xyz(line(uneven), Bands.from_array(uneven))
+    b = to_xyz(line(even), Bands.from_array(even))
     # a straight line is represented exactly by linear interpolation, whatever the nodes
     np.testing.assert_allclose(a, b, rtol=1e-12)
 
 
 def test_illuminant_a_without_adaptation_is_orange():
-    r, g, b = spectra.to_srgb(np.ones(195), BANDS, "A", adapt=False)
+    r, g, b = to_srgb(np.ones(195), BANDS, "A", adapt=False)
     assert r > g > 2 * b
 
 
 def test_rgb_values_keep_their_colour_and_give_the_luminance_of_rec_709():
     rgb = Bands(None)
     values = np.array([[0.2, 0.5, 0.7], [1.0, 1.0, 1.0]])
-    assert np.array_equal(spectra.to_srgb(values, rgb, "D65"), values)
-    y = spectra.luminance(values, rgb)
+    assert np.array_equal(to_srgb(values, rgb, "D65"), values)
+    y = luminance(values, rgb)
     np.testing.assert_allclose(y, values @ [0.2126, 0.7152, 0.0722], atol=1e-4)  # the standard's 4 digits
-    np.testing.assert_allclose(spectra.to_xyz(values, rgb)[:, 1], y, rtol=1e-12)
+    np.testing.assert_allclose(to_xyz(values, rgb)[:, 1], y, rtol=1e-12)
 
 
 def test_leading_axes_are_kept(rng):
     values = rng.random((2, 3, 195))
-    assert spectra.to_xyz(values, BANDS).shape == (2, 3, 3)
-    assert spectra.luminance(values, BANDS).shape == (2, 3)
+    assert to_xyz(values, BANDS).shape == (2, 3, 3)
+    assert luminance(values, BANDS).shape == (2, 3)
 
 
 def test_unknown_illuminant_suggests_near_names_even_for_rgb():
     for values, bands in ((np.ones(195), BANDS), (np.ones(3), Bands(None))):
         with pytest.raises(UsageError, match="did you mean D65"):
-            spectra.to_srgb(values, bands, "D66")
+            to_srgb(values, bands, "D66")
 
 
 def test_wrong_number_of_bands_is_refused():
     with pytest.raises(ShapeError, match="195"):
-        spectra.to_xyz(np.ones(194), BANDS)
+        to_xyz(np.ones(194), BANDS)
 
 
 def test_colour_is_imported_lazily_and_quietly():
     code = (
-        "import sys; from manifold import spectra; assert 'colour' not in sys.modules;"
-        "spectra.metal_ior('Au', [550.0]); assert 'colour' not in sys.modules;"
-        "assert 'mitsuba' not in sys.modules; spectra.illuminant_names()"
+        "import sys; from manifold import colour; assert 'colour' not in sys.modules;"
+        "colour.metal_ior('Au', [550.0]); assert 'colour' not in sys.modules;"
+        "assert 'mitsuba' not in sys.modules; colour.illuminant_names()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""

@@ -13,7 +13,7 @@ import numpy as np
 from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
 from manifold.brdf.measured import BRDF
 from manifold.brdf.warp import Warp, bilinear, interpolate
-from manifold.colour.spectra import luminance as luminance_of
+from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.colour.spectra import delta_e_2000, illuminant_power, to_xyz, xyz_weights
+from manifold.colour.conversion import to_xyz, xyz_weights
+from manifold.colour.illuminants import illuminant_power
+from manifold.colour.tables import colour_science
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError
 from manifold.metrics import spectral_angle
@@ -56,3 +58,22 @@ def colour_differences(f: Array, f_star: Array, bands: Bands, illuminant: str) -
     xyz, xyz_star = (to_xyz(np.pi * values, bands, illuminant) for values in (f, f_star))
     light = illuminant_power(bands, illuminant)
     return delta_e_2000(xyz, xyz_star, white), np.rad2deg(spectral_angle(f * light, f_star * light))
+
+
+def to_lab(xyz: Array, white: Array) -> Array:
+    """CIELAB (..., 3) of CIE XYZ (..., 3) seen under a white (3,) with Y = 1."""
+    white = np.asarray(white)
+    return np.asarray(colour_science().XYZ_to_Lab(np.asarray(xyz), white[:2] / np.sum(white)))
+
+
+def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
+    """CIEDE2000 between colours seen under one white, shape (...).
+
+    Args:
+        xyz, xyz_star: CIE XYZ, shape (..., 3), in the units of the white.
+        white: XYZ of the perfect diffuser, shape (3,), with Y = 1.
+    Source: CIE 142-2001; Sharma, Wu & Dalal 2005.
+    """
+    return np.asarray(
+        colour_science().delta_E(to_lab(xyz, white), to_lab(xyz_star, white), method="CIE 2000")
+    )

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from manifold.colour import spectra
+from manifold.colour.conversion import to_xyz
+from manifold.colour.difference import to_lab
 from manifold.errors import UsageError
 from manifold.fitting.bsdf_evaluation import Evaluator, bsdf_keys, evaluator, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter
@@ -196,7 +197,4 @@ def _angles(wi: Array, wo: Array) -> Array:
 
 def _lab(reflectance: Array, samples: FitSamples) -> Array:
     """CIELAB (..., 3) of linear sRGB reflectance; white is the perfect diffuser."""
-    xyz = spectra.to_xyz(reflectance, samples.bands) / spectra.to_xyz(np.ones(3), samples.bands)
-    t = np.where(xyz > (6 / 29) ** 3, np.cbrt(np.maximum(xyz, 0)), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
-    L = 116 * t[..., 1] - 16
-    return np.stack([L, 500 * (t[..., 0] - t[..., 1]), 200 * (t[..., 1] - t[..., 2])], axis=-1)
+    return to_lab(to_xyz(reflectance, samples.bands), to_xyz(np.ones(3), samples.bands))

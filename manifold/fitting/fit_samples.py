@@ -10,7 +10,7 @@ from manifold.brdf.cells import Cells
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.unmeasured import unmeasured_cells
 from manifold.brdf.warp import Warp
-from manifold.colour import spectra
+from manifold.colour.conversion import to_srgb
 from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
 from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
@@ -102,7 +102,7 @@ class FitSamples:
         """The same samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
         if self.bands.is_rgb:
             return self
-        return replace(self, f=spectra.to_srgb(self.f, self.bands), bands=Bands(None))
+        return replace(self, f=to_srgb(self.f, self.bands), bands=Bands(None))
 
 
 def _require_values(f: Array) -> None:

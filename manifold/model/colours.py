@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour import spectra
+from manifold.colour.reflectances import read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
 from manifold.model.manifold import Manifold
 from manifold.model.spaces import CurveSpace
@@ -78,11 +78,11 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         return ChosenColour(colours, words, float(np.abs(reached - model.reflectance(name)).max()))
     if choice.reflectance is not None:
         asked, words = (
-            spectra.read_reflectance(choice.reflectance, model.bands),
+            read_reflectance(choice.reflectance, model.bands),
             f"by {choice.reflectance.name}",
         )
     else:
-        asked = spectra.srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
+        asked = srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
         words = f"sRGB {choice.srgb}"
     colours, reached = model.colours_of_reflectance(x, asked)
     return ChosenColour(colours, words, float(np.abs(reached - asked).max()))

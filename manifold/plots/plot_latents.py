@@ -8,7 +8,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from manifold.colour import spectra
+from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import Box, new_figure
@@ -86,8 +86,8 @@ def _material_colours(model: Manifold) -> Array:
     """Display colour of each material: its directional albedo at 30 degrees under D65, shape (N, 3)."""
     wi = from_spherical(np.deg2rad(30.0), 0.0)
     albedo = np.stack([model.material(name).albedo(wi, resolution=16) for name in model.names])
-    linear = np.clip(spectra.to_srgb(albedo, model.bands), 0.0, 1.0)
-    return spectra.encode_srgb(linear)
+    linear = np.clip(to_srgb(albedo, model.bands), 0.0, 1.0)
+    return encode_srgb(linear)
 
 
 def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:

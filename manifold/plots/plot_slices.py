@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from manifold.colour import spectra
+from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.metrics import from_rusinkiewicz
@@ -108,9 +108,7 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
     images = []
     for source in sources:
         rgb = np.zeros((_IMAGE**2, 3))
-        rgb[above] = np.maximum(
-            spectra.to_srgb(source.brdf.eval(wi[above], wo[above]), source.brdf.bands), 0.0
-        )
+        rgb[above] = np.maximum(to_srgb(source.brdf.eval(wi[above], wo[above]), source.brdf.bands), 0.0)
         images.append(np.cbrt(rgb))
     seen = above & (theta_d.ravel() < np.deg2rad(75.0))
     white = max(float(np.percentile(image[seen], 99.5)) for image in images)
@@ -171,7 +169,7 @@ def _in_plane(theta_deg: Array) -> Array:
 def _channels(brdf: Evaluable, f: Array, wavelengths_nm: Sequence[float]) -> Array:
     """Values to draw, shape (P, rows)."""
     if not wavelengths_nm:
-        return spectra.to_srgb(f, brdf.bands)
+        return to_srgb(f, brdf.bands)
     if brdf.bands.wavelengths_nm is None:
         raise UsageError("wavelengths of an RGB material, expected none; leave --bands out")
     known = np.asarray(brdf.bands.wavelengths_nm)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.colour import spectra
+from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
+from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize
 from manifold.records import Array, Bands
 from manifold.rendering import scenes
@@ -63,15 +64,15 @@ class Ball:
             f: BRDF values at the direction pairs in 1/sr, shape (P, B).
             bands: of f.
         """
-        arrived = spectra.to_xyz(f, bands) * self.light[:, None]
-        white = spectra.to_xyz(np.ones(bands.count), bands)
-        linear = spectra.xyz_to_srgb(np.add.reduceat(arrived, self.starts, axis=0), white)
-        return spectra.srgb_to_xyz(np.clip(linear, 0.0, 1.0))
+        arrived = to_xyz(f, bands) * self.light[:, None]
+        white = to_xyz(np.ones(bands.count), bands)
+        linear = xyz_to_srgb(np.add.reduceat(arrived, self.starts, axis=0), white)
+        return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:
     """Mean CIEDE2000 between two balls, XYZ (K, 3) each."""
-    return float(np.mean(spectra.delta_e_2000(xyz, xyz_star, spectra.srgb_to_xyz(np.ones(3)))))
+    return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
 
 
 def ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> Ball:

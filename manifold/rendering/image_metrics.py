@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from manifold.colour import spectra
+from manifold.colour.conversion import decode_srgb, srgb_to_xyz, xyz_to_srgb
+from manifold.colour.difference import delta_e_2000, to_lab
 from manifold.errors import ShapeError
 from manifold.records import Array
 
@@ -52,10 +53,8 @@ class Summary:
 def ciede2000_map(display: Array, other: Array) -> Array:
     """CIEDE2000 between display values in [0, 1], shapes (H, W, 3), relative to the display's white; shape (H, W)."""
     require_pictures(display, other)
-    xyz, xyz_other = (
-        spectra.srgb_to_xyz(spectra.decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other)
-    )
-    return spectra.delta_e_2000(xyz, xyz_other, spectra.srgb_to_xyz(_WHITE))
+    xyz, xyz_other = (srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other))
+    return delta_e_2000(xyz, xyz_other, srgb_to_xyz(_WHITE))
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:
@@ -65,7 +64,7 @@ def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PE
         ShapeError: the pictures do not have the same size, or no three channels.
     """
     require_pictures(reference, test)
-    a, b = (_opponent(spectra.decode_srgb(np.clip(p, 0.0, 1.0))) for p in (reference, test))
+    a, b = (_opponent(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (reference, test))
     colour = _colour_difference(a, b, pixels_per_degree)
     feature = _feature_difference(a[..., 0], b[..., 0], pixels_per_degree)
     return colour ** (1.0 - feature)
@@ -96,7 +95,7 @@ def _colour_difference(a: Array, b: Array, pixels_per_degree: float) -> Array:
 
 def _opponent(linear: Array) -> Array:
     """Linear sRGB (..., 3) as `Y Cx Cz`: CIELAB without its cube root."""
-    x, y, z = np.moveaxis(spectra.srgb_to_xyz(linear) / spectra.srgb_to_xyz(_WHITE), -1, 0)
+    x, y, z = np.moveaxis(srgb_to_xyz(linear) / srgb_to_xyz(_WHITE), -1, 0)
     return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
 
 
@@ -104,7 +103,7 @@ def _from_opponent(opponent: Array) -> Array:
     """The inverse of `_opponent`."""
     y = (opponent[..., 0] + 16.0) / 116.0
     xyz = np.stack([y + opponent[..., 1] / 500.0, y, y - opponent[..., 2] / 200.0], axis=-1)
-    return spectra.xyz_to_srgb(xyz * spectra.srgb_to_xyz(_WHITE))
+    return xyz_to_srgb(xyz * srgb_to_xyz(_WHITE))
 
 
 def _filtered(opponent: Array, pixels_per_degree: float) -> Array:
@@ -130,12 +129,8 @@ def _filtered(opponent: Array, pixels_per_degree: float) -> Array:
 
 def _uniform(linear: Array) -> Array:
     """CIELAB of linear sRGB (..., 3), colours weighted by lightness as Hunt's effect has it."""
-    ratio = spectra.srgb_to_xyz(linear) / spectra.srgb_to_xyz(_WHITE)
-    delta = 6.0 / 29.0
-    f = np.where(ratio > delta**3, np.cbrt(ratio), ratio / (3.0 * delta**2) + 4.0 / 29.0)
-    lightness = 116.0 * f[..., 1] - 16.0
-    chroma = np.stack([500.0 * (f[..., 0] - f[..., 1]), 200.0 * (f[..., 1] - f[..., 2])], axis=-1)
-    return np.concatenate([lightness[..., None], 0.01 * lightness[..., None] * chroma], axis=-1)
+    lab = to_lab(srgb_to_xyz(linear), srgb_to_xyz(_WHITE))
+    return np.concatenate([lab[..., :1], 0.01 * lab[..., :1] * lab[..., 1:]], axis=-1)
 
 
 def _hyab(a: Array, b: Array) -> Array:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold import atomic
-from manifold.colour import spectra
+from manifold.colour.conversion import encode_srgb
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 from manifold.rendering import backend
@@ -26,7 +26,7 @@ def tone_map(linear: Array) -> Array:
     x = np.maximum(np.asarray(linear, dtype=np.float64), 0.0)
     rest = 1.0 - _KNEE
     bright = _KNEE + rest * -np.expm1(-np.maximum(x - _KNEE, 0.0) / rest)
-    return spectra.encode_srgb(np.where(x <= _KNEE, x, bright))
+    return encode_srgb(np.where(x <= _KNEE, x, bright))
 
 
 def require_image_path(path: Path) -> None:
@@ -88,7 +88,7 @@ def read_display(path: Path) -> Array:
     Raises: as `read_image`.
     """
     linear = read_image(path)
-    return spectra.encode_srgb(linear) if path.suffix.lower() in _DISPLAY_SUFFIXES else tone_map(linear)
+    return encode_srgb(linear) if path.suffix.lower() in _DISPLAY_SUFFIXES else tone_map(linear)
 
 
 def _reason(error: Exception) -> str:

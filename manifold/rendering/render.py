@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.colour import spectra
-from manifold.colour.spectra import Illuminant
+from manifold.colour.conversion import sensor_responses, xyz_to_srgb
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.records import Array, Progress
 from manifold.rendering import backend, scenes
@@ -83,7 +83,7 @@ def render_ball(
     film = colorimetric_film(mi, settings.size, settings.illuminant)
     scene = mi.load_dict(scenes.material_ball(mi, material, film, settings.environment))
     xyz = render_scene(mi, scene, settings, on_progress)
-    return spectra.xyz_to_srgb(xyz, spectra.sensor_responses(settings.illuminant)[1].sum(axis=0))
+    return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
 
 
 def require_d65(illuminant: Illuminant) -> None:
@@ -128,7 +128,7 @@ def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, A
 
     Environments of Mitsuba shine like D65, times a reflectance; what the film weighs by makes up for that.
     """
-    wavelengths_nm, responses = spectra.sensor_responses(illuminant)
+    wavelengths_nm, responses = sensor_responses(illuminant)
     seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)
     wavelengths_nm, responses = wavelengths_nm[seen], responses[seen]
     shining = _environment_spectrum(mi, wavelengths_nm)

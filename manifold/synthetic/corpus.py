@@ -17,9 +17,9 @@ import numpy as np
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF
 from manifold.brdf.unmeasured import find_rim
-from manifold.colour import spectra
+from manifold.colour.conversion import luminance, to_srgb
 from manifold.errors import UsageError
-from manifold.io_rgl import write_bsdf
+from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.recipes import anisotropic_recipes, isotropic_recipes
 
@@ -61,7 +61,7 @@ class Material:
 
 def rgl_bands() -> Bands:
     """The 195 bands of the RGL database, 358.63 to 1001.89 nm."""
-    return Bands.from_array(spectra.rgl_wavelengths_nm())
+    return Bands.from_array(rgl_wavelengths_nm())
 
 
 def isotropic_materials() -> tuple[Material, ...]:
@@ -168,16 +168,16 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator) -> BsdfFile:
     # A few cells are unmeasured: no value in any band.
     lost = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
     values[lost] = 0.0
-    luminance = np.maximum(spectra.luminance(values, file.bands), 0.0).astype(np.float32)
+    relative_luminance = np.maximum(luminance(values, file.bands), 0.0).astype(np.float32)
     return replace(
         file,
         spectra=np.moveaxis(values, -1, 2),
-        luminance=luminance,
+        luminance=relative_luminance,
         valid=goniometer.pack_valid(measured & ~rim & ~lost, file.version),
     )
 
 
 def _to_rgb(file: BsdfFile) -> BsdfFile:
     """The file in linear sRGB, as the database derives its RGB files; they say version 1.0."""
-    rgb = spectra.to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
+    rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
     return replace(file, version=(1, 0), wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))

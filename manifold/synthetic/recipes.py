@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.colour import spectra
+from manifold.colour.metals import metal_ior
+from manifold.colour.reflectances import diffuse_reflectance
 from manifold.records import Array, Bands
 from manifold.synthetic.microfacet import (
     GGX,
@@ -32,7 +33,7 @@ _VARNISH = np.array(1.5)  # index of refraction of paints, papers and coats
 
 def _pigment(spectrum: str, bands: Bands, scale: float = 1.0) -> Array:
     """A reflectance per band, kept below that of a perfect white."""
-    return np.clip(scale * spectra.diffuse_reflectance(spectrum, np.array(bands.wavelengths_nm)), 0.0, 0.97)
+    return np.clip(scale * diffuse_reflectance(spectrum, np.array(bands.wavelengths_nm)), 0.0, 0.97)
 
 
 def _felt(spectrum: str, fuzz: float, scale: float = 1.0) -> Recipe:
@@ -77,7 +78,7 @@ def _chrome(spectrum: str | None, alpha: float) -> Recipe:
         for width in (alpha, 4.0 * alpha):
             ggx = GGX.isotropic(width)
             if spectrum is None:
-                eta, k = spectra.metal_ior("Cr", np.array(bands.wavelengths_nm))
+                eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
                 lobes.append(RoughConductor(ggx, eta, k, bands))
             else:
                 lobes.append(_tinted_metal(ggx, _pigment(spectrum, bands, 1.4), bands))
@@ -90,7 +91,7 @@ def _flake(spectrum: str, flake: float, coat: float) -> Recipe:
     """Car paint: aluminium flakes among pigment under a glossy clear coat."""
 
     def recipe(bands: Bands) -> BRDF:
-        eta, k = spectra.metal_ior("Al", np.array(bands.wavelengths_nm))
+        eta, k = metal_ior("Al", np.array(bands.wavelengths_nm))
         colour = _pigment(spectrum, bands)
         flakes = RoughConductor(GGX.isotropic(flake), eta, k, bands)
         tinted = _tinted_metal(GGX.isotropic(1.5 * flake), colour, bands)
@@ -104,7 +105,7 @@ def _iridescent(thickness_nm: float, alpha: float, spectrum: str) -> Recipe:
     """Interference pigment: a thin film of high index on absorbing platelets, over a dark base."""
 
     def recipe(bands: Bands) -> BRDF:
-        eta, k = spectra.metal_ior("Cr", np.array(bands.wavelengths_nm))
+        eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
         film = ThinFilm(GGX.isotropic(alpha), np.array(1.9), thickness_nm, eta, k, bands)
         base = MixedBRDF([(0.6, film), (0.4, Lambert(0.4 * _pigment(spectrum, bands), bands))])
         return Layered(RoughDielectric(GGX.isotropic(0.06), _VARNISH, bands), base)
@@ -114,7 +115,7 @@ def _iridescent(thickness_nm: float, alpha: float, spectrum: str) -> Recipe:
 
 def _metal(name: str, ggx: GGX) -> Recipe:
     def recipe(bands: Bands) -> BRDF:
-        eta, k = spectra.metal_ior(name, np.array(bands.wavelengths_nm))
+        eta, k = metal_ior(name, np.array(bands.wavelengths_nm))
         return RoughConductor(ggx, eta, k, bands)
 
     return recipe

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
-from manifold.colour.spectra import Illuminant
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf

@@ -10,8 +10,8 @@ from types import MappingProxyType
 import numpy as np
 
 from manifold import atomic
-from manifold.colour import spectra
-from manifold.colour.spectra import Illuminant
+from manifold.colour.conversion import sensor_responses
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.synthetic import corpus
@@ -102,8 +102,8 @@ def _radiance(illuminant: str, luminance: float) -> str:
     """A light's spectrum as an element, every 5 nm, scaled to a luminance."""
     light = Illuminant.named(illuminant)
     nm = np.arange(360.0, 831.0, 5.0)
-    _, matching = spectra.sensor_responses(Illuminant.named("E"))
-    nodes, _ = spectra.sensor_responses(light)
+    _, matching = sensor_responses(Illuminant.named("E"))
+    nodes, _ = sensor_responses(light)
     power = light.at(nm) * luminance / np.sum(light.at(nodes) * matching[:, 1])
     values = ", ".join(f"{v:.5g}" for v in power)
     wavelengths = ", ".join(f"{v:g}" for v in nm)

@@ -10,7 +10,8 @@ from manifold.brdf import goniometer
 from manifold.brdf.cells import HORIZON, Cells
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp, bilinear, interpolate
-from manifold.colour import spectra
+from manifold.colour.conversion import interpolation_matrix, luminance, sensor_responses
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
 
@@ -49,13 +50,13 @@ def band_projection(source: Array, nodes: Array, bands: Bands, light: Array) -> 
     sensed = _sensed(bands, light)
     level = np.sqrt(sensed.sum(axis=1) / sensed.sum() + 1e-3 / len(_SEEN_NM))[:, None]
     rows = np.concatenate([_COLOUR_WEIGHT * sensed.T / sensed[:, 1].sum(), level * np.eye(len(_SEEN_NM))])
-    fine = [spectra.interpolation_matrix(of, _SEEN_NM) for of in (nodes, source)]
+    fine = [interpolation_matrix(of, _SEEN_NM) for of in (nodes, source)]
     return np.linalg.lstsq(rows @ fine[0], rows @ fine[1], rcond=None)[0]
 
 
 def _sensed(bands: Bands, light: Array) -> Array:
     """What the observer's three channels weigh reflectances by under a light, shape (len(_SEEN_NM), 3)."""
-    nm, matching = spectra.sensor_responses(spectra.Illuminant.named("E"))
+    nm, matching = sensor_responses(Illuminant.named("E"))
     power = np.interp(_SEEN_NM, np.asarray(bands.wavelengths_nm), light)
     return np.stack([np.interp(_SEEN_NM, nm, column) for column in matching.T], axis=1) * power[:, None]
 
@@ -109,7 +110,7 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
         file,
         theta_i_rad=theta.copy(),
         vndf=vndf,
-        luminance=np.maximum(spectra.luminance(values, file.bands), 0.0).astype(np.float32),
+        luminance=np.maximum(luminance(values, file.bands), 0.0).astype(np.float32),
         spectra=np.ascontiguousarray(np.moveaxis(values, -1, 2)),
         valid=goniometer.pack_valid(measured, file.version),
         extra={},
@@ -119,9 +120,7 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
 def _resampled(values: Array, n: int) -> Array:
     """Node values (..., R, C) interpolated to n nodes per axis, float32."""
     at = np.linspace(0.0, 1.0, n)
-    rows, columns = (
-        spectra.interpolation_matrix(np.linspace(0.0, 1.0, size), at) for size in values.shape[-2:]
-    )
+    rows, columns = (interpolation_matrix(np.linspace(0.0, 1.0, size), at) for size in values.shape[-2:])
     return np.ascontiguousarray(rows @ values @ columns.T, dtype=np.float32)
 
 

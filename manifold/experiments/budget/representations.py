@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import spectra
+from manifold.colour.conversion import interpolation_matrix, to_srgb
 from manifold.errors import UsageError
 from manifold.experiments.budget import reduced_file
 from manifold.experiments.budget.scene_survey import Asked, Survey
@@ -96,7 +96,7 @@ class _Builder:
         """Values (..., B) in the bands of the light, (..., L)."""
         if bands.is_rgb:
             return values
-        return values @ spectra.interpolation_matrix(_nm(bands), _nm(self.asked.bands)).T
+        return values @ interpolation_matrix(_nm(bands), _nm(self.asked.bands)).T
 
     def difference(self, seen: Array) -> float:
         """Mean CIEDE2000 to the reference."""
@@ -250,7 +250,7 @@ def _add_rgb_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> 
 
 def _add_spectral_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> None:
     asked, bands = builder.asked, builder.file.bands
-    colour = _rgb(spectra.to_srgb(albedo, bands))
+    colour = _rgb(to_srgb(albedo, bands))
     in_light = _upsampled(colour, asked.bands)
     builder.add_numbers(
         "diffuse, RGB", {"type": "diffuse", "reflectance": colour}, 3, builder.seen(_lambert(in_light))

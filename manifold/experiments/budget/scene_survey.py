@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from manifold.colour import spectra
-from manifold.colour.spectra import Illuminant
+from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
+from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.experiments.budget.scene_document import SceneDocument
 from manifold.records import Array, Bands
@@ -68,7 +68,7 @@ class Asked:
     def radiance(self, f_cos: Array) -> Array:
         """What the camera sees at the pixels for f_cos (M, L) in 1/sr, as XYZ or linear sRGB, shape (P, 3)."""
         seen = (self.light * f_cos).reshape(-1, LIGHT_SAMPLES, self.bands.count).mean(axis=1)
-        return seen if self.bands.is_rgb else seen @ spectra.xyz_weights(self.bands, "E")
+        return seen if self.bands.is_rgb else seen @ xyz_weights(self.bands, "E")
 
     @property
     def white(self) -> Array:
@@ -106,7 +106,7 @@ class Survey:
         """XYZ or linear sRGB (..., 3) as display values in [0, 1], exposed and white-adapted, tone-mapped."""
         if self.bands.is_rgb:
             return images.tone_map(radiance / self.white)
-        return images.tone_map(spectra.xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
+        return images.tone_map(xyz_to_srgb(radiance / self.white[1], self.white / self.white[1]))
 
     def film(self) -> dict[str, Any]:
         """The film for renders whose first three channels `display` takes.
@@ -118,7 +118,7 @@ class Survey:
         common = {"width": width, "height": height, "rfilter": {"type": "box"}}
         if self.bands.is_rgb:
             return {"type": "hdrfilm", "pixel_format": "rgb", **common}
-        nm, matching = spectra.sensor_responses(Illuminant.named("E"))
+        nm, matching = sensor_responses(Illuminant.named("E"))
         light = np.mean([asked.spectrum for asked in self.asked.values()], axis=0)
         steering = np.interp(nm, _WAVELENGTHS_NM, light, left=0.0, right=0.0) * matching.sum(axis=1)
         steering *= 30.0 * matching.sum() / steering.sum()

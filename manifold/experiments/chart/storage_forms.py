@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.colour import spectra
+from manifold.colour.conversion import interpolation_matrix
+from manifold.colour.illuminants import illuminant_power
 from manifold.experiments.budget import reduced_file
 from manifold.records import Array, Bands, BsdfFile
 
@@ -77,11 +78,11 @@ def few_angles(*, outgoing: int = 1, incident: int = 1) -> Storage:
 def interpolation(bands: Bands, count: int) -> Array:
     """The matrix (B, r) from r kept bands back to all."""
     nodes, _ = _projection(bands, count)
-    return spectra.interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
+    return interpolation_matrix(nodes, np.asarray(bands.wavelengths_nm))
 
 
 def _projection(bands: Bands, count: int) -> tuple[Array, Array]:
-    light = spectra.illuminant_power(bands, "D65")
+    light = illuminant_power(bands, "D65")
     nodes = reduced_file.band_nodes(bands, light, count)
     return nodes, reduced_file.band_projection(np.asarray(bands.wavelengths_nm), nodes, bands, light)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.colour import spectra
+from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.experiments.stability.bench import Bench
 from manifold.experiments.stability.trials import Found, Mode, Trial
@@ -175,7 +175,7 @@ def _colour(method: str) -> Trial:
             method=method,
             options=_OPTIONS.get(method),
         )
-        error = np.abs(np.array(found.values["base_color"]) - spectra.to_srgb(green, bands)).max()
+        error = np.abs(np.array(found.values["base_color"]) - to_srgb(green, bands)).max()
         return Found(float(error), _said(found, "Rec. 709", "no minimum"))
 
     return trial

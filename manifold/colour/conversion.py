@@ -1,0 +1,146 @@
+"""From bands to CIE XYZ and sRGB, and between those."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from manifold.colour.illuminants import Illuminant, illuminant_key
+from manifold.colour.tables import colour_science, distribution, frozen
+from manifold.errors import ShapeError, UsageError
+from manifold.records import Array, Bands
+
+OBSERVER = "CIE 1931 2 Degree Standard Observer"
+"""The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
+
+
+def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
+    """CIE XYZ of reflectance-like spectra; a perfect diffuser has Y = 1 under every illuminant.
+
+    The spectrum is taken as piecewise linear between the bands and constant beyond them, and integrated
+    at 1 nm against the illuminant times the 2 degree observer of 1931. Linear sRGB values (RGB bands) carry
+    no spectrum: they are converted by the sRGB matrix, and the illuminant is only checked to exist.
+
+    Args:
+        values: spectra, shape (..., B).
+        bands: their B bands.
+        illuminant: one of `illuminant_names()`.
+    Returns:
+        XYZ, shape (..., 3).
+    Raises:
+        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+        ShapeError: the last axis of `values` is not B.
+    """
+    return _require_bands(values, bands) @ xyz_weights(bands, illuminant)
+
+
+def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool = True) -> Array:
+    """Linear sRGB (Rec. 709 primaries, not clipped) of reflectance-like spectra, shape (..., 3).
+
+    With `adapt` the illuminant's white is adapted to D65 (Bradford), so a perfect diffuser is (1, 1, 1)
+    under every illuminant, as it is for the eye; without it, things lit by illuminant A look orange. RGB
+    bands are linear sRGB already and are returned as they are.
+
+    Args, raises: as `to_xyz`.
+    """
+    values = _require_bands(values, bands)
+    weights = xyz_weights(bands, illuminant)
+    if bands.is_rgb:
+        return values.copy()
+    return values @ xyz_to_srgb(weights, weights.sum(axis=0) if adapt else None)
+
+
+def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
+    """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
+
+    D65 is the choice that agrees with the Y of linear sRGB, so spectral and RGB materials compare.
+
+    Args, raises: as `to_xyz`.
+    """
+    return _require_bands(values, bands) @ xyz_weights(bands, illuminant)[:, 1]
+
+
+def xyz_weights(bands: Bands, illuminant: str = "D65") -> Array:
+    """The read-only matrix (B, 3) that takes band values to XYZ; see `to_xyz`.
+
+    Raises:
+        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+    """
+    return _xyz_weights(bands, illuminant_key(illuminant))
+
+
+@lru_cache(maxsize=64)
+def _xyz_weights(bands: Bands, illuminant: str) -> Array:
+    if bands.is_rgb:
+        return frozen(srgb_matrix().T.copy())
+    nodes, weights = sensor_responses(Illuminant.named(illuminant))
+    return frozen(interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ weights)
+
+
+def sensor_responses(illuminant: Illuminant) -> tuple[Array, Array]:
+    """What a colorimetric sensor weighs reflectance by: the light times the matching functions.
+
+    Returns:
+        wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ
+        of the perfect diffuser, with Y = 1.
+    Raises:
+        UsageError: the light has no power where the observer sees.
+    """
+    nodes, matching = distribution(colour_science().MSDS_CMFS[OBSERVER])
+    stimulus = illuminant.at(nodes)[:, None] * matching
+    total = stimulus[:, 1].sum()
+    if total <= 0.0:
+        raise UsageError(
+            f"illuminant {illuminant.name!r} gives no visible light; choose another, such as D65"
+        )
+    return nodes, stimulus / total
+
+
+def interpolation_matrix(nodes: Array, at: Array) -> Array:
+    """The matrix (K, n) of linear interpolation from n nodes to K points, constant beyond the ends."""
+    return np.stack([np.interp(at, nodes, row) for row in np.eye(len(nodes))], axis=1)
+
+
+def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
+    """Linear sRGB (not clipped) of XYZ (..., 3), seen under a white (3,) that becomes (1, 1, 1); D65 by default."""
+    to_rgb = np.linalg.inv(srgb_matrix())
+    if white is not None:
+        to_rgb = to_rgb @ _adaptation(np.asarray(white, float), srgb_matrix().sum(axis=1))
+    return np.asarray(xyz) @ to_rgb.T
+
+
+def srgb_to_xyz(linear: Array) -> Array:
+    """CIE XYZ of linear sRGB (..., 3); white is that of D65 with Y = 1."""
+    return np.asarray(linear) @ srgb_matrix().T
+
+
+def encode_srgb(linear: Array) -> Array:
+    """Linear sRGB in [0, 1], shape (..., 3), as display values in [0, 1] (IEC 61966-2-1)."""
+    return np.asarray(colour_science().models.eotf_inverse_sRGB(np.clip(linear, 0.0, 1.0)))
+
+
+def decode_srgb(display: Array) -> Array:
+    """Linear sRGB of display values in [0, 1], any shape (IEC 61966-2-1)."""
+    return np.asarray(colour_science().models.eotf_sRGB(np.asarray(display, dtype=np.float64)))
+
+
+@lru_cache(maxsize=1)
+def srgb_matrix() -> Array:
+    """The matrix (3, 3) from linear sRGB to XYZ, from the primaries and white: the standard rounds it."""
+    colour = colour_science()
+    srgb = colour.RGB_COLOURSPACES["sRGB"]
+    return frozen(np.asarray(colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint), float))
+
+
+def _adaptation(white: Array, target: Array) -> Array:
+    """Bradford's matrix (3, 3) that takes XYZ seen under one white to XYZ seen under another."""
+    adaptation = colour_science().adaptation
+    return np.asarray(adaptation.matrix_chromatic_adaptation_VonKries(white, target, transform="Bradford"))
+
+
+def _require_bands(values: Array, bands: Bands) -> Array:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim == 0 or values.shape[-1] != bands.count:
+        raise ShapeError(f"values have shape {values.shape}, expected (..., {bands.count}) for {bands}")
+    return values

@@ -1,0 +1,98 @@
+"""Lights by their relative spectral power: CIE illuminants and measured ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from manifold.colour.columns import read_columns
+from manifold.colour.tables import colour_science, distribution, near_names
+from manifold.errors import FileFormatError, UsageError
+from manifold.records import Array, Bands
+
+_MOST_POWER = 1e30  # renders are in single precision
+
+# CIE's names of the fluorescent illuminants, which colour-science calls FL1 to FL12.
+_CIE_FLUORESCENT = {f"F{i}": f"FL{i}" for i in range(1, 13)}
+
+
+def illuminant_names() -> tuple[str, ...]:
+    """The illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
+    return (*colour_science().SDS_ILLUMINANTS, *_CIE_FLUORESCENT)
+
+
+@dataclass(frozen=True)
+class Illuminant:
+    """The relative spectral power of a light.
+
+    Attributes:
+        name: of a CIE illuminant, or of the file it was read from.
+        wavelengths_nm: increasing.
+        power: one value per wavelength, linear between, 0 beyond.
+    """
+
+    name: str
+    wavelengths_nm: tuple[float, ...]
+    power: tuple[float, ...]
+
+    @classmethod
+    def named(cls, name: str) -> Illuminant:
+        """One of `illuminant_names()`.
+
+        Raises:
+            UsageError: there is no such illuminant.
+        """
+        nodes, power = distribution(colour_science().SDS_ILLUMINANTS[illuminant_key(name)])
+        return cls(name, tuple(nodes.tolist()), tuple(power.tolist()))
+
+    @classmethod
+    def read(cls, path: Path) -> Illuminant:
+        """A text file of two columns, wavelength in nm and power in any unit; laid out as in `read_reflectance`.
+
+        Raises:
+            FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or power is negative.
+            UsageError: the file cannot be read.
+        """
+        nm, power = read_columns(path, "power")
+        if power.min() < 0 or not 0 < power.max() < _MOST_POWER:
+            raise FileFormatError(
+                f"{path}: powers from {power.min():g} to {power.max():g}, expected none below 0, one above, and none "
+                f"of {_MOST_POWER:g} or more"
+            )
+        return cls(path.name, tuple(nm.tolist()), tuple(power.tolist()))
+
+    @property
+    def is_d65(self) -> bool:
+        """Whether it is the light of linear sRGB."""
+        return self.name == "D65"
+
+    def at(self, wavelengths_nm: Array) -> Array:
+        """Power at wavelengths in nm, any shape."""
+        return np.interp(wavelengths_nm, self.wavelengths_nm, self.power, left=0.0, right=0.0)
+
+
+def illuminant_power(bands: Bands, illuminant: str) -> Array:
+    """Relative spectral power of an illuminant at the bands, shape (B,); 1 for RGB bands.
+
+    0 where its table does not reach.
+
+    Raises:
+        UsageError: there is no such illuminant.
+    """
+    lamp = Illuminant.named(illuminant)
+    return np.ones(bands.count) if bands.is_rgb else lamp.at(np.asarray(bands.wavelengths_nm))
+
+
+def illuminant_key(name: str) -> str:
+    """An illuminant's name in colour-science.
+
+    Raises:
+        UsageError: there is no such illuminant.
+    """
+    key = _CIE_FLUORESCENT.get(name, name)
+    # colour's mappings ignore case in look-ups; membership by list keeps one spelling per illuminant.
+    if key not in list(colour_science().SDS_ILLUMINANTS):
+        raise UsageError(f"no illuminant named {name!r}; {near_names(name, illuminant_names())}")
+    return key

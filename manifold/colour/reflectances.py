@@ -1,0 +1,116 @@
+"""Reflectance spectra: measured ones by name, from files, and smooth ones that look like a given colour."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from manifold.colour.columns import read_columns
+from manifold.colour.conversion import to_srgb
+from manifold.colour.tables import colour_science, distribution, near_names
+from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.records import Array, Bands
+
+_VISIBLE_NM = (400.0, 700.0)
+
+
+def diffuse_reflectance_names() -> tuple[str, ...]:
+    """The spectra `diffuse_reflectance` knows, as `set/name`.
+
+    Sets: `ohta`, `babel` and `iso17321` (the 24 patches of a ColorChecker, three measurements), `pmc` (skin,
+    fruit, grass and other objects of daily life), `tcs` (CIE test colour samples), `vs` (NIST colour
+    quality samples).
+    """
+    return tuple(_reflectances())
+
+
+def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
+    """A measured diffuse reflectance, in [0, 1], in the shape of `wavelengths_nm`.
+
+    Interpolated linearly and held constant outside the measured range, which is 380 to 730 nm (`babel`),
+    380 to 780 (`ohta`, `iso17321`), 400 to 700 (`pmc`), or 360 to 830 (`tcs`, `vs`): the ultraviolet and
+    infrared bands of RGL files are continuations, not measurements.
+
+    Args:
+        name: one of `diffuse_reflectance_names()`, or its part after the slash, which means the first set
+            that has it (`dark skin` is `ohta/dark skin`).
+        wavelengths_nm: wavelengths in nm, any shape.
+    Raises:
+        UsageError: there is no such spectrum.
+    Source: colour-science's `SDS_COLOURCHECKERS`, `SDS_TCS`, `SDS_VS`.
+    """
+    known = _reflectances()
+    key = name if name in known else next((k for k in known if k.split("/", 1)[1] == name), None)
+    if key is None:
+        plain = [k.split("/", 1)[1] for k in known]
+        raise UsageError(f"no reflectance named {name!r}; {near_names(name, [*known, *plain])}")
+    return np.clip(np.interp(wavelengths_nm, *known[key]), 0.0, 1.0)
+
+
+def srgb_reflectance(display: Array, bands: Bands) -> Array:
+    """A smooth reflectance that looks like an sRGB colour under D65, in [0, 1], shape (B,).
+
+    Of RGB bands, the linear colour itself.
+
+    Args:
+        display: encoded sRGB values in [0, 1], shape (3,).
+        bands: the spectral axis.
+    Raises:
+        ShapeError: the colour is not three values in [0, 1].
+    Source: Mallett & Yuksel 2019, whose three basis spectra sum to 1; held constant outside 380 to 780 nm.
+    """
+    display = np.asarray(display, dtype=np.float64)
+    if display.shape != (3,) or not np.all((display >= 0) & (display <= 1)):
+        raise ShapeError(f"an sRGB colour is {display.tolist()}, expected three values from 0 to 1")
+    linear = np.asarray(colour_science().models.eotf_sRGB(display), float)
+    if bands.is_rgb:
+        return linear
+    nodes, values = distribution(colour_science().recovery.RGB_to_sd_Mallett2019(linear))
+    return np.clip(np.interp(np.asarray(bands.wavelengths_nm), nodes, values), 0.0, 1.0)
+
+
+def read_reflectance(path: Path, bands: Bands) -> Array:
+    """A reflectance spectrum from a text file, interpolated to the bands, shape (B,).
+
+    The file has two columns, wavelength in nm and reflectance from 0 to 1, separated by commas or blanks; lines
+    before the first that holds numbers are skipped, and those that begin with #. Outside the file's range the ends
+    are held. Of RGB bands: its linear sRGB colour under D65.
+
+    Raises:
+        FileFormatError: there are not two rows of two such numbers, wavelengths repeat, or less than half of what
+            is visible is covered.
+        UsageError: the file cannot be read.
+    """
+    nm, values = read_columns(path, "reflectance")
+    if values.min() < 0 or values.max() > 1:
+        raise FileFormatError(
+            f"{path}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; divide percent by 100"
+        )
+    low, high = _VISIBLE_NM
+    if min(nm[-1], high) - max(nm[0], low) < 0.5 * (high - low):
+        raise FileFormatError(
+            f"{path}: covers {nm[0]:g} to {nm[-1]:g} nm, expected most of {low:g} to {high:g} nm"
+        )
+    if bands.is_rgb:
+        return np.clip(to_srgb(values, Bands(tuple(nm.tolist()))), 0.0, 1.0)
+    return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+
+
+@lru_cache(maxsize=1)
+def _reflectances() -> dict[str, tuple[Array, Array]]:
+    """All measured reflectances by `set/name`: wavelengths in nm and values."""
+    colour = colour_science()
+    from colour.quality.datasets import SDS_TCS, SDS_VS
+
+    checkers = colour.SDS_COLOURCHECKERS
+    sets = {
+        "ohta": checkers["ColorChecker N Ohta"],
+        "pmc": checkers["PMC"],
+        "tcs": SDS_TCS["CIE 1995"],
+        "vs": SDS_VS["NIST CQS 9.0"],
+        "babel": checkers["BabelColor Average"],
+        "iso17321": checkers["ISO 17321-1"],
+    }
+    return {f"{s}/{name}": distribution(t) for s, table in sets.items() for name, t in table.items()}

@@ -138,7 +138,7 @@ class RoughConductor(_RoughReflector):
 
     Attributes:
         ggx: the microsurface.
-        eta, k: complex index eta + i k, shape (B,) each; `spectra.metal_ior` has measured ones.
+        eta, k: complex index eta + i k, shape (B,) each; `colour.metal_ior` has measured ones.
         bands: the spectral axis.
         multiple_scattering: whether to return the light that single scattering loses.
     """

@@ -36,6 +36,10 @@ class NumericalError(ManifoldError):
     """A factorisation or an iteration failed."""
 
 
+class RendererError(ManifoldError):
+    """Mitsuba, which rendering and fitting need, is missing."""
+
+
 class UsageError(ManifoldError):
     """A value given by the user cannot be used."""
 

@@ -14,7 +14,7 @@ from small_library import measured
 
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
-from manifold.rendering import backend
+from manifold.rendering import backend, libllvm
 
 PROGRAM = [sys.executable, "-c", "from manifold.cli.main import run; run()"]
 
@@ -24,7 +24,7 @@ def own_cache(tmp_path, monkeypatch):
     """Answers remembered in a folder of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(backend.RENDERER_VARIABLE, raising=False)
-    monkeypatch.delenv(backend.LIBRARY_VARIABLE, raising=False)
+    monkeypatch.delenv(libllvm.LIBRARY_VARIABLE, raising=False)
 
 
 def library_file(folder: Path, version: int) -> Path:
@@ -40,7 +40,7 @@ def test_the_first_library_that_works_is_chosen_and_later_ones_are_not_tried(tmp
 
     def attempt(path):
         tried.append(path)
-        return backend.WORKS
+        return libllvm.WORKS
 
     chosen = backend.choose_among([new, old], attempt)
     assert chosen.is_llvm
@@ -57,15 +57,15 @@ def test_without_a_library_that_works_the_advice_is_one_line_that_names_them(tmp
     assert "\n" not in chosen.advice
     for expected in ("libLLVM-15.so kills the process", "libLLVM-14.so is too old", "install"):
         assert expected in chosen.advice
-    assert "no libLLVM" in backend.choose_among([], backend.probe).advice
+    assert "no libLLVM" in backend.choose_among([], libllvm.probe).advice
 
 
 def test_answers_are_remembered_until_the_file_changes(tmp_path):
     path = library_file(tmp_path, 18)
-    assert backend.choose_among([path], lambda _: "fails").probes[0] == backend.Probe(path, "fails")
+    assert backend.choose_among([path], lambda _: "fails").probes[0] == libllvm.Probe(path, "fails")
     again = backend.choose_among([path], lambda _: pytest.fail("tried again"))
-    assert again.probes[0] == backend.Probe(path, "fails", remembered=True)
-    assert backend.choose_among([path], lambda _: backend.WORKS, refresh=True).is_llvm
+    assert again.probes[0] == libllvm.Probe(path, "fails", remembered=True)
+    assert backend.choose_among([path], lambda _: libllvm.WORKS, refresh=True).is_llvm
     path.write_bytes(b"another library")
     assert backend.choose_among([path], lambda _: "fails again").probes[0].outcome == "fails again"
 
@@ -77,18 +77,18 @@ def test_answers_are_remembered_until_the_file_changes(tmp_path):
 def test_what_tells_of_a_busy_machine_is_tried_again(tmp_path, outcome):
     path = library_file(tmp_path, 18)
     assert backend.choose_among([path], lambda _: outcome).kind == "scalar"
-    assert backend.choose_among([path], lambda _: backend.WORKS).is_llvm
+    assert backend.choose_among([path], lambda _: libllvm.WORKS).is_llvm
 
 
 def test_a_cache_that_cannot_be_used_is_no_error(tmp_path, monkeypatch):
     path = library_file(tmp_path, 18)
     backend.choose_among([path], lambda _: "fails")
-    backend.cache_path().write_text("{ no json")
-    assert backend.choose_among([path], lambda _: backend.WORKS).is_llvm
+    libllvm.cache_path().write_text("{ no json")
+    assert backend.choose_among([path], lambda _: libllvm.WORKS).is_llvm
     in_the_way = tmp_path / "file"
     in_the_way.write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(in_the_way))
-    assert backend.choose_among([path], lambda _: backend.WORKS).is_llvm
+    assert backend.choose_among([path], lambda _: libllvm.WORKS).is_llvm
 
 
 def test_the_environment_variable_forces_a_backend(tmp_path, monkeypatch):
@@ -101,12 +101,12 @@ def test_the_environment_variable_forces_a_backend(tmp_path, monkeypatch):
         backend.choose_among([path], lambda _: "fails")
     monkeypatch.setenv(backend.RENDERER_VARIABLE, "cuda")
     with pytest.raises(UsageError, match="expected auto, llvm or scalar"):
-        backend.choose_among([path], lambda _: backend.WORKS)
+        backend.choose_among([path], lambda _: libllvm.WORKS)
 
 
 def test_a_file_that_is_no_library_fails_the_probe_without_harm(tmp_path):
-    assert backend.probe(library_file(tmp_path, 18)).startswith("fails")
-    assert backend.probe(tmp_path / "libLLVM-1.so") == "is no file"
+    assert libllvm.probe(library_file(tmp_path, 18)).startswith("fails")
+    assert libllvm.probe(tmp_path / "libLLVM-1.so") == "is no file"
 
 
 def python_that(folder: Path, code: str) -> str:
@@ -120,21 +120,21 @@ def python_that(folder: Path, code: str) -> str:
 def test_a_child_that_aborts_or_hangs_is_an_answer(tmp_path, monkeypatch):
     library = library_file(tmp_path, 18)
     monkeypatch.setattr(sys, "executable", python_that(tmp_path, "import os; os.abort()"))
-    assert backend.probe(library) == "kills the process (SIGABRT)"
+    assert libllvm.probe(library) == "kills the process (SIGABRT)"
     monkeypatch.setattr(sys, "executable", python_that(tmp_path, "import time; time.sleep(60)"))
-    assert backend.probe(library, timeout_s=0.5) == "does not answer within 0.5 s"
+    assert libllvm.probe(library, timeout_s=0.5) == "does not answer within 0.5 s"
     kill = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
     monkeypatch.setattr(sys, "executable", python_that(tmp_path, kill))
-    assert backend.probe(library).startswith("is stopped from outside")
+    assert libllvm.probe(library).startswith("is stopped from outside")
 
 
 def test_newer_libraries_come_first_and_a_named_one_before_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(backend, "_known_to_the_linker", lambda: [library_file(tmp_path, v) for v in (9, 19)])
-    monkeypatch.setattr(backend, "_in_folders", lambda: [library_file(tmp_path, v) for v in (15, 19)])
-    monkeypatch.setattr(backend, "_in_packages", list)
-    assert [p.name for p in backend.find_libraries()] == [f"libLLVM-{v}.so" for v in (19, 15, 9)]
-    monkeypatch.setenv(backend.LIBRARY_VARIABLE, str(tmp_path / "libLLVM-15.so"))
-    assert [p.name for p in backend.find_libraries()] == [f"libLLVM-{v}.so" for v in (15, 19, 9)]
+    monkeypatch.setattr(libllvm, "_known_to_the_linker", lambda: [library_file(tmp_path, v) for v in (9, 19)])
+    monkeypatch.setattr(libllvm, "_in_folders", lambda: [library_file(tmp_path, v) for v in (15, 19)])
+    monkeypatch.setattr(libllvm, "_in_packages", list)
+    assert [p.name for p in libllvm.find_libraries()] == [f"libLLVM-{v}.so" for v in (19, 15, 9)]
+    monkeypatch.setenv(libllvm.LIBRARY_VARIABLE, str(tmp_path / "libLLVM-15.so"))
+    assert [p.name for p in libllvm.find_libraries()] == [f"libLLVM-{v}.so" for v in (15, 19, 9)]
 
 
 CHILDREN = {
@@ -154,8 +154,8 @@ def test_render_finishes_with_a_picture_and_one_line_of_advice_without_llvm(tmp_
     paths = [str(library_file(tmp_path, 15))] * libraries
     child = CHILDREN[outcome]
     script = (
-        "import sys; from pathlib import Path; from manifold import backend\n"
-        f"backend.find_libraries = lambda: [Path(p) for p in {paths!r}]\n"
+        "import sys; from pathlib import Path; from manifold.rendering import libllvm\n"
+        f"libllvm.find_libraries = lambda: [Path(p) for p in {paths!r}]\n"
         f"sys.executable = {python_that(tmp_path, child)!r}\n"
         "from manifold.cli.main import run; run()"
     )
@@ -178,7 +178,7 @@ def test_info_tells_the_renderer_and_why(tmp_path):
     )  # fmt: skip
     document = json.loads(done.stdout)
     assert document["kind"] == "scalar"
-    assert document["mitsuba"] == backend.mitsuba_version()
+    assert document["mitsuba"] == libllvm.mitsuba_version()
     assert all("not tried" in outcome for outcome in document["libraries"].values())
 
 

@@ -14,7 +14,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
-from manifold.rendering import backend
+from manifold.rendering import backend, libllvm
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
@@ -75,12 +75,12 @@ def inspect_renderer() -> Inspection:
     """What Mitsuba runs on here, and why; every library is tried again."""
     chosen = backend.choose(refresh=True)
     tried = {probe.library: probe.outcome for probe in chosen.probes}
-    libraries = list(dict.fromkeys([*tried, *backend.find_libraries()]))
+    libraries = list(dict.fromkeys([*tried, *libllvm.find_libraries()]))
     outcomes = [(library, tried.get(library, "not tried: a newer one works")) for library in libraries]
     if not tried:
         outcomes = [(library, "not tried: scalar was asked for") for library in libraries]
     rows: dict[str, object] = {
-        "Mitsuba": backend.mitsuba_version(),
+        "Mitsuba": libllvm.mitsuba_version(),
         "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
         "libLLVM": str(chosen.library or "none"),
     }

@@ -32,7 +32,7 @@ TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "sca
 
 _SCALAR = """
 import json, sys, time
-from manifold.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_ball
 material, settings = {"type": "measured", "filename": sys.argv[1]}, RenderSettings(int(sys.argv[2]), int(sys.argv[3]))
 render_ball(material, False, RenderSettings(16, 1))
 start = time.perf_counter(), time.process_time()

@@ -1,4 +1,4 @@
-"""Fits as JSON: written with everything that made them, read back as BSDFs. Schema: `data/fit.schema.json`."""
+"""Fits as JSON: written with everything that made them, read back as BSDFs. Schema: `fit.schema.json`."""
 
 from __future__ import annotations
 

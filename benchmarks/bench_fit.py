@@ -26,7 +26,7 @@ from manifold.fitting.bsdf_parameters import Layout, principled
 from manifold.fitting.fit_metrics import Metric, relative_residual
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.identifiability import DETERMINED
-from manifold.fitting.principled import FitResult, fit
+from manifold.fitting.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
 from manifold.rendering import backend
@@ -82,7 +82,7 @@ def known_truths(pairs: FitSamples, n: int, n_baseline: int) -> dict[str, Any]:
         truth = relative_residual(samples, Metric.of("cube-root", samples), value)
         for method in METHODS:
             if method == "gauss-newton" or k < n_baseline:
-                rows[method].append(judge(fit(samples, family, method=method, noise=NOISE), p, truth))
+                rows[method].append(judge(fit_bsdf(samples, family, method=method, noise=NOISE), p, truth))
         if (k + 1) % 20 == 0 or k + 1 == n:
             summary = {method: truth_summary(judged) for method, judged in rows.items() if judged}
             print(f"known truths, {k + 1} of {n}: {summary}", flush=True)
@@ -131,7 +131,7 @@ def rough_or_smooth(n: int) -> dict[str, Any]:
                 "says_it_cannot_tell": 0,
             }
             for _ in range(n):
-                result = fit(noisy(pairs, f_cos, rng, 0.05, 0.003), family, noise=0.05)
+                result = fit_bsdf(noisy(pairs, f_cos, rng, 0.05, 0.003), family, noise=0.05)
                 good = [float(m.values["roughness"]) for m in result.minima if m.as_good]
                 state = next(s for s in result.statements if s.name == "roughness")
                 row["both_listed"] += max(good) > 0.5 and min(good) < 0.3
@@ -164,7 +164,7 @@ def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
     rows = []
     for k, path in enumerate(sorted(folder.glob("*.bsdf"))):
         samples = fit_samples.from_file(read_bsdf(path)).as_rgb()
-        ours = fit(samples)
+        ours = fit_bsdf(samples)
         row: dict[str, Any] = {
             "name": path.stem,
             "seconds": ours.seconds,
@@ -176,8 +176,8 @@ def materials(folder: Path, n_baseline: int) -> dict[str, Any]:
             ),
         }
         if k < n_baseline:
-            theirs = fit(samples, method="adam")
-            linear = fit(samples, metric="linear")
+            theirs = fit_bsdf(samples, method="adam")
+            linear = fit_bsdf(samples, metric="linear")
             row |= {
                 "adam_seconds": theirs.seconds,
                 "adam_residual": theirs.residuals["cube-root"],
@@ -235,7 +235,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         first = sorted(options.files.glob("*.bsdf"))[0]
         wi, wo = fit_samples.file_pairs(read_bsdf(first))
         pairs = FitSamples.from_arrays(wi, wo, np.ones((len(wi), 3))).subsample(fit_samples.MAX_PAIRS)
-        fit(pairs)  # compile
+        fit_bsdf(pairs)  # compile
         results["known_truths"] = known_truths(pairs, options.cases, options.baseline_cases)
     if options.rough_cases:
         results["rough_or_smooth"] = rough_or_smooth(options.rough_cases)

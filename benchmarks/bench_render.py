@@ -23,7 +23,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.rendering import backend, image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.synthetic import corpus
 from manifold.workflows import pipeline
 
@@ -32,11 +32,11 @@ TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "sca
 
 _SCALAR = """
 import json, sys, time
-from manifold.rendering.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_bsdf
 material, settings = {"type": "measured", "filename": sys.argv[1]}, RenderSettings(int(sys.argv[2]), int(sys.argv[3]))
-render_ball(material, False, RenderSettings(16, 1))
+render_bsdf(material, False, RenderSettings(16, 1))
 start = time.perf_counter(), time.process_time()
-render_ball(material, False, settings)
+render_bsdf(material, False, settings)
 print(json.dumps([time.perf_counter() - start[0], time.process_time() - start[1]]))
 """
 
@@ -104,7 +104,7 @@ def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
         for name, bsdf in loaded.items():
             settings = RenderSettings(arguments.size, arguments.samples, seed=turn)
             start = time.perf_counter(), time.process_time()
-            pictures[name, turn] = render_ball(bsdf, False, settings)
+            pictures[name, turn] = render_bsdf(bsdf, False, settings)
             if turn:
                 times[name].append((time.perf_counter() - start[0], time.process_time() - start[1]))
     scalar = [sys.executable, "-c", _SCALAR, str(predicted), str(arguments.size), str(arguments.samples)]

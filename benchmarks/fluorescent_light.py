@@ -21,7 +21,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.plots import figures
 from manifold.records import Array, BsdfFile
 from manifold.rendering import image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.synthetic import corpus
 from manifold.workflows.renders import RIM
 
@@ -40,7 +40,7 @@ def ball(file: BsdfFile, folder: Path, settings: RenderSettings) -> Array:
     path = folder / "material.bsdf"
     write_bsdf(path, file)
     material = {"type": "measured", "filename": str(path)}
-    return images.tone_map(render_ball(material, file.bands.is_rgb, settings))
+    return images.tone_map(render_bsdf(material, file.bands.is_rgb, settings))
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import diffuse, principled
 from manifold.fitting.fit_samples import FitSamples, from_file
 from manifold.fitting.fitted_brdf import FittedBRDF
-from manifold.fitting.principled import fit
+from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
 from manifold.rendering import backend
@@ -65,7 +65,7 @@ def test_the_json_recreates_the_fitted_bsdf(satin, fitted):
     samples = from_file(measured("syn_satin_gold"))
     whole = evaluator(SETTINGS.family, samples.wi, samples.wo, 3)
     expected = whole.values(whole.layout.join(fit_json.read(fitted)["values"]))[0]
-    direct = fit(samples, SETTINGS.family)
+    direct = fit_bsdf(samples, SETTINGS.family)
     assert direct.values == fit_json.read(fitted)["values"]  # a fit is determined by its samples
     for bsdf in (
         fit_json.read_bsdf(fitted),
@@ -82,7 +82,7 @@ def test_a_spectral_fit_loads_in_a_spectral_variant():
     pairs[..., 2] = np.abs(pairs[..., 2]) + 0.2
     pairs /= np.linalg.norm(pairs, axis=-1, keepdims=True)
     f = np.tile([0.05, 0.1, 0.2, 0.3], (60, 1))
-    result = fit(
+    result = fit_bsdf(
         FitSamples.from_arrays(pairs[0], pairs[1], f, bands=bands), principled(["base_color", "roughness"])
     )
     content = fit_json.document(result, fit_json.Source("flat"))
@@ -255,7 +255,7 @@ def test_spectral_values_must_agree_with_what_is_rendered():
     bands = Bands((450.0, 550.0, 650.0))
     wi = wo = np.array([[0.0, np.sin(t), np.cos(t)] for t in np.linspace(0.0, 1.2, 12)])
     samples = FitSamples.from_arrays(wi, wo, np.tile([0.05, 0.1, 0.2], (12, 1)), bands=bands)
-    made = fit_json.document(fit(samples, diffuse()), fit_json.Source("flat"))
+    made = fit_json.document(fit_bsdf(samples, diffuse()), fit_json.Source("flat"))
     made = json.loads(json.dumps(made))
     fit_check.require_fit(made, "x.json")
     for change, words in (

@@ -97,8 +97,8 @@ def test_a_walk_begins_and_ends_with_the_materials(folder, model, tmp_path):
     ball_pictures.walk(folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3)
     picture = imread(tmp_path / "walk.png")[..., :3]
     assert picture.std() > 0.1
-    drawn = thumbnails.of_brdf(model.interpolate("syn_felt_green", "syn_gloss_red", 0.0))
-    direct = thumbnails.of_brdf(MeasuredBRDF(measured("syn_felt_green")))
+    drawn = thumbnails.of_material(model.interpolate("syn_felt_green", "syn_gloss_red", 0.0))
+    direct = thumbnails.of_material(MeasuredBRDF(measured("syn_felt_green")))
     assert np.abs(drawn - direct).mean() < 0.01
 
 

@@ -21,7 +21,7 @@ from manifold.fitting.fit_metrics import METRICS, Metric, best_diffuse, relative
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, listed, search
 from manifold.fitting.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
-from manifold.fitting.principled import fit
+from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import rusinkiewicz_grid
 from manifold.records import Bands
@@ -139,7 +139,7 @@ def test_random_truths_are_recovered_where_the_fit_says_so(rng):
     for _ in range(n):
         p = rng.uniform(low, high)
         samples = samples_of(family, layout.split(p), pairs, rng, relative=0.005)
-        result = fit(samples, family, noise=0.005)
+        result = fit_bsdf(samples, family, noise=0.005)
         sure = np.array([s.state == DETERMINED for s in result.statements])
         error = np.abs(layout.join(result.values) - p)
         claimed += int(sure.sum())
@@ -158,7 +158,7 @@ def test_dense_directions_tell_rough_black_from_smooth_grey(rng):
         {"base_color": [0.02] * 3, "roughness": 0.1},
     ):
         truth = {"metallic": 0, "specular": 0.5, "clearcoat": 0, "sheen": 0} | values
-        result = fit(samples_of(family, truth, grid_pairs(), rng, 0.05, 0.003), noise=0.05)
+        result = fit_bsdf(samples_of(family, truth, grid_pairs(), rng, 0.05, 0.003), noise=0.05)
         rivals = [m.values["roughness"] for m in result.minima if m.as_good]
         assert np.ptp(rivals) < 0.1
         assert result.values["roughness"] == pytest.approx(values["roughness"], abs=0.03)
@@ -170,7 +170,7 @@ def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are
     truth = {"base_color": [colour] * 3, "roughness": roughness}
     truth |= {"metallic": 0, "specular": 0.5, "clearcoat": 0, "sheen": 0}
     for _ in range(2):
-        result = fit(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
+        result = fit_bsdf(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
         good = [m.values["roughness"] for m in result.minima if m.as_good]
         assert max(good) > 0.5
         assert min(good) < 0.3
@@ -192,8 +192,10 @@ def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
         noise = 1 + 0.005 * np.random.default_rng(seed).standard_normal(f_cos.shape)
         samples = FitSamples.from_arrays(pairs.wi, pairs.wo, f_cos / pairs.wo[:, 2:] * noise)
         least = relative_residual(samples, Metric.of("cube-root", samples), f_cos)
-        walked.append(fit(samples, family).residuals["cube-root"] / least)
-        unwalked.append(fit(samples, family, options=GaussNewton(n_walks=0)).residuals["cube-root"] / least)
+        walked.append(fit_bsdf(samples, family).residuals["cube-root"] / least)
+        unwalked.append(
+            fit_bsdf(samples, family, options=GaussNewton(n_walks=0)).residuals["cube-root"] / least
+        )
     gain = np.array(unwalked) - walked
     assert max(walked) < 1.0
     assert gain.min() >= -1e-9
@@ -217,12 +219,12 @@ def test_a_rival_is_listed_only_where_no_minimum_as_good_lies_in_its_part():
 def test_a_lambertian_surface_becomes_diffuse_unless_principled_is_asked_for(rng):
     wi, wo = grid_pairs()
     samples = FitSamples.from_arrays(wi, wo, np.full((len(wi), 3), 0.9 / np.pi))
-    result = fit(samples)
+    result = fit_bsdf(samples)
     assert result.family.type == "diffuse"
     assert result.values["reflectance"] == pytest.approx([0.9] * 3, abs=1e-5)
     assert result.residuals["cube-root"] <= result.diffuse_residual + 1e-6
     assert "principled fits worse" in result.notes[0]
-    asked = fit(samples, principled())
+    asked = fit_bsdf(samples, principled())
     assert asked.family.type == "principled"
     assert any("no better than a diffuse surface" in note for note in asked.notes)
 
@@ -236,7 +238,7 @@ def test_what_the_samples_do_not_show_is_said():
         {"clearcoat": 0.0},
     )
     known = {name: truth[name] for name in ("base_color", "roughness")}
-    result = fit(samples_of(family, known, grid_pairs()), family)
+    result = fit_bsdf(samples_of(family, known, grid_pairs()), family)
     states = {s.name: s.state for s in result.statements}
     assert states["clearcoat_gloss"] == UNSEEN
     assert states["roughness"] == DETERMINED
@@ -247,7 +249,7 @@ def test_colours_outside_rec_709_are_found_and_reported():
     bands = Bands(tuple(np.linspace(400.0, 700.0, 31)))
     green = 0.02 + 0.9 * np.exp(-(((np.linspace(400, 700, 31) - 530) / 20) ** 2))
     truth = {"base_color": green, "roughness": 0.6, "metallic": 0.0, "clearcoat": 0.0, "sheen": 0.0}
-    result = fit(samples_of(principled(), truth | {"specular": 0.5}, grid_pairs(), bands=bands))
+    result = fit_bsdf(samples_of(principled(), truth | {"specular": 0.5}, grid_pairs(), bands=bands))
     expected = to_srgb(green, bands)
     assert expected.min() < -0.05
     assert result.values["base_color"] == pytest.approx(expected.tolist(), abs=0.01)
@@ -293,7 +295,7 @@ def test_a_custom_python_bsdf_is_fitted():
         ),
     )
     truth = {"albedo": [0.7, 0.4, 0.1], "exponent": 60.0}
-    result = fit(samples_of(family, truth, grid_pairs()), family)
+    result = fit_bsdf(samples_of(family, truth, grid_pairs()), family)
     assert result.values["albedo"] == pytest.approx(truth["albedo"], abs=1e-3)
     assert result.values["exponent"] == pytest.approx(60.0, rel=1e-3)
 
@@ -325,7 +327,7 @@ def test_a_rough_conductor_with_a_spectral_index_is_fitted():
         {"distribution": "ggx"},
     )
     samples = samples_of(family, {"eta": eta, "k": k, "alpha": 0.22}, grid_pairs(), bands=bands)
-    result = fit(samples, family)
+    result = fit_bsdf(samples, family)
     assert result.values["alpha"] == pytest.approx(0.22, abs=0.01)
     assert result.spectral_residual is not None
     assert result.spectral_residual < 0.01
@@ -348,7 +350,7 @@ def test_base_colours_per_band_are_recovered():
         "clearcoat": 0.0,
         "sheen": 0.0,
     }
-    result = fit(samples_of(principled(), truth, grid_pairs(), bands=bands))
+    result = fit_bsdf(samples_of(principled(), truth, grid_pairs(), bands=bands))
     assert result.spectra["base_color"] == pytest.approx(colour.tolist(), abs=0.01)
     assert result.values["roughness"] == pytest.approx(0.4, abs=0.01)
 
@@ -357,7 +359,7 @@ def test_tints_are_refused_for_spectra():
     bands = Bands((450.0, 550.0, 650.0, 700.0))
     samples = samples_of(principled(), {}, grid_pairs(100), bands=bands)
     with pytest.raises(UsageError, match="spec_tint need RGB"):
-        fit(samples, principled(["base_color", "roughness", "spec_tint"]))
+        fit_bsdf(samples, principled(["base_color", "roughness", "spec_tint"]))
 
 
 @pytest.mark.parametrize("method", ["adam", "swarm"])
@@ -370,9 +372,9 @@ def test_the_older_methods_come_near_an_easy_truth(method):
         AdamOptions(max_epochs=200, learning_rate=0.05) if method == "adam" else SwarmOptions(iterations=60)
     )
     samples = samples_of(family, truth, grid_pairs(20))
-    result = fit(samples, family, method=method, options=options)
+    result = fit_bsdf(samples, family, method=method, options=options)
     assert result.residuals["cube-root"] < 0.5 * result.diffuse_residual
-    assert fit(samples, family).residuals["cube-root"] < result.residuals["cube-root"]
+    assert fit_bsdf(samples, family).residuals["cube-root"] < result.residuals["cube-root"]
 
 
 def test_no_fit_of_a_real_file_is_worse_than_diffuse_or_at_an_unsaid_bound():
@@ -380,7 +382,7 @@ def test_no_fit_of_a_real_file_is_worse_than_diffuse_or_at_an_unsaid_bound():
     if not paths:
         pytest.skip("no real RGL files here")
     for path in paths:
-        result = fit(fit_samples.from_file(read_bsdf(path), max_pairs=800))
+        result = fit_bsdf(fit_samples.from_file(read_bsdf(path), max_pairs=800))
         assert result.residuals["cube-root"] < result.diffuse_residual, path.name
         said = " ".join(note for note in result.notes if note.startswith("at the end"))
         assert all(s.name in said for s in result.statements if s.at_bound), path.name
@@ -461,14 +463,14 @@ ETA = FreeParameter("eta", 0.5, 3.0, 1.0, per_band=True)
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda s: fit(s, method="simplex"), "no method"),
-        (lambda s: fit(s, metric="cubic"), "no residual"),
-        (lambda s: fit(s, noise=0.0), "noise 0"),
-        (lambda s: fit(s, method="swarm", options=GaussNewton()), "SwarmOptions"),
-        (lambda s: fit(s, principled(["colour"])), "no free parameter 'colour'"),
-        (lambda s: fit(s, BsdfFamily("no_such", (FreeParameter("a", 0, 1, 0.5),))), "no_such"),
-        (lambda s: fit(s, BsdfFamily("principled", (FreeParameter("shine", 0, 1, 0.5),))), "shine"),
-        (lambda s: fit(s, BsdfFamily("conductor", (ETA,))), "conductor reflects in single directions"),
+        (lambda s: fit_bsdf(s, method="simplex"), "no method"),
+        (lambda s: fit_bsdf(s, metric="cubic"), "no residual"),
+        (lambda s: fit_bsdf(s, noise=0.0), "noise 0"),
+        (lambda s: fit_bsdf(s, method="swarm", options=GaussNewton()), "SwarmOptions"),
+        (lambda s: fit_bsdf(s, principled(["colour"])), "no free parameter 'colour'"),
+        (lambda s: fit_bsdf(s, BsdfFamily("no_such", (FreeParameter("a", 0, 1, 0.5),))), "no_such"),
+        (lambda s: fit_bsdf(s, BsdfFamily("principled", (FreeParameter("shine", 0, 1, 0.5),))), "shine"),
+        (lambda s: fit_bsdf(s, BsdfFamily("conductor", (ETA,))), "conductor reflects in single directions"),
         (lambda s: FreeParameter("a", 1, 0, 0.5), "minimum < maximum"),
         (lambda s: FreeParameter("a", 0, 1, 0.5, transform="cube"), "transform 'cube'"),
         (lambda s: BsdfFamily.from_json({"type": "principled"}), "parameters"),

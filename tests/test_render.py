@@ -22,7 +22,7 @@ from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
 from manifold.rendering import backend, image_metrics, images, render, scenes
-from manifold.rendering.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.synthetic import corpus
 from manifold.workflows import renders
 
@@ -73,7 +73,7 @@ def test_normals_of_the_pedestal_point_outwards():
 
 def test_the_ball_is_where_its_mask_says():
     black = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}}
-    picture = render_ball(black, True, RenderSettings(size=64, samples=16)).mean(axis=2)
+    picture = render_bsdf(black, True, RenderSettings(size=64, samples=16)).mean(axis=2)
     mask = scenes.ball_interior(64, 0.03)
     assert picture[mask].max() == 0.0
     assert picture[~scenes.ball_interior(64, -0.05)].min() > 0.0
@@ -81,7 +81,7 @@ def test_the_ball_is_where_its_mask_says():
 
 
 def test_light_comes_from_the_left_and_the_shadow_falls_to_the_right():
-    picture = render_ball(GREY, True, RenderSettings(size=64, samples=64)).mean(axis=2)
+    picture = render_bsdf(GREY, True, RenderSettings(size=64, samples=64)).mean(axis=2)
     ball = scenes.ball_interior(64)
     x = np.broadcast_to(np.arange(64), (64, 64))
     centre = x[ball].mean()
@@ -97,7 +97,7 @@ def test_colours_of_the_spectral_film_are_those_of_mitsubas_own_film():
     mi = backend.mitsuba("spectral")
     settings = RenderSettings(size=32, samples=400)
     red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.2, 0.1]}}
-    ours = render_ball(red, False, settings)
+    ours = render_bsdf(red, False, settings)
     theirs = render.render_scene(
         mi, mi.load_dict(scenes.material_ball(mi, red, render.rgb_film(32))), settings
     )
@@ -173,7 +173,7 @@ def test_tone_mapping_keeps_what_a_display_can_show_and_never_reaches_white():
 
 
 def test_the_same_seed_gives_the_same_picture_and_another_seed_another():
-    a, b, c = (render_ball(GREY, True, RenderSettings(size=24, samples=9, seed=s)) for s in (3, 3, 4))
+    a, b, c = (render_bsdf(GREY, True, RenderSettings(size=24, samples=9, seed=s)) for s in (3, 3, 4))
     np.testing.assert_allclose(a, b, rtol=1e-6)
     assert np.abs(a - c).max() > 1e-3
 
@@ -182,7 +182,7 @@ def test_a_glossy_ball_has_a_highlight_at_the_upper_left_and_a_felt_has_none(fol
     peaks = {}
     for name in ("syn_gloss_red", "syn_felt_green"):
         source = renders.file_source(folder / f"{name}_rgb.bsdf")
-        picture = render_ball(source.material, source.is_rgb, RenderSettings(size=64, samples=64))
+        picture = render_bsdf(source.material, source.is_rgb, RenderSettings(size=64, samples=64))
         values = np.where(scenes.ball_interior(64, 0.1), picture.mean(axis=2), 0.0)
         row, column = np.unravel_index(np.argmax(values), values.shape)
         ball = values[values > 0]
@@ -285,7 +285,7 @@ def test_a_latent_renders_like_its_prediction(folder, tmp_path):
     done = run(folder, "predict", "--latent", "0.1,-0.1", "-o", str(tmp_path / "p_rgb.bsdf"))
     assert done.returncode == 0, done.stderr
     source = renders.file_source(tmp_path / "p_rgb.bsdf")
-    picture = render_ball(source.material, True, RenderSettings(size=24, samples=16))
+    picture = render_bsdf(source.material, True, RenderSettings(size=24, samples=16))
     np.testing.assert_allclose(images.read_image(tmp_path / "latent.exr"), picture, rtol=1e-2, atol=1e-3)
 
 
@@ -296,7 +296,7 @@ def test_a_picture_of_the_surroundings_is_seen_in_the_ball(folder, tmp_path):
     settings = renders.make_settings(
         size=32, samples=64, seed=0, illuminant="D65", environment=tmp_path / "red.exr"
     )
-    picture = render_ball(GREY, True, settings)
+    picture = render_bsdf(GREY, True, settings)
     ball, x = scenes.ball_interior(32), np.broadcast_to(np.arange(32), (32, 32))
     left, right = (picture[ball & side].mean(axis=0) for side in (x < 12, x > 20))
     assert left[0] / left[1] > 1.5 * right[0] / right[1]
@@ -311,7 +311,7 @@ def test_scalar_variants_make_the_same_picture(folder):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""  # asked for, so no advice
     found = renders.file_source(source)
-    picture = render_ball(found.material, False, RenderSettings(size=16, samples=400, seed=9))
+    picture = render_bsdf(found.material, False, RenderSettings(size=16, samples=400, seed=9))
     scalar = images.read_image(folder / "scalar.exr")
     np.testing.assert_allclose(scalar.mean(axis=(0, 1)), picture.mean(axis=(0, 1)), rtol=0.03)
 

@@ -96,7 +96,7 @@ class FitResult:
     seconds: float = 0.0
 
 
-def fit(
+def fit_bsdf(
     target: BRDF | BsdfFile | FitSamples,
     family: BsdfFamily | None = None,
     *,

@@ -1,5 +1,5 @@
 """The fitted manifold: latents of a library's materials, predictions, colours, diagnostics, its file."""
 
-from manifold.model.manifold import Embedded, LibraryChangedWarning, Manifold, Settings
+import lazy_loader
 
-__all__ = ["Embedded", "LibraryChangedWarning", "Manifold", "Settings"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

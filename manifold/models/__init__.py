@@ -1,1 +1,31 @@
-"""Gaussian-process models behind the manifold, arrays in and arrays out: kernels, latent variables, encoders."""
+"""Gaussian-process models behind the manifold, arrays in and arrays out: kernels, latent variables, encoders.
+
+Names are imported when they are first used.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "Decoder": "manifold.models.encoding",
+    "GPLVM": "manifold.gplvm",
+    "GPRegressor": "manifold.gpr",
+    "GPWeights": "manifold.gpr",
+    "LikelihoodEncoder": "manifold.models.likelihood_encoding",
+    "MonochromeGPLVM": "manifold.models.per_band",
+    "SparseGPLVM": "manifold.models.sparse",
+    "SquaredExponentialDelta": "manifold.models.kernels",
+    "direct_local_search": "manifold.dls",
+    "hooke_jeeves": "manifold.dls",
+}
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,1 +1,5 @@
 """Mitsuba: backend, scenes, renders, images and their differences. `backend` alone imports mitsuba and drjit."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,23 +7,29 @@ and the spikes of fluorescent lamps are sampled where they are. White is adapted
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from manifold.brdf import goniometer
+from manifold.brdf.measured import BRDF
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
-from manifold.records import Array, Progress
+from manifold.io_rgl import write_bsdf
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, scenes
-from manifold.rendering.plugin import bsdf
+from manifold.rendering.plugin.bsdf import register_always
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once
 
-bsdf.register_always()
+register_always()
 
 
 def _d65() -> Illuminant:
@@ -56,8 +62,8 @@ class RenderSettings:
             raise UsageError(f"seed is {self.seed}, expected 0 or more")
 
 
-def render_ball(
-    material: Mapping[str, Any],
+def render_bsdf(
+    bsdf: Mapping[str, Any],
     is_rgb: bool,
     settings: RenderSettings = RenderSettings(),
     on_progress: Progress | None = None,
@@ -65,7 +71,7 @@ def render_ball(
     """The material ball in linear sRGB, shape (size, size, 3).
 
     Args:
-        material: a BSDF as a dictionary of Mitsuba.
+        bsdf: as a dictionary of Mitsuba.
         is_rgb: whether it is linear sRGB, with no spectrum.
         settings: see there.
         on_progress: called with (done, total, what).
@@ -75,15 +81,32 @@ def render_ball(
     if is_rgb:
         require_d65(settings.illuminant)
         mi = backend.mitsuba("rgb")
-        scene = mi.load_dict(
-            scenes.material_ball(mi, material, rgb_film(settings.size), settings.environment)
-        )
+        scene = mi.load_dict(scenes.material_ball(mi, bsdf, rgb_film(settings.size), settings.environment))
         return render_scene(mi, scene, settings, on_progress)
     mi = backend.mitsuba("spectral")
     film = colorimetric_film(mi, settings.size, settings.illuminant)
-    scene = mi.load_dict(scenes.material_ball(mi, material, film, settings.environment))
+    scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
     xyz = render_scene(mi, scene, settings, on_progress)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
+
+
+def render_material(
+    material: BRDF | BsdfFile,
+    settings: RenderSettings = RenderSettings(),
+    on_progress: Progress | None = None,
+) -> Array:
+    """The ball of a material through a file that is written for it; a BRDF is measured for that, at least 0.
+
+    Returns and raises: as `render_bsdf`.
+    """
+    if not isinstance(material, BsdfFile):
+        version = (1, 0) if material.bands.is_rgb else (3, 1)
+        material = goniometer.measure(ClippedBRDF(material), "material", version=version)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "material.bsdf"
+        write_bsdf(path, material)
+        bsdf = {"type": "measured", "filename": str(path)}
+        return render_bsdf(bsdf, material.bands.is_rgb, settings, on_progress)
 
 
 def require_d65(illuminant: Illuminant) -> None:

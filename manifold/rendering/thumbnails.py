@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF
-from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold
-from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, BsdfFile, Progress
-from manifold.rendering import render, scenes
+from manifold.rendering import scenes
 from manifold.rendering.images import tone_map
+from manifold.rendering.render import RenderSettings, render_material
 
 SIZE, SAMPLES = 96, 64
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
@@ -32,27 +28,16 @@ def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[A
         return list(cached["images"].astype(np.float64))
     images = []
     for name in model.names:
-        images.append(of_file(model.library.read(name)))
+        images.append(of_material(model.library.read(name)))
         if on_progress is not None:
             on_progress(len(images), len(model.names), name)
     model.library.cache_put(key, {"images": np.stack(images).astype(np.float32)})
     return images
 
 
-def of_brdf(brdf: BRDF, name: str = "prediction") -> Array:
-    """Any BRDF as a ball, through a file that is written for it."""
-    return of_file(
-        goniometer.measure(ClippedBRDF(brdf), name, version=(1, 0) if brdf.bands.is_rgb else (3, 1))
-    )
-
-
-def of_file(file: BsdfFile) -> Array:
-    """The material of a file as a ball under the studio's light, RGBA in [0, 1], (SIZE, SIZE, 4)."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "material.bsdf"
-        write_bsdf(path, file)
-        settings = render.RenderSettings(size=SIZE, samples=SAMPLES)
-        linear = render.render_ball({"type": "measured", "filename": str(path)}, file.bands.is_rgb, settings)
+def of_material(material: BRDF | BsdfFile) -> Array:
+    """A material as a ball under the studio's light, RGBA in [0, 1], (SIZE, SIZE, 4)."""
+    linear = render_material(material, RenderSettings(size=SIZE, samples=SAMPLES))
     fine = scenes.ball_interior(_OUTLINE * SIZE).astype(np.float64)
     alpha = fine.reshape(SIZE, _OUTLINE, SIZE, _OUTLINE).mean(axis=(1, 3))
     return np.dstack([tone_map(linear), alpha])

@@ -45,7 +45,7 @@ def latent_map(
     if marked is not None:
         x = loaded.require_latent(marked)
         predicted = loaded.predict(x, choose_colour(loaded, x, colour).colours)
-        ball = cropped(thumbnails.of_brdf(predicted))
+        ball = cropped(thumbnails.of_material(predicted))
     balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
     figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
 
@@ -78,7 +78,7 @@ def walk(
         images: list[Array] = []
         for value in t.tolist():
             brdf = along(start, end, value)
-            images.append(cropped(thumbnails.of_brdf(brdf)))
+            images.append(cropped(thumbnails.of_material(brdf)))
             if name == "manifold" and 0.0 < value < 1.0:
                 is_extrapolation = bool(loaded.is_extrapolation(loaded.between(start, end, value)))
                 diagnosed[value] = diagnostics.of_prediction(is_extrapolation, plausibility(brdf))

@@ -16,7 +16,7 @@ from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.records import Array
 from manifold.rendering import image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_ball
+from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.workflows import pipeline
 from manifold.workflows.renders import RIM, file_source
 
@@ -53,9 +53,9 @@ def picture_of_fit(
     content = fit_json.read(fit)
     source = file_source(material)
     spectral = None if source.is_rgb else content["mitsuba_spectral"]
-    seen = images.tone_map(render_ball(source.material, source.is_rgb, settings))
+    seen = images.tone_map(render_bsdf(source.material, source.is_rgb, settings))
     fitted = images.tone_map(
-        render_ball(content["mitsuba"] if spectral is None else spectral, spectral is None, settings)
+        render_bsdf(content["mitsuba"] if spectral is None else spectral, spectral is None, settings)
     )
     delta_e, flip = image_metrics.ciede2000_map(seen, fitted), image_metrics.flip_map(seen, fitted)
     inside = scenes.ball_interior(settings.size, RIM)

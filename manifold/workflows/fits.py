@@ -18,7 +18,7 @@ from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
-from manifold.fitting.principled import METHODS, FitResult, fit
+from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.fitting.processes import in_processes
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import require_material_name
@@ -37,7 +37,7 @@ class FitSettings:
     """How to fit.
 
     Attributes:
-        family, method, metric, noise: as in `principled.fit`.
+        family, method, metric, noise: as in `principled.fit_bsdf`.
     """
 
     family: BsdfFamily | None = None
@@ -104,7 +104,7 @@ def read_family(path: Path) -> BsdfFamily:
 def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
     """`principled` with the named parameters (commas between) free, or the family of a file; not both.
 
-    None where neither is given, which `principled.fit` decides.
+    None where neither is given, which `principled.fit_bsdf` decides.
 
     Raises:
         UsageError: both are given, or one cannot be used.
@@ -280,7 +280,9 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
 
 
 def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:
-    return fit(samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise)
+    return fit_bsdf(
+        samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise
+    )
 
 
 def _written(outcome: FitOutcome) -> FitOutcome:

@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
+from manifold.brdf.measured import BRDF
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.plots import figures, plot_comparison
-from manifold.records import Array, Progress
+from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.image_metrics import Summary
-from manifold.rendering.render import RenderSettings, render_ball, require_d65
+from manifold.rendering.render import RenderSettings, render_bsdf, render_material, require_d65
 from manifold.workflows import pipeline
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
@@ -166,6 +167,41 @@ def latent_source(
         yield Source(name, source.material, source.is_rgb, "predicted file")
 
 
+def render_ball(
+    material: Path | str | BsdfFile | BRDF,
+    *,
+    size: int = 256,
+    samples: int = 64,
+    seed: int = 0,
+    illuminant: str = "D65",
+    environment: Path | None = None,
+    on_progress: Progress | None = None,
+) -> Array:
+    """The ball of a material under an environment light: linear sRGB, float64, shape (size, size, 3).
+
+    Args:
+        material: the path of a `.bsdf` or of a fit, a file that was read, or any BRDF, such as a prediction, which is
+            measured by the virtual goniometer first.
+        size: pixels per side.
+        samples: light paths per pixel.
+        seed: fixes the noise.
+        illuminant: name of a CIE illuminant, or path of a text file of wavelengths in nm and powers.
+        environment: picture of the surroundings, latitude by longitude; a studio by default.
+        on_progress: called with (done, total, what).
+    Raises:
+        UsageError: the material has no spectrum, and the light is not D65; or an argument cannot be used.
+        FileFormatError: a file is not what it should be.
+        RendererError: Mitsuba is missing.
+    """
+    settings = make_settings(
+        size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
+    )
+    if not isinstance(material, str | Path):
+        return render_material(material, settings, on_progress)
+    source = file_source(Path(material))
+    return render_bsdf(source.material, source.is_rgb, settings, on_progress)
+
+
 def render(
     source: Source, output: Path, settings: RenderSettings, on_progress: Progress | None = None
 ) -> Rendered:
@@ -176,7 +212,7 @@ def render(
     """
     images.require_image_path(output)
     start = time.perf_counter()
-    picture = render_ball(source.material, source.is_rgb, settings, on_progress)
+    picture = render_bsdf(source.material, source.is_rgb, settings, on_progress)
     seconds = time.perf_counter() - start
     images.write_image(output, picture)
     chosen = backend.choose()
@@ -242,7 +278,7 @@ def compare(
         pictures = []
         for k, source in enumerate(sources):
             step = None if on_progress is None else _half(on_progress, k, source.name)
-            pictures.append(images.tone_map(render_ball(source.material, source.is_rgb, settings, step)))
+            pictures.append(images.tone_map(render_bsdf(source.material, source.is_rgb, settings, step)))
         ball = scenes.ball_interior(settings.size, RIM)
         names = (sources[0].name, sources[1].name)
     else:

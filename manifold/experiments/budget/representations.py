@@ -20,7 +20,7 @@ from manifold.fitting import fit_samples
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import principled
 from manifold.fitting.fit_samples import FitSamples
-from manifold.fitting.principled import FitResult, fit
+from manifold.fitting.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering import backend, image_metrics
@@ -229,7 +229,7 @@ def _fit(file: BsdfFile, asked: Asked) -> FitResult:
         )
         bands = Bands.from_array(nodes)
     samples = FitSamples.from_arrays(wi[steep], wo[steep], f[steep], bands=bands, weight=weight[steep])
-    return fit(samples, principled())
+    return fit_bsdf(samples, principled())
 
 
 def _diffuse_albedo(builder: _Builder) -> Array:

@@ -33,7 +33,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, 
     errors, fits, predicts, numbers = [], [], [], []
     for i in evenly_spaced(len(files), count):
         file = files[i]
-        result, seconds = watch.lap(partial(principled.fit, file, method=method))
+        result, seconds = watch.lap(partial(principled.fit_bsdf, file, method=method))
         fits.append(seconds)
         evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.ball_pairs)]
         on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)

@@ -15,7 +15,7 @@ from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
 from manifold.experiments.stability.bench import ALPHAS, COLOURS, MIDDLE, Bench, named, plastic, predict
 from manifold.experiments.stability.trials import Found, Mode
-from manifold.fitting.principled import fit
+from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.metrics import relative_error
 from manifold.model import predicted_file
@@ -128,8 +128,8 @@ def _fitted(spoil: Spoil) -> Callable[[Bench, float], Found]:
 
     def trial(bench: Bench, severity: float) -> Found:
         file = bench.file(MIDDLE)
-        whole = bench.once("fitted", lambda: fit(file))
-        found = fit(spoil(file, severity))
+        whole = bench.once("fitted", lambda: fit_bsdf(file))
+        found = fit_bsdf(spoil(file, severity))
         ratio = float(np.asarray(found.values["roughness"]) / np.asarray(whole.values["roughness"]))
         return Found(abs(ratio - 1.0))
 

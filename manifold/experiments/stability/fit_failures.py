@@ -18,7 +18,7 @@ from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled
 from manifold.fitting.fit_samples import FitSamples, from_brdf
 from manifold.fitting.identifiability import DETERMINED
-from manifold.fitting.principled import METHODS, FitResult, fit
+from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.records import Array, Bands
 from manifold.synthetic.microfacet import GGX, RoughConductor
@@ -91,7 +91,9 @@ def _minima(method: str) -> Trial:
     def trial(bench: Bench, n_free: float) -> Found:
         names = PRINCIPLED_DEFAULT[: int(n_free)]
         truth = {name: _TRUTH[name] for name in names}
-        found = fit(_samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method))
+        found = fit_bsdf(
+            _samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method)
+        )
         return Found(_error(found, truth), _said(found, "cannot tell", "diffuse", "no minimum"))
 
     return trial
@@ -102,7 +104,7 @@ def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
 
     def trial(bench: Bench, n_pairs: float) -> Found:
         pairs = _old_instrument() if n_pairs <= 20 else _dense()
-        found = fit(
+        found = fit_bsdf(
             _samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05, options=_OPTIONS.get(method)
         )
         error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
@@ -117,7 +119,7 @@ def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
 
 def _few(bench: Bench, n_pairs: float) -> Found:
     rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
-    found = fit(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
+    found = fit_bsdf(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
     return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
 
 
@@ -127,7 +129,7 @@ def _one_incidence(bench: Bench, n_pairs: float) -> Found:
         np.arccos(rng.uniform(0.1, 1.0, int(n_pairs))), rng.uniform(0, 2 * np.pi, int(n_pairs))
     )
     wi = np.broadcast_to(from_spherical(np.deg2rad(45.0), 0.0), wo.shape)
-    found = fit(_samples(_TRUTH, (wi, wo)))
+    found = fit_bsdf(_samples(_TRUTH, (wi, wo)))
     return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
 
 
@@ -135,7 +137,7 @@ def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
     """What a fit leaves over of a material that its parameters do not reach."""
 
     def trial(bench: Bench, severity: float) -> Found:
-        found = fit(from_brdf(brdf(severity)))
+        found = fit_bsdf(from_brdf(brdf(severity)))
         ends = [
             s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
         ]
@@ -169,7 +171,7 @@ def _colour(method: str) -> Trial:
         values = {"base_color": green, "roughness": 0.6}
         family = principled(values)
         f = _values(family, values, _dense(), 31) / _dense()[1][:, 2:]
-        found = fit(
+        found = fit_bsdf(
             FitSamples.from_arrays(*_dense(), f, bands=bands),
             family,
             method=method,

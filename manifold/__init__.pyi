@@ -1,0 +1,27 @@
+from . import colour, errors, mapping, metrics, models, synthetic
+from .brdf.measured import MeasuredBRDF
+from .fitting.principled import fit_bsdf
+from .io_rgl import read_bsdf, write_bsdf
+from .library.store import Library
+from .model.manifold import Manifold
+from .records import Bands
+from .workflows.renders import render_ball
+
+__version__: str
+
+__all__ = [
+    "Bands",
+    "Library",
+    "Manifold",
+    "MeasuredBRDF",
+    "colour",
+    "errors",
+    "fit_bsdf",
+    "mapping",
+    "metrics",
+    "models",
+    "read_bsdf",
+    "render_ball",
+    "synthetic",
+    "write_bsdf",
+]

@@ -1,0 +1,21 @@
+from ..dls import direct_local_search, hooke_jeeves
+from ..gplvm import GPLVM
+from ..gpr import GPRegressor, GPWeights
+from .encoding import Decoder
+from .kernels import SquaredExponentialDelta
+from .likelihood_encoding import LikelihoodEncoder
+from .per_band import MonochromeGPLVM
+from .sparse import SparseGPLVM
+
+__all__ = [
+    "GPLVM",
+    "Decoder",
+    "GPRegressor",
+    "GPWeights",
+    "LikelihoodEncoder",
+    "MonochromeGPLVM",
+    "SparseGPLVM",
+    "SquaredExponentialDelta",
+    "direct_local_search",
+    "hooke_jeeves",
+]

@@ -1,0 +1,17 @@
+from .backend import Backend, RendererWarning
+from .image_metrics import ciede2000_map, flip_map
+from .images import read_image, tone_map, write_image
+from .render import RenderSettings, render_bsdf, render_material
+
+__all__ = [
+    "Backend",
+    "RenderSettings",
+    "RendererWarning",
+    "ciede2000_map",
+    "flip_map",
+    "read_image",
+    "render_bsdf",
+    "render_material",
+    "tone_map",
+    "write_image",
+]

@@ -1,9 +1,10 @@
-from . import colour, errors, mapping, metrics, models, synthetic
+from . import colour, directions, errors, mapping, metrics, models, synthetic
 from .brdf.measured import MeasuredBRDF
 from .fitting.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
+from .library.importing import import_files
 from .library.store import Library
-from .model.manifold import Manifold
+from .model.manifold import Manifold, Settings
 from .records import Bands
 from .workflows.renders import render_ball
 
@@ -14,9 +15,12 @@ __all__ = [
     "Library",
     "Manifold",
     "MeasuredBRDF",
+    "Settings",
     "colour",
+    "directions",
     "errors",
     "fit_bsdf",
+    "import_files",
     "mapping",
     "metrics",
     "models",

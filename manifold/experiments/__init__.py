@@ -1,1 +1,5 @@
 """Experiments on fitted models: held-out accuracy, speed against accuracy, failure modes, least models for a scene."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,15 +8,16 @@ from typing import Any
 
 _HOMES = {
     "Decoder": "manifold.models.encoding",
+    "direct_local_search": "manifold.dls",
     "GPLVM": "manifold.gplvm",
     "GPRegressor": "manifold.gpr",
     "GPWeights": "manifold.gpr",
+    "hooke_jeeves": "manifold.dls",
+    "Kernel": "manifold.models.kernels",
+    "kernel_named": "manifold.models.kernels",
     "LikelihoodEncoder": "manifold.models.likelihood_encoding",
     "MonochromeGPLVM": "manifold.models.per_band",
     "SparseGPLVM": "manifold.models.sparse",
-    "SquaredExponentialDelta": "manifold.models.kernels",
-    "direct_local_search": "manifold.dls",
-    "hooke_jeeves": "manifold.dls",
 }
 __all__ = list(_HOMES)
 

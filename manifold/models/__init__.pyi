@@ -2,7 +2,7 @@ from ..dls import direct_local_search, hooke_jeeves
 from ..gplvm import GPLVM
 from ..gpr import GPRegressor, GPWeights
 from .encoding import Decoder
-from .kernels import SquaredExponentialDelta
+from .kernels import Kernel, kernel_named
 from .likelihood_encoding import LikelihoodEncoder
 from .per_band import MonochromeGPLVM
 from .sparse import SparseGPLVM
@@ -12,10 +12,11 @@ __all__ = [
     "Decoder",
     "GPRegressor",
     "GPWeights",
+    "Kernel",
     "LikelihoodEncoder",
     "MonochromeGPLVM",
     "SparseGPLVM",
-    "SquaredExponentialDelta",
     "direct_local_search",
     "hooke_jeeves",
+    "kernel_named",
 ]

@@ -1,0 +1,3 @@
+from . import budget, chart, evaluation, stability
+
+__all__ = ["budget", "chart", "evaluation", "stability"]

@@ -1,0 +1,3 @@
+from .bsdf import load_model, register_always
+
+__all__ = ["load_model", "register_always"]

@@ -35,8 +35,10 @@ def test_without_a_choice_the_nearest_material_gives_its_own_colours(model):
 def test_like_gives_the_reflectance_of_that_material(model, t):
     x = model.between("syn_felt_green", "syn_paper_white", t)
     chosen = choose_colour(model, x, ColourChoice(like="syn_felt_orange"))
-    reached = model.reflectance_of_colours(x, chosen.colours)
-    assert np.abs(reached - model.reflectance("syn_felt_orange")).max() == pytest.approx(chosen.missed)
+    reached = model.colours.reached(x, chosen.colours)
+    assert np.abs(reached - model.colours.reflectance("syn_felt_orange")).max() == pytest.approx(
+        chosen.missed
+    )
     assert chosen.missed < 0.02
 
 

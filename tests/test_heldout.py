@@ -17,8 +17,8 @@ from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.model.manifold import evenly_spaced
 from manifold.models.per_band import MonochromeGPLVM
+from manifold.records import evenly_spaced
 
 GRID = RusinkiewiczGrid(14, 8, 6)
 METHODS = {m.key: m for m in heldout.standard_methods()}

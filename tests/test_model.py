@@ -25,7 +25,7 @@ from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
 from manifold.model import gram
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
-from manifold.model.spaces import KINDS
+from manifold.model.settings import KINDS
 from manifold.records import Bands
 from manifold.synthetic.analytic import Lambert
 
@@ -263,7 +263,7 @@ def test_interpolation_begins_and_ends_at_the_materials(model):
 def test_monochrome_predictions_agree_with_the_sum_written_out(library):
     model = Manifold.fit(library, Settings(kind="monochrome"))
     x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
-    colours = model.colours_like(x, "syn_gloss_red")
+    colours = model.colours.like(x, "syn_gloss_red")
     wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
     V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
     T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.load_materials()])
@@ -279,7 +279,7 @@ def test_a_structure_takes_the_reflectance_it_is_given(library):
     x = model.between("syn_felt_green", "syn_paper_white", 0.5)
     wi = from_spherical(np.deg2rad(8.0), 0.0)
     asked = np.array([0.5, 0.3, 0.2])
-    colours, reached = model.colours_of_reflectance(x, asked)
+    colours, reached = model.colours.of_reflectance(x, asked)
     np.testing.assert_allclose(reached, asked, atol=1e-12)
     np.testing.assert_allclose(model.predict(x, colours).albedo(wi), asked, atol=0.01)
     assert np.all(np.diff(colours) < 0)  # larger colour coordinates are brighter
@@ -287,7 +287,7 @@ def test_a_structure_takes_the_reflectance_it_is_given(library):
 
 def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
     model = Manifold.fit(library, Settings(kind="monochrome"))
-    colours, reached = model.colours_of_reflectance(model.latent("syn_metal_copper"), np.full(3, 5.0))
+    colours, reached = model.colours.of_reflectance(model.latent("syn_metal_copper"), np.full(3, 5.0))
     assert np.all(np.isfinite(colours))
     assert np.all(reached < 5.0)
 
@@ -295,8 +295,8 @@ def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
 def test_colours_are_refused_where_materials_carry_them(library):
     model = Manifold.fit(library, Settings(kind="material"))
     for ask in (
-        lambda: model.colours_like(model.X[0], model.names[0]),
-        lambda: model.colours_of_reflectance(model.X[0], np.full(3, 0.5)),
+        lambda: model.colours.like(model.X[0], model.names[0]),
+        lambda: model.colours.of_reflectance(model.X[0], np.full(3, 0.5)),
         lambda: model.predict(model.X[0], np.zeros(3)),
     ):
         with pytest.raises(UsageError, match="--kind monochrome"):

@@ -17,6 +17,7 @@ from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
+from manifold.model.combination import Combination
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
 from manifold.synthetic.microfacet import GGX, Lambert, Plastic, RoughConductor
@@ -39,13 +40,13 @@ def directions(rng, n):
 @pytest.mark.parametrize("index", range(3))
 def test_a_unit_vector_gives_the_material_bit_for_bit(mapping, index, rng):
     wi, wo = directions(rng, 200)
-    predicted = PredictedBRDF(MATERIALS, np.eye(3)[index], mapping_named(mapping))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named(mapping), np.eye(3)[index]))
     np.testing.assert_array_equal(predicted.eval(wi, wo), MATERIALS[index].eval(wi, wo))
     np.testing.assert_array_equal(predicted.eval_cos(wi, wo), MATERIALS[index].eval_cos(wi, wo))
 
 
 def test_samples_need_unit_vectors_and_pairs_of_variates():
-    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.5, 0.0]), mapping_named("cube-root"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("cube-root"), np.array([0.5, 0.5, 0.0])))
     up = np.array([0.0, 0.0, 1.0])
     for wi, u in ((2.0 * up, np.zeros(2)), (up[:2], np.zeros(2)), (up, np.zeros(3))):
         with pytest.raises(ShapeError):
@@ -56,7 +57,7 @@ def test_samples_need_unit_vectors_and_pairs_of_variates():
 def test_predictions_are_combined_in_the_mapped_domain(mapping, rng):
     weights = np.array([0.5, 0.7, -0.2])
     T = mapping_named(mapping)
-    predicted = PredictedBRDF(MATERIALS, weights, T)
+    predicted = PredictedBRDF(MATERIALS, Combination(T, weights))
     wi, wo = directions(rng, 50)
     for a, b in zip(wi, wo, strict=True):
         cosines = np.array(a[2] * b[2])
@@ -93,8 +94,10 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
     weights = np.array([0.6, -0.3, 0.5, 0.2])
     wi, wo = directions(rng, n)
     wo[::7] *= [1.0, 1.0, -1.0]  # some below the horizon
-    fused = PredictedBRDF(measured_materials, weights, mapping_named(mapping)).eval(wi, wo)
-    wrapped = PredictedBRDF([Wrapped(m) for m in measured_materials], weights, mapping_named(mapping))
+    fused = PredictedBRDF(measured_materials, Combination(mapping_named(mapping), weights)).eval(wi, wo)
+    wrapped = PredictedBRDF(
+        [Wrapped(m) for m in measured_materials], Combination(mapping_named(mapping), weights)
+    )
     general = wrapped.eval(wi, wo)
     # The fused cube root is within 4 units in the last place; differences of large terms cost some more.
     np.testing.assert_allclose(fused, general, rtol=1e-9, atol=1e-12 * np.abs(general).max())
@@ -123,19 +126,19 @@ def test_the_compiled_cube_root_is_the_cube_root(rng):
 
 def test_identity_weights_interpolate_linearly(rng):
     wi, wo = directions(rng, 100)
-    predicted = PredictedBRDF(MATERIALS, np.array([0.3, 0.7, 0.0]), mapping_named("identity"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), np.array([0.3, 0.7, 0.0])))
     expected = 0.3 * MATERIALS[0].eval(wi, wo) + 0.7 * MATERIALS[1].eval(wi, wo)
     np.testing.assert_allclose(predicted.eval(wi, wo), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("theta_deg", [0.0, 45.0, 75.0])
 def test_samples_of_a_prediction_follow_its_pdf(theta_deg, rng):
-    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.8, -0.3]), mapping_named("cube-root"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("cube-root"), np.array([0.5, 0.8, -0.3])))
     assert chi_square_p_value(predicted, from_spherical(np.deg2rad(theta_deg), 1.0), rng) > 1e-4
 
 
 def test_albedo_of_a_prediction_is_its_integral():
-    predicted = PredictedBRDF(MATERIALS, np.array([0.4, 0.3, 0.3]), mapping_named("cube-root"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("cube-root"), np.array([0.4, 0.3, 0.3])))
     wo, weights = hemisphere_quadrature(96, 192)
     for theta in (0.0, 0.6, 1.1):
         wi = from_spherical(theta, 0.4)
@@ -150,7 +153,7 @@ def test_quadrature_around_the_mirror_direction_integrates_sharp_lobes():
 
 
 def test_predictions_share_the_protocol_and_broadcast(rng):
-    predicted = PredictedBRDF(MATERIALS, np.array([0.5, 0.5, 0.0]), mapping_named("cube-root"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("cube-root"), np.array([0.5, 0.5, 0.0])))
     assert isinstance(predicted, BRDF)
     assert isinstance(ClippedBRDF(predicted), BRDF)
     wi, wo = directions(rng, 6)
@@ -166,9 +169,9 @@ def test_plausibility_of_an_ideal_diffuser_is_perfect():
 
 
 def test_plausibility_sees_negative_values_and_gained_energy():
-    negative = PredictedBRDF(MATERIALS, np.array([-1.0, 2.0, 0.0]), mapping_named("identity"))
+    negative = PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), np.array([-1.0, 2.0, 0.0])))
     assert plausibility(negative).negative_share > 0.1
-    bright = PredictedBRDF(MATERIALS, np.array([1.0, 0.0, 1.0]), mapping_named("identity"))
+    bright = PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), np.array([1.0, 0.0, 1.0])))
     assert plausibility(bright).max_albedo > 1.5
 
 
@@ -192,7 +195,7 @@ def test_plausibility_sees_energy_that_an_anisotropic_material_gains_from_the_si
 
 def test_clipping_removes_and_counts_negative_values(rng):
     wi, wo = directions(rng, 500)
-    predicted = PredictedBRDF(MATERIALS, np.array([-1.0, 2.0, 0.0]), mapping_named("identity"))
+    predicted = PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), np.array([-1.0, 2.0, 0.0])))
     clipped = ClippedBRDF(predicted)
     raw = predicted.eval(wi, wo)
     np.testing.assert_array_equal(clipped.eval(wi, wo), np.maximum(raw, 0.0))
@@ -204,10 +207,10 @@ def test_clipping_removes_and_counts_negative_values(rng):
 )
 def test_weights_that_fit_nothing_are_refused(weights):
     with pytest.raises(ShapeError, match="weights have shape"):
-        PredictedBRDF(MATERIALS, weights, mapping_named("identity"))
+        PredictedBRDF(MATERIALS, Combination(mapping_named("identity"), weights))
 
 
 def test_materials_of_different_bands_are_refused():
     other = Lambert(np.array([0.5]), Bands((500.0, 600.0)))
     with pytest.raises(BandMismatchError):
-        PredictedBRDF([MATERIALS[0], other], np.array([0.5, 0.5]), mapping_named("identity"))
+        PredictedBRDF([MATERIALS[0], other], Combination(mapping_named("identity"), np.array([0.5, 0.5])))

@@ -121,7 +121,7 @@ def test_latents_kept_of_curves_are_the_closed_form_for_blocks(model, data):
     expected = centred[rows] - solve(P[np.ix_(rows, rows)], P[rows] @ centred) + T[others].mean(axis=0)
     latents = model.gp.X[rows]
     moved = replace(model.space, colours=latents[None, :, -1].repeat(data.n_materials, axis=0))
-    at_samples = Manifold(model.library, model.names, moved, model.settings, {})
+    at_samples = Manifold(model.materials, moved, model.settings, {})
     found = method_of(at_samples, "gp_latents_kept").leave_out(data, i).mapped(data).T
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     assert kept.leave_out(data, i).variance.shape == (len(bands),)

@@ -12,7 +12,7 @@ from manifold.errors import UsageError
 from manifold.experiments.evaluation.selection import PAYS, choose
 from manifold.mapping import MAPPINGS
 from manifold.model.manifold import Settings
-from manifold.model.spaces import KINDS
+from manifold.model.settings import KINDS
 from manifold.synthetic import corpus
 
 NAMES = [m.name for m in corpus.isotropic_materials()][::6]

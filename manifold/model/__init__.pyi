@@ -1,6 +1,8 @@
 from .colours import ColourChoice
 from .located import Located, locate
-from .manifold import Embedded, LibraryChangedWarning, Manifold, Settings
+from .latent_space import Embedded
+from .manifold import LibraryChangedWarning, Manifold
+from .settings import Settings
 from .predicted_file import Prediction, predict
 
 __all__ = [

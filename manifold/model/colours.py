@@ -11,7 +11,6 @@ import numpy as np
 from manifold.colour.reflectances import read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
 from manifold.model.manifold import Manifold
-from manifold.model.spaces import CurveSpace
 from manifold.records import Array
 
 
@@ -63,7 +62,7 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
         FileFormatError: the file holds no reflectance spectrum.
     """
-    if not isinstance(model.space, CurveSpace):
+    if model.space.sample_bands is None:
         if choice != NEAREST:
             raise UsageError(
                 "the materials of this manifold carry their colours with them; leave the colour out, or "
@@ -72,10 +71,10 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         return ChosenColour(None, None, 0.0)
     if choice.reflectance is None and choice.srgb is None:
         name = choice.like if choice.like is not None else model.nearest(x)[0][0]
-        colours = model.colours_like(x, name)
+        colours = model.colours.like(x, name)
         words = f"like {name}" + ", the nearest" * (choice.like is None)
-        reached = model.reflectance_of_colours(x, colours)
-        return ChosenColour(colours, words, float(np.abs(reached - model.reflectance(name)).max()))
+        reached = model.colours.reached(x, colours)
+        return ChosenColour(colours, words, float(np.abs(reached - model.colours.reflectance(name)).max()))
     if choice.reflectance is not None:
         asked, words = (
             read_reflectance(choice.reflectance, model.bands),
@@ -84,7 +83,7 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
     else:
         asked = srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
         words = f"sRGB {choice.srgb}"
-    colours, reached = model.colours_of_reflectance(x, asked)
+    colours, reached = model.colours.of_reflectance(x, asked)
     return ChosenColour(colours, words, float(np.abs(reached - asked).max()))
 
 

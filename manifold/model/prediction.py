@@ -13,8 +13,9 @@ from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
-from manifold.mapping import CubeRoot, Identity, Mapping
+from manifold.mapping import CubeRoot, Identity
 from manifold.metrics import cosine_weight
+from manifold.model.combination import Combination
 from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands
 from manifold.synthetic.analytic import choose_lobe
@@ -28,20 +29,51 @@ def _block_size(n_pairs: int) -> int:
     return int(np.clip(-(-n_pairs // (2 * nb.get_num_threads())), 64, BLOCK_PAIRS))
 
 
-class Mixture:
-    """What predictions share: the materials they are made of, whose densities `sample` mixes.
+class PredictedBRDF:
+    """A weighted sum of measured BRDFs in a mapped domain, `T^-1(sum_i v_i T(f_i))`, evaluated only where asked.
 
-    A subclass evaluates blocks of direction pairs in `_combine`.
+    Weights are those of whole materials, alike in all bands, or of single bands of materials, each predicted band
+    with weights of its own (`Combination`). With a unit vector as weights it *is* the measured material, bit for bit,
+    whatever the mapping.
+
+    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/design/held-out.md.
     """
 
-    def __init__(self, materials: Sequence[BRDF], sampling_weights: Array, bands: Bands) -> None:
-        """Take N materials, their non-negative shares (N,) in the density of `sample`, and the bands to predict."""
+    def __init__(self, materials: Sequence[BRDF], combination: Combination, bands: Bands | None = None):
+        """Combine N materials of the same bands.
+
+        Args:
+            materials: whole, or in the sample bands alone where the combination is of single bands.
+            combination: weights and mapping.
+            bands: to predict; by default those of the materials.
+        Raises:
+            ShapeError: the weights do not fit the materials, are not finite, or are all zero.
+            BandMismatchError: the materials have different bands.
+        """
         for material in materials[1:]:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
-        self._materials = list(materials)
-        # Sampling needs a density that covers every material that counts, not the exact shape of the sum.
-        self._lobes = sampling_weights / sampling_weights.sum()
-        self._bands = bands
+        self._bands = materials[0].bands if bands is None else bands
+        self._mapping = combination.mapping
+        weights = np.asarray(combination.weights, dtype=np.float64)
+        expected: tuple[int, ...] = (len(materials),)
+        if combination.sample_bands is not None:
+            expected = (self._bands.count, len(materials) * materials[0].bands.count)
+        if weights.shape != expected or not np.all(np.isfinite(weights)) or not np.any(weights):
+            raise ShapeError(
+                f"weights have shape {weights.shape}, expected {expected}, finite and not all zero"
+            )
+        self._is_per_band = combination.sample_bands is not None
+        if self._is_per_band:
+            self._materials = list(materials)
+            self._weights = np.ascontiguousarray(weights.T)  # [N B_s, B]
+            shares = np.abs(weights).reshape(self._bands.count, len(materials), -1).sum(axis=(0, 2))
+        else:
+            used = np.flatnonzero(weights)
+            self._materials = [materials[int(k)] for k in used]
+            self._weights = weights[used]
+            shares = np.abs(self._weights)
+        # Sampling needs a density that covers every material with a weight, not the exact shape of the sum.
+        self._sampling_weights = shares / shares.sum()
 
     @property
     def bands(self) -> Bands:
@@ -54,13 +86,16 @@ class Mixture:
         return all(material.is_isotropic for material in self._materials)
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); may be negative where the mapping allows it.
+        """BRDF f in 1/sr, shape (..., B); may be negative where weights are.
 
         Args:
             wi, wo: unit vectors (..., 3) that broadcast against each other.
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length.
         """
+        measured = self._measured()
+        if measured is not None:
+            return measured.eval(wi, wo)
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
         blocks = [(block, out[rows]) for rows, block in pairs.blocks(_block_size(len(pairs)))]
@@ -73,17 +108,17 @@ class Mixture:
                 self._combine(block, values)
         return out.reshape(*pairs.shape, out.shape[1])
 
-    def _combine(self, pairs: DirectionPairs, out: Array) -> None:
-        """Values of K direction pairs into out (K, B)."""
-        raise NotImplementedError
-
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
+        measured = self._measured()
+        if measured is not None:
+            return measured.eval_cos(wi, wo)
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr, shape (...): the materials' densities, mixed by |v_i|."""
-        return np.sum([p * m.pdf(wi, wo) for p, m in zip(self._lobes, self._materials, strict=True)], axis=0)
+        shares = zip(self._sampling_weights, self._materials, strict=True)
+        return np.sum([share * material.pdf(wi, wo) for share, material in shares], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.
@@ -100,7 +135,7 @@ class Mixture:
         shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
         wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
         u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
-        lobe, u = choose_lobe(self._lobes, u)
+        lobe, u = choose_lobe(self._sampling_weights, u)
         wo = np.zeros_like(wi)
         wo[:, 2] = 1.0
         usable = np.zeros(len(wi), dtype=bool)
@@ -121,110 +156,39 @@ class Mixture:
         """
         return quadrature_albedo(self, wi, resolution)
 
-
-class PredictedBRDF(Mixture):
-    """T^-1(sum_i v_i T(f_i)): a BRDF between measured materials.
-
-    With a unit vector as weights it *is* the measured material, bit for bit, whatever the mapping.
-
-    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials.
-    """
-
-    def __init__(self, materials: Sequence[BRDF], weights: Array, mapping: Mapping):
-        """Combine N materials of the same bands with weights v (N,) under a mapping T.
-
-        Raises:
-            ShapeError: there is not one finite weight per material.
-            BandMismatchError: the materials have different bands.
-        """
-        weights = np.asarray(weights, dtype=np.float64)
-        if weights.shape != (len(materials),) or not np.all(np.isfinite(weights)) or not np.any(weights):
-            raise ShapeError(
-                f"weights have shape {weights.shape}, expected ({len(materials)},), finite and not all zero"
-            )
-        used = np.flatnonzero(weights)
-        self._weights = weights[used]
-        self._mapping = mapping
-        super().__init__([materials[int(k)] for k in used], np.abs(self._weights), materials[0].bands)
-
     def _measured(self) -> BRDF | None:
         """The material that this is, if it is one."""
-        return self._materials[0] if len(self._materials) == 1 and self._weights[0] == 1.0 else None
-
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); arguments and errors as in `Mixture.eval`."""
-        measured = self._measured()
-        return super().eval(wi, wo) if measured is None else measured.eval(wi, wo)
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `Mixture.eval`."""
-        measured = self._measured()
-        return super().eval_cos(wi, wo) if measured is None else measured.eval_cos(wi, wo)
+        is_one = not self._is_per_band and len(self._materials) == 1 and self._weights[0] == 1.0
+        return self._materials[0] if is_one else None
 
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
         cosines = cosine_weight(pairs.wi, pairs.wo)
-        fused = isinstance(self._mapping, CubeRoot | Identity)
-        out[...] = 0.0
-        for weight, material in zip(self._weights, self._materials, strict=True):
-            if not isinstance(material, MeasuredBRDF):
-                out += weight * self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
-            elif fused:
-                is_root = isinstance(self._mapping, CubeRoot)
-                material.add_weighted(pairs, float(weight), out, cube_root=is_root)
-            else:
-                f = np.empty_like(out)
-                material.eval_into(pairs, f)
-                out += weight * self._mapping.forward(f, cosines)
+        if self._is_per_band:
+            mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
+            for material, values in zip(self._materials, mapped, strict=True):
+                self._add_mapped(material, 1.0, pairs, cosines, values)
+            samples = np.moveaxis(mapped, 0, 1).reshape(len(pairs), -1)  # [K, N B_s]
+            np.matmul(samples, self._weights, out=out)
+        else:
+            out[...] = 0.0
+            for weight, material in zip(self._weights, self._materials, strict=True):
+                self._add_mapped(material, float(weight), pairs, cosines, out)
         out[...] = self._mapping.inverse(out, cosines)
         out[cosines <= 0] = 0.0
 
-
-class MonochromePrediction(Mixture):
-    """T^-1(sum_s V_bs T(f_s)): every band b a sum over monochrome samples, a few bands of each material.
-
-    Source: docs/design/held-out.md.
-    """
-
-    def __init__(self, samples: Sequence[BRDF], weights: Array, mapping: Mapping, bands: Bands):
-        """Combine N materials in the sample bands with weights V (B, N B_s) under a mapping T.
-
-        Args:
-            samples: the materials in their sample bands; sample n B_s + s is band s of material n.
-            weights: shape (B, N B_s).
-            mapping: T.
-            bands: the B bands to predict.
-        Raises:
-            ShapeError: the weights do not fit, or are not finite.
-            BandMismatchError: the materials have different bands.
-        """
-        weights = np.asarray(weights, dtype=np.float64)
-        n_bands = samples[0].bands.count
-        expected = (bands.count, len(samples) * n_bands)
-        if weights.shape != expected or not np.all(np.isfinite(weights)):
-            raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, finite")
-        self._mapping = mapping
-        self._weights_T = np.ascontiguousarray(weights.T)
-        sampling_weights = np.abs(weights).reshape(bands.count, len(samples), n_bands).sum(axis=(0, 2))
-        super().__init__(samples, sampling_weights, bands)
-
-    def _combine(self, pairs: DirectionPairs, out: Array) -> None:
-        """Values of K direction pairs into out (K, B)."""
-        cosines = cosine_weight(pairs.wi, pairs.wo)
-        mapped = np.empty((len(self._materials), len(pairs), self._materials[0].bands.count))
-        for material, values in zip(self._materials, mapped, strict=True):
-            if not isinstance(material, MeasuredBRDF):
-                values[...] = self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
-            elif isinstance(self._mapping, CubeRoot):
-                values[...] = 0.0
-                material.add_weighted(pairs, 1.0, values, cube_root=True)
-            else:
-                material.eval_into(pairs, values)
-                values[...] = self._mapping.forward(values, cosines)
-        samples = np.moveaxis(mapped, 0, 1).reshape(len(pairs), -1)  # [K, N B_s]
-        np.matmul(samples, self._weights_T, out=out)
-        out[...] = self._mapping.inverse(out, cosines)
-        out[cosines <= 0] = 0.0
+    def _add_mapped(
+        self, material: BRDF, weight: float, pairs: DirectionPairs, cosines: Array, out: Array
+    ) -> None:
+        """Add weight * T(f) of one material at K pairs to out (K, B)."""
+        if not isinstance(material, MeasuredBRDF):
+            out += weight * self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
+        elif isinstance(self._mapping, CubeRoot | Identity):  # in one pass
+            material.add_weighted(pairs, weight, out, cube_root=isinstance(self._mapping, CubeRoot))
+        else:
+            f = np.empty_like(out)
+            material.eval_into(pairs, f)
+            out += weight * self._mapping.forward(f, cosines)
 
 
 class ClippedBRDF:

@@ -20,7 +20,7 @@ from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
-from manifold.model.prediction import MonochromePrediction, PredictedBRDF
+from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, BsdfFile, evenly_spaced
 
 _FOLDS = 10
@@ -130,15 +130,16 @@ def _predictor(
     kept: Kept, combination: Combination, block: DirectionPairs, *, is_dense: bool
 ) -> Callable[[], object]:
     """What predicts values at the direction pairs of a block, in all bands, as the package does."""
-    mapping, weights = combination.mapping, combination.weights
     if is_dense:
-        return _from_table(np.stack([instruments.evaluated(m, block) for m in kept.brdfs]), weights)
+        return _from_table(
+            np.stack([instruments.evaluated(m, block) for m in kept.brdfs]), combination.weights
+        )
     if combination.sample_bands is not None:
         bands = combination.sample_bands.tolist()
         samples = [m.select_bands(bands) for m in kept.brdfs]
-        curve = MonochromePrediction(samples, weights, mapping, kept.brdfs[0].bands)
+        curve = PredictedBRDF(samples, combination, kept.brdfs[0].bands)
         return lambda: curve.eval(block.wi, block.wo)
-    whole = PredictedBRDF(kept.brdfs, weights, mapping)
+    whole = PredictedBRDF(kept.brdfs, combination)
     if kept.back is not None:
         back = kept.back.T
         return lambda: whole.eval(block.wi, block.wo) @ back

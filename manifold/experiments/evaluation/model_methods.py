@@ -20,8 +20,8 @@ from manifold.experiments.evaluation.methods import (
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.gpr import GPWeights
 from manifold.model.combination import Combination
+from manifold.model.curve_space import CurveSpace
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.spaces import CurveSpace
 from manifold.records import Array
 
 
@@ -152,18 +152,12 @@ def _fit_refitted(model: Manifold, *, by_likelihood: bool = False) -> Fit:
 
 def _latents(model: Manifold, i: int) -> Array:
     """Latents of material i: one, or one per band."""
-    if isinstance(model.space, CurveSpace):
-        return model.space.join(model.X[i : i + 1], model.space.colours[i : i + 1])
-    return model.X[i : i + 1]
+    return model.space.own_latents(i)
 
 
 def _gp_of(model: Manifold, materials: Array) -> GPWeights:
     """The process on the latents of some materials."""
-    space = model.space
-    rows = materials
-    if isinstance(space, CurveSpace):
-        rows = sample_columns(materials, len(space.sample_bands))
-    return GPWeights(space.gp.X[rows], space.kernel)
+    return GPWeights(model.space.latents_of(materials), model.space.kernel)
 
 
 def _output_variance(model: Manifold, data: Data) -> float:

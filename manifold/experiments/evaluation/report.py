@@ -21,7 +21,6 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model import gram
 from manifold.model.combination import Values, evaluate
 from manifold.model.manifold import Manifold
-from manifold.model.spaces import CurveSpace
 from manifold.records import Array, Progress, evenly_spaced
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
@@ -202,7 +201,7 @@ def _tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: P
     """What methods learn from: about 20 bands, those among them that are samples of monochrome models."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
-    if isinstance(model.space, CurveSpace):
+    if model.space.sample_bands is not None:
         bands = np.union1d(bands, model.space.sample_bands)
 
     def step(done: int, total: int) -> None:

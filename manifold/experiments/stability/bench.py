@@ -25,9 +25,9 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import diagnostics
+from manifold.model.latent_space import LatentSpace
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.prediction import Mixture
-from manifold.model.spaces import CurveSpace, MaterialSpace
+from manifold.model.prediction import PredictedBRDF
 from manifold.models.encoding import EncodingPairs
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.microfacet import GGX, Plastic
@@ -120,29 +120,29 @@ class Bench:
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
 
-def embed(model: Manifold, material: BRDF) -> tuple[Mixture, tuple[str, ...]]:
+def embed(model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
     """What a manifold makes of a material it has not seen, and what it says about that."""
     found = model.embed(material)
     said = diagnostics.of_embedding(found.relative_error)
     return _predict(model, found.latent, found.colours, said)
 
 
-def in_space(model: Manifold, space: MaterialSpace | CurveSpace) -> Manifold:
+def in_space(model: Manifold, space: LatentSpace) -> Manifold:
     """A manifold of the same materials with other latents, or another kernel on them."""
     settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
-    return Manifold(model.library, model.names, space, settings, {})
+    return Manifold(model.materials, space, settings, {})
 
 
 def predict(
     model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
-) -> tuple[Mixture, tuple[str, ...]]:
+) -> tuple[PredictedBRDF, tuple[str, ...]]:
     """What a manifold predicts at a latent, and what it says about that; `missed` as in `diagnostics`."""
     return _predict(model, x, colours, (), missed)
 
 
 def _predict(
     model: Manifold, x: Array, colours: Array | None, said: tuple[str, ...], missed: float = 0.0
-) -> tuple[Mixture, tuple[str, ...]]:
+) -> tuple[PredictedBRDF, tuple[str, ...]]:
     brdf = model.predict(x, colours)
     known = diagnostics.of_prediction(bool(model.is_extrapolation(x, colours)), plausibility(brdf), missed)
     return brdf, said + known

@@ -11,8 +11,7 @@ from manifold.directions import from_spherical
 from manifold.experiments.stability.bench import ALPHAS, Bench, named, predict
 from manifold.experiments.stability.model_failures import HALF_OF_NEAREST, held_out, worst
 from manifold.experiments.stability.trials import Found, Mode, Trial
-from manifold.model.prediction import Mixture
-from manifold.model.spaces import CurveSpace
+from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 
 HALF_OF_VALUE = 0.5  # f depends on which end is the light by as much: more than measured materials show
@@ -26,7 +25,7 @@ _DISTANCE = "length scales outside"
 _NEGATIVE, _ALBEDO, _NON_RECIPROCAL = range(3)
 
 
-def _measure(brdf: Mixture, bench: Bench) -> Array:
+def _measure(brdf: PredictedBRDF, bench: Bench) -> Array:
     """Share of negative values, largest albedo, and relative difference of f(wi, wo) and f(wo, wi): (3,)."""
     wi, wo, weight = bench.pairs.wi, bench.pairs.wo, bench.pairs.cosines[:, None]
     f, swapped = brdf.eval(wi, wo), brdf.eval(wo, wi)
@@ -35,14 +34,14 @@ def _measure(brdf: Mixture, bench: Bench) -> Array:
     return np.array([np.mean(f < 0), albedo.max(), apart])
 
 
-Places = Callable[[Bench, float], Iterator[tuple[Mixture, tuple[str, ...]]]]
+Places = Callable[[Bench, float], Iterator[tuple[PredictedBRDF, tuple[str, ...]]]]
 """Predictions at a distance outside the materials, with what was said about each."""
 
 
 def _on_rays(kind: str, mapping: str = "cube-root") -> Places:
     """On rays from the centre of the materials."""
 
-    def places(bench: Bench, distance: float) -> Iterator[tuple[Mixture, tuple[str, ...]]]:
+    def places(bench: Bench, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
         model = bench.model(kind, mapping)
         angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
         for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
@@ -53,11 +52,10 @@ def _on_rays(kind: str, mapping: str = "cube-root") -> Places:
     return places
 
 
-def _brighter(bench: Bench, distance: float) -> Iterator[tuple[Mixture, tuple[str, ...]]]:
+def _brighter(bench: Bench, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """At materials' own structures, in colours moved up."""
     model = bench.model("monochrome")
-    assert isinstance(model.space, CurveSpace)
-    for x, colours in zip(model.X[::3], model.space.colours[::3], strict=True):
+    for x, colours in zip(model.X[::3], model.space.colour_table()[0][::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 

@@ -16,7 +16,8 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.experiments.stability.bench import ALPHAS, COLOURS, MIDDLE, Bench, embed, in_space, predict
 from manifold.experiments.stability.trials import Found, Mode, Trial
-from manifold.model.manifold import REFLECTANCE_INCIDENCE_DEG, Manifold
+from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
+from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
 
 KINDS = ("material", "monochrome")
@@ -77,7 +78,7 @@ def _rescaled(bench: Bench, length_scale: float, kind: str) -> Found:
     truth, fitted = held_out(bench), bench.model(kind)
     known = fitted.embed(truth)
     model = in_space(
-        fitted, replace(fitted.space, kernel=replace(fitted.space.kernel, length_scale=length_scale))
+        fitted, fitted.space.with_kernel(replace(fitted.space.kernel, length_scale=length_scale))
     )
     brdf, said = predict(model, known.latent, known.colours)
     return Found(in_error_of_nearest(bench, brdf), said)
@@ -140,7 +141,7 @@ def _asked_for(bench: Bench, reflectance: float) -> Found:
     asked = np.full(model.bands.count, reflectance)
     found = []
     for x in model.X[::3]:
-        colours, claimed = model.colours_of_reflectance(x, asked)
+        colours, claimed = model.colours.of_reflectance(x, asked)
         brdf, said = predict(model, x, colours, float(np.abs(claimed - asked).max()))
         reached = brdf.albedo(from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0))
         found.append(Found(float(np.abs(reached - asked).max()), said))

@@ -13,8 +13,9 @@ from manifold.experiments.stability.trials import Found, Mode, Trial
 from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, pca_start
 from manifold.gpr import GPWeights, centre_gram
 from manifold.mapping import mapping_named
+from manifold.model.combination import Combination
+from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
-from manifold.model.spaces import MaterialSpace
 from manifold.models.kernels import SquaredExponential
 from manifold.records import Array
 
@@ -104,7 +105,7 @@ def _ill_conditioned(bench: Bench, length_scale: float) -> Found:
     model, truth = bench.model("material"), held_out(bench)
     x = bench.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
-    brdf = PredictedBRDF(model.load_materials(), weights, model.mapping)
+    brdf = PredictedBRDF(model.load_materials(), Combination(model.mapping, weights))
     return Found(in_error_of_nearest(bench, brdf))
 
 

@@ -14,7 +14,6 @@ from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
-from manifold.model.spaces import CurveSpace, MaterialSpace
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering.plugin import packed_tables
 from manifold.rendering.plugin.packed_tables import Tables
@@ -76,25 +75,22 @@ def fixed_mixture(
     """
     x = model.require_latent(latent)
     chosen = choose_colour(model, x, colour)
-    if isinstance(model.space, MaterialSpace):
-        weights = model.gp.weights(x[None])[0]
-        kept, fitted, error = leave_out(weights, model.S, tolerance)
+    combination = model.combination(x, chosen.colours)
+    if combination.source is not None:
+        return _of_materials(model, np.array([combination.source]), np.ones(1), 0, 0.0)
+    weights, sample_bands = combination.weights, combination.sample_bands
+    if sample_bands is None:
+        kept, fitted, error = leave_out(weights, model.space.arrays["S"], tolerance)
         return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
     if tolerance > 0.0:
         raise UsageError(
             "tolerance needs a manifold of whole materials; leave it out, or embed with --kind material"
         )
-    assert chosen.colours is not None
-    space = model.space
-    owner = model.owner(x, chosen.colours)
-    if owner is not None:
-        return _of_materials(model, np.array([owner]), np.ones(1), 0, 0.0)
-    flat = model.gp.weights(space.join(x[None], chosen.colours[None]))
     files = _read(model, range(len(model.names)))
     order = _by_size(files)
-    samples = flat.reshape(model.bands.count, len(model.names), len(space.sample_bands))[:, order]
+    samples = weights.reshape(model.bands.count, len(model.names), len(sample_bands))[:, order]
     lobes = np.abs(samples).sum(axis=(0, 2))
-    tables = packed_tables.pack([files[k] for k in order], space.sample_bands.tolist())
+    tables = packed_tables.pack([files[k] for k in order], sample_bands.tolist())
     names = tuple(model.names[k] for k in order)
     return Mixture(names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
 
@@ -106,7 +102,7 @@ def varying_mixture(model: Manifold) -> Mixture:
         UsageError: the manifold is monochrome (which colours give a structure its reflectance jumps between places,
             and would tear the field), or a material is anisotropic.
     """
-    if isinstance(model.space, CurveSpace):
+    if model.space.sample_bands is not None:
         raise UsageError(
             "textures of latents need a manifold of whole materials; give one latent, or embed with --kind material"
         )

@@ -1,0 +1,54 @@
+"""Latents turned into values of a library's materials at direction pairs: for embedding, and for reflectances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.plausibility import mirrored_quadrature
+from manifold.directions import from_spherical
+from manifold.mapping import mapping_named
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.latent_space import LatentSpace
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import Settings
+from manifold.models.encoding import Decoder, EncodingPairs
+from manifold.records import Array
+
+REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
+
+
+def encoding_pairs() -> EncodingPairs:
+    """The direction pairs at which new materials are compared with what latents decode to."""
+    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
+
+
+def integrating_sphere() -> tuple[EncodingPairs, Array]:
+    """Direction pairs (P, 3) of an integrating sphere, and what makes a reflectance of values f there, (P,)."""
+    wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
+    wo, measure = mirrored_quadrature(wi)
+    return EncodingPairs(np.broadcast_to(wi, wo.shape), wo), measure * wo[:, 2]
+
+
+def decoder_at(
+    pairs: EncodingPairs, space: LatentSpace, materials: MaterialCache, settings: Settings
+) -> Decoder:
+    """What turns latents of a space into values at direction pairs: of all embedding bands, or of one band."""
+    mapping, cosines = mapping_named(settings.mapping), pairs.cosines
+    located = DirectionPairs(pairs.wi, pairs.wo)
+    rows = []
+    for brdf in materials.in_bands(space.embedding_bands(materials.library.bands.count).tolist()):
+        f = np.empty((len(located), brdf.bands.count))
+        brdf.eval_into(located, f)
+        rows.append(mapping.forward(f, cosines).T)  # [B_e, P]
+    samples = space.samples(np.stack(rows), cosines)
+    return Decoder(
+        gp=space.gp,
+        n_structure=space.X.shape[1],
+        group=samples.group,
+        mapped=samples.mapped,
+        mapping=mapping,
+        cosines=samples.cosines,
+        gram_weight=samples.cosines,
+        prior=settings.prior,
+    )

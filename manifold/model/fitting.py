@@ -1,0 +1,108 @@
+"""Latent spaces fitted to the materials of a library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.gplvm import GPLVM
+from manifold.mapping import mapping_named
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model import gram
+from manifold.model.curve_space import CurveSpace
+from manifold.model.decoding import decoder_at, encoding_pairs, integrating_sphere
+from manifold.model.latent_space import LatentSpace
+from manifold.model.material_space import MaterialSpace
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import Settings
+from manifold.models.per_band import MonochromeGPLVM
+from manifold.records import Array, Progress, evenly_spaced
+
+Statistics = dict[str, float]
+"""Objective at start and end of a fit."""
+
+
+def fit_space(
+    materials: MaterialCache, settings: Settings, on_progress: Progress | None
+) -> tuple[LatentSpace, Statistics]:
+    """Fit the kind of space that the settings ask for to all materials of a cache.
+
+    Raises:
+        UsageError: fewer than two materials, or more dimensions than materials less one.
+        LibraryError: a material cannot be read.
+    """
+    count, most = len(materials.names), len(materials.names) - 1
+    if count < 2:
+        raise UsageError(
+            f"{materials.library.path.name}: found {count} material{'s' * (count != 1)}, "
+            "expected at least 2; import more"
+        )
+    if not 1 <= settings.latent_dim <= most:
+        raise UsageError(
+            f"{settings.latent_dim} latent dimensions for {count} materials, "
+            f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
+        )
+    return _FITS[settings.kind](materials, settings, on_progress)
+
+
+def _fit_materials(
+    materials: MaterialCache, s: Settings, on_progress: Progress | None
+) -> tuple[LatentSpace, Statistics]:
+    matrix = _gram(materials, s, None, on_progress)
+    fitted = GPLVM(
+        s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
+    ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
+    space = MaterialSpace(fitted.embedding_, matrix.S, matrix.n_outputs, s.covariance())
+    return space, {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
+
+
+def _fit_curves(
+    materials: MaterialCache, s: Settings, on_progress: Progress | None
+) -> tuple[LatentSpace, Statistics]:
+    n_bands = materials.library.bands.count
+    bands = evenly_spaced(n_bands, s.sample_bands)
+    matrix = _gram(materials, s, bands, on_progress)
+    fitted = MonochromeGPLVM(
+        s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
+    ).fit_gram(matrix.S, len(materials.names), matrix.n_outputs)  # fmt: skip
+    unknown = np.zeros(
+        (len(materials.names), 0)
+    )  # all bands' colours follow: decoding needs the samples only
+    space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
+    # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
+    pairs = encoding_pairs()
+    decoder = decoder_at(pairs, space, materials, s)
+    sphere, measure = integrating_sphere()
+    colours = np.empty((len(materials.names), n_bands))
+    reflectances = np.empty_like(colours)
+    for n, material in enumerate(materials.filled()):
+        f = material.eval(pairs.wi, pairs.wo).T
+        colours[n] = decoder.encode_colours(space.X[n], f)[:, 0]
+        reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
+        if on_progress is not None:
+            on_progress(n + 1, len(materials.names), "colours")
+    statistics = {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
+    return replace(space, colours=colours, reflectances=reflectances), statistics
+
+
+_FITS = {"material": _fit_materials, "monochrome": _fit_curves}
+
+
+def _gram(
+    materials: MaterialCache, s: Settings, bands: Array | None, on_progress: Progress | None
+) -> gram.Gram:
+    """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
+    library, mapping, grid = materials.library, mapping_named(s.mapping), RusinkiewiczGrid.named(s.grid)
+    chosen = None if bands is None else bands.tolist()
+    key = gram.cache_key(library.content_hash, mapping, grid, chosen)
+    cached = library.cache_get(key)
+    if cached is not None:
+        return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
+    brdfs = materials.filled(on_progress=on_progress)
+    if chosen is not None:
+        brdfs = [brdf.select_bands(chosen) for brdf in brdfs]
+    matrix = gram.gram_matrix(brdfs, mapping, grid, on_progress, per_band=chosen is not None)
+    library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
+    return matrix

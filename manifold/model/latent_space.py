@@ -1,0 +1,163 @@
+"""Fitted latent spaces, arrays in and arrays out: whole materials as points, and materials as curves.
+
+In a `MaterialSpace` a material is one point, and one set of weights serves all bands. In a `CurveSpace` every
+band is a point: its structure coordinates are the material's, its colour coordinate is its own, and every
+band has weights over the monochrome samples, a few bands of each material. Both have the same methods.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping as Fields
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from manifold.gpr import GPWeights
+from manifold.models.encoding import Decoder
+from manifold.models.kernels import Kernel, first_equal_row
+from manifold.records import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """Where a material that the manifold has not seen belongs.
+
+    Attributes:
+        latent: shape (Q,).
+        colours: colour coordinate of every band, shape (B,); None where whole materials are points.
+        relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
+    """
+
+    latent: Array
+    colours: Array | None
+    relative_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Mapped values of the training samples of a space at P direction pairs, as an encoder takes them.
+
+    Attributes:
+        mapped: one row per sample, shape (n, P').
+        cosines: cos(theta_i) cos(theta_o) per column, shape (P',).
+        group: samples per material.
+    """
+
+    mapped: Array
+    cosines: Array
+    group: int
+
+
+class LatentSpace(ABC):
+    """What whole-material and per-band spaces have in common.
+
+    Attributes:
+        X: latents of the materials, shape (N, Q); of a `CurveSpace` their structure coordinates.
+        kernel: covariance function on the latents.
+        sample_bands: bands of the materials that predictions combine, shape (B_s,); None is all of them.
+    """
+
+    kind: ClassVar[str]
+    X: Array
+    kernel: Kernel
+    sample_bands: Array | None
+
+    @cached_property
+    def gp(self) -> GPWeights:
+        """The Gaussian process of the training samples."""
+        return GPWeights(self.latents_of(np.arange(len(self.X))), self.kernel)
+
+    @abstractmethod
+    def with_kernel(self, kernel: Kernel) -> LatentSpace:
+        """The same latents under another kernel."""
+
+    @property
+    @abstractmethod
+    def arrays(self) -> dict[str, Array]:
+        """What a file has to hold, by name."""
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
+        """The same space again.
+
+        Raises:
+            ValueError: the arrays do not fit each other, or the number of bands.
+        """
+
+    @abstractmethod
+    def numbers(self, n_bands: int) -> int:
+        """How many numbers describe a material of so many bands."""
+
+    @abstractmethod
+    def sample_rows(self, materials: Array) -> Array:
+        """Indices of the training samples of some materials."""
+
+    @abstractmethod
+    def latents_of(self, materials: Array) -> Array:
+        """Latents of the training samples of some materials, shape (n, Q')."""
+
+    @abstractmethod
+    def own_latents(self, material: int) -> Array:
+        """Latents of one material in every band that has one of its own, shape (1 or B, Q')."""
+
+    @abstractmethod
+    def join(self, X: Array, colours: Array | None) -> Array:
+        """Latents of the process at X (M, Q) in colours (B,), or in those of the materials around, (M R, Q')."""
+
+    @abstractmethod
+    def weights(self, x: Array, colours: Array | None) -> Array:
+        """Weights of a prediction at x (Q,): of materials (N,), or of samples in every band (B, n)."""
+
+    @abstractmethod
+    def material_weights(self, X: Array, colours: Array | None) -> Array:
+        """Weights at latents X (M, Q) summed over the samples of a material, averaged over bands, shape (M, N)."""
+
+    @abstractmethod
+    def colour_table(self) -> tuple[Array, Array]:
+        """Colour coordinates and reflectances of the materials in all bands, shape (N, B) each.
+
+        Raises:
+            UsageError: whole materials are points, and carry their colours with them.
+        """
+
+    @abstractmethod
+    def require_colours(self, colours: Array | None) -> Array | None:
+        """Colours (B,) as float64.
+
+        Raises:
+            UsageError: materials carry their colours here, and colours are given.
+            ShapeError: they are not (B,) or not finite.
+        """
+
+    @abstractmethod
+    def embedding_bands(self, n_bands: int) -> Array:
+        """Bands whose values find a latent."""
+
+    @abstractmethod
+    def samples(self, mapped: Array, cosines: Array) -> Samples:
+        """Training samples from mapped values (N, B_e, P) in the embedding bands, and cosines (P,)."""
+
+    @abstractmethod
+    def embed(self, decoder: Decoder, f: Array) -> Embedded:
+        """The latent of a material with values f (B, P) in all bands."""
+
+    def training_index(self, x: Array, colours: Array | None) -> int | None:
+        """The material whose latent x (Q,) and colours (B,) these are."""
+        k = int(first_equal_row(x[None], self.X)[0])
+        return k if k >= 0 else None
+
+    def variance_fraction(self, X: Array, colours: Array | None) -> Array:
+        """Posterior over prior variance at X (M, Q), averaged over bands, shape (M,); 0 at a material."""
+        if len(X) == 1 and self.training_index(X[0], colours) is not None:
+            return np.zeros(1)
+        return self.gp.variance_fraction(self.join(X, colours)).reshape(len(X), -1).mean(axis=1)
+
+
+def require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless an array of a file has a shape."""
+    if np.shape(found) != shape:
+        raise ValueError(f"dataset '{name}' has shape {np.shape(found)}, expected {shape}")

@@ -1,0 +1,46 @@
+"""Latent coordinates as users give them, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from manifold.errors import LatentError
+from manifold.records import Array
+
+LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
+
+
+def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
+    """One latent as float64 (Q,).
+
+    Raises:
+        LatentError: it has not so many finite coordinates, or far larger ones than materials have.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    if x.shape != (latent_dim,) or not np.all(np.isfinite(x)):
+        raise LatentError(
+            f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, "
+            f"expected {latent_dim} finite ones; give as many as the model has dimensions"
+        )
+    if np.any(np.abs(x) > LARGEST_COORDINATE):
+        raise LatentError(
+            f"latent {np.array2string(x, separator=', ')}: expected coordinates up to {LARGEST_COORDINATE:g}; "
+            "the materials lie within a few units of zero"
+        )
+    return x
+
+
+def require_latents(x: Array, latent_dim: int) -> Array:
+    """One latent (Q,) or several (M, Q) as float64.
+
+    Raises:
+        LatentError: they have another shape, or are not finite.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    if x.ndim not in (1, 2) or x.shape[-1] != latent_dim or not np.all(np.isfinite(x)):
+        raise LatentError(
+            f"latents have shape {x.shape}, expected ({latent_dim},) or (M, {latent_dim}), finite"
+        )
+    return x

@@ -1,0 +1,120 @@
+"""The measured materials behind a manifold, read from its library when first asked for."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.errors import UsageError
+from manifold.library.store import Library
+from manifold.records import BsdfFile, Progress
+
+_SHOWN_NAMES = 4  # of a model's materials, in messages
+
+
+class MaterialCache:
+    """Materials of a library by name: as measured, with unmeasured cells filled, and in a few bands only.
+
+    Attributes:
+        library: where they are read from.
+        names: in the order of the latents, N of them.
+    """
+
+    def __init__(self, library: Library, names: Sequence[str]) -> None:
+        self.library, self.names = library, tuple(names)
+        self._measured: dict[str, MeasuredBRDF] = {}
+        self._filled: dict[str, MeasuredBRDF] = {}
+        self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
+        self._unmeasured_shares: dict[str, float] = {}
+
+    def index(self, name: str) -> int:
+        """The index of a material.
+
+        Raises:
+            UsageError: there is none of that name.
+        """
+        if name not in self.names:
+            raise UsageError(f"no material '{name}' in this model; {self._names_like(name)}")
+        return self.names.index(name)
+
+    def measured(self, name: str) -> MeasuredBRDF:
+        """A material as its file has it.
+
+        Raises:
+            UsageError: there is none of that name.
+            LibraryError: the library has lost it.
+        """
+        self.index(name)
+        if name not in self._measured:
+            self._measured[name] = MeasuredBRDF(self.library.read(name))
+        return self._measured[name]
+
+    def filled(
+        self, names: Iterable[str] | None = None, on_progress: Progress | None = None
+    ) -> list[MeasuredBRDF]:
+        """Materials with their unmeasured cells filled, as predictions combine them; all by default."""
+        return self._read(self._fill, self.names if names is None else tuple(names), on_progress)
+
+    def in_bands(self, bands: Sequence[int], on_progress: Progress | None = None) -> list[MeasuredBRDF]:
+        """All materials, unmeasured cells filled, in some of their bands; the others are not kept."""
+        key = tuple(int(b) for b in bands)
+        if self._in_bands is None or self._in_bands[0] != key:
+
+            def read(name: str) -> MeasuredBRDF:
+                known = self._filled.get(name)
+                whole = (
+                    MeasuredBRDF(self._with_unmeasured_filled(self.library.read(name)))
+                    if known is None
+                    else known
+                )
+                return whole.select_bands(list(key))
+
+            self._in_bands = key, self._read(read, self.names, on_progress)
+        return self._in_bands[1]
+
+    def unmeasured_share(self, name: str) -> float:
+        """Share of the cells above the horizon that a file has no measurement for."""
+        if name not in self._unmeasured_shares:
+            self._with_unmeasured_filled(self.library.read(name))
+        return self._unmeasured_shares[name]
+
+    def _fill(self, name: str) -> MeasuredBRDF:
+        if name not in self._filled:
+            file = self.library.read(name)
+            filled = self._with_unmeasured_filled(file)
+            self._filled[name] = MeasuredBRDF(filled)
+            if filled is file:
+                self._measured[name] = self._filled[name]
+        return self._filled[name]
+
+    def _with_unmeasured_filled(self, file: BsdfFile) -> BsdfFile:
+        cells = unmeasured_cells(file)
+        self._unmeasured_shares[file.name] = unmeasured_share(file, cells)
+        return fill_unmeasured(file, cells)
+
+    def _read(
+        self,
+        read: Callable[[str], MeasuredBRDF],
+        names: Sequence[str],
+        on_progress: Progress | None,
+    ) -> list[MeasuredBRDF]:
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            loaded = []
+            for done, material in enumerate(pool.map(read, names), start=1):
+                loaded.append(material)
+                if on_progress is not None:
+                    on_progress(done, len(names), material.name)
+        return loaded
+
+    def _names_like(self, name: str) -> str:
+        """What somebody may have meant by a name: those that contain it, or nearly are it, a few at most."""
+        within = [known for known in self.names if name and name.lower() in known.lower()]
+        near = (within or difflib.get_close_matches(name, self.names))[:_SHOWN_NAMES]
+        if near:
+            return f"near are {', '.join(near)}"
+        more = len(self.names) - _SHOWN_NAMES
+        return f"it holds {', '.join(self.names[:_SHOWN_NAMES])}" + f" and {more} more" * (more > 0)

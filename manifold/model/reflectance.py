@@ -1,0 +1,85 @@
+"""Colours of a monochrome manifold as reflectances: what the colour coordinates of a structure mean to people.
+
+Reflectance is the directional-hemispherical one at 8 degrees, specular included, as integrating spheres measure it;
+of an RGB library, the linear sRGB colour.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from manifold.errors import ShapeError
+from manifold.model.decoding import decoder_at, integrating_sphere
+from manifold.model.latent_space import LatentSpace
+from manifold.model.latents import require_latent
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import Settings
+from manifold.models.encoding import Decoder
+from manifold.records import Array
+
+
+class ReflectanceColours:
+    """Turns reflectances into colour coordinates at any structure, and back."""
+
+    def __init__(self, space: LatentSpace, materials: MaterialCache, settings: Settings) -> None:
+        """Take a fitted space and the materials behind it.
+
+        Raises:
+            UsageError: its materials are points and carry their colours.
+        """
+        self._own, self._reflectances = space.colour_table()
+        self._space, self._materials, self._settings = space, materials, settings
+
+    def reflectance(self, name: str) -> Array:
+        """Reflectance of a material, shape (B,).
+
+        Raises:
+            UsageError: the model has no such material.
+        """
+        return self._reflectances[self._materials.index(name)].copy()
+
+    def reached(self, x: Array, colours: Array) -> Array:
+        """Reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
+        decoder, measure = self._sphere
+        return decoder.decode(self._space.join(self._latent(x)[None], colours)) @ measure
+
+    def like(self, x: Array, name: str) -> Array:
+        """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
+
+        At the material's own latent, its own colours: there the prediction is the measured file.
+        """
+        k, x = self._materials.index(name), self._latent(x)
+        if np.array_equal(x, self._space.X[k]):
+            return self._own[k].copy()
+        return self.of_reflectance(x, self._reflectances[k])[0]
+
+    def of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
+        """Colour coordinates that give a structure x (Q,) a reflectance spectrum.
+
+        What the structure cannot reach, as a metal cannot be black, is met as nearly as it can be.
+
+        Args:
+            x: structure.
+            reflectance: shape (B,).
+        Returns:
+            colours (B,), and the reflectance that they give, (B,).
+        Raises:
+            ShapeError: there is not one finite value per band.
+        """
+        expected = self._reflectances.shape[1:]
+        reflectance = np.asarray(reflectance, dtype=np.float64)
+        if reflectance.shape != expected or not np.all(np.isfinite(reflectance)):
+            raise ShapeError(f"reflectance has shape {reflectance.shape}, expected {expected}, finite")
+        decoder, measure = self._sphere
+        return decoder.colours_of_albedo(self._latent(x), reflectance, measure)
+
+    def _latent(self, x: Array) -> Array:
+        return require_latent(x, self._space.X.shape[1])
+
+    @cached_property
+    def _sphere(self) -> tuple[Decoder, Array]:
+        """What decodes latents inside an integrating sphere, and what makes a reflectance of it, (P,)."""
+        pairs, measure = integrating_sphere()
+        return decoder_at(pairs, self._space, self._materials, self._settings), measure

@@ -1,0 +1,65 @@
+"""Settings and latent spaces of model files, checked against each other and against the library."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+from manifold.errors import LibraryError, UsageError
+from manifold.library.store import Library
+from manifold.model.latent_space import LatentSpace
+from manifold.model.model_file import ModelRecord, damaged
+from manifold.model.settings import Settings
+from manifold.model.spaces import SPACES
+
+
+def open_library(path: Path, stored: ModelRecord, library: Library | Path | str | None) -> Library:
+    """The library of a model file.
+
+    Args:
+        path: of the model.
+        stored: its content.
+        library: where the library is now, if not where the model remembers it.
+    Raises:
+        LibraryError: it is not there, lacks materials of the model, or has other bands.
+    """
+    if library is None:
+        library = stored.library
+        if not library.exists():
+            raise LibraryError(f"{path}: its library is not at {library}; say where with --library")
+    if not isinstance(library, Library):
+        library = Library.open(library)
+    missing = sorted(set(stored.names) - set(library.names))
+    if missing:
+        shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+        raise LibraryError(
+            f"{library.path.name} lacks {len(missing)} of the {len(stored.names)} materials of {path.name} "
+            f"({shown}); import them again, name the right library with --library, or embed again"
+        )
+    colours = stored.arrays.get("colours")
+    if colours is not None and colours.shape[-1:] != (library.bands.count,):
+        raise LibraryError(
+            f"{library.path.name} has {library.bands}, {path.name} was fitted to {colours.shape[-1]} bands; "
+            "name the right library with --library, or embed again"
+        )
+    return library
+
+
+def restore(path: Path, stored: ModelRecord, library: Library) -> tuple[Settings, LatentSpace]:
+    """Settings and latent space of a model file.
+
+    Raises:
+        ModelError: they do not fit each other, or the library.
+    """
+    try:
+        known = {
+            "kernel": "se"
+        } | stored.settings  # models written before kernels could be chosen have no name
+        settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
+        space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), library.bands.count)
+        expected = (len(stored.names), settings.latent_dim)
+        if space.X.shape != expected:
+            raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
+    except (KeyError, TypeError, ValueError, IndexError, UsageError) as error:
+        raise damaged(path, error) from error
+    return settings, space

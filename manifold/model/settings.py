@@ -1,0 +1,66 @@
+"""How a manifold was fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+from manifold.errors import UsageError
+from manifold.gplvm import OPTIMIZERS
+from manifold.models.kernels import Kernel, kernel_named
+
+_KIND_DEFAULTS: dict[str, dict[str, Any]] = {
+    "monochrome": {"optimizer": "l-bfgs", "mu": 1e-3, "prior": 0.1},
+    "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
+}
+_KIND_OPTIMIZERS = {"monochrome": ("l-bfgs",), "material": OPTIMIZERS}
+
+KINDS = tuple(_KIND_DEFAULTS)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a manifold was fitted.
+
+    Attributes:
+        kind: `monochrome`, every band a sample, or `material`, the kind of Hikichi & Iwasaki.
+        latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
+        mapping: name of the mapping.
+        optimizer: how the latents are refined; None is the kind's own, and monochrome has `l-bfgs` only.
+        mu: noise filter of the kernel; None is the kind's own.
+        prior: weight of the Gaussian prior on the latents; None is the kind's own.
+        length_scale: l, in units of the latents.
+        kernel: name of the kernel, see `kernel_named`.
+        grid: name of the grid of direction pairs behind the Gram matrix.
+        sample_bands: bands per material that are samples of a monochrome manifold, at most.
+    """
+
+    kind: str = "monochrome"
+    latent_dim: int = 2
+    mapping: str = "cube-root"
+    optimizer: str = cast(str, None)
+    mu: float = cast(float, None)
+    prior: float = cast(float, None)
+    length_scale: float = 1.0
+    kernel: str = "se"
+    grid: str = "default"
+    sample_bands: int = 5
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UsageError(f"no kind of manifold is called '{self.kind}', expected {' or '.join(KINDS)}")
+        for name, value in _KIND_DEFAULTS[self.kind].items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        optimizers = _KIND_OPTIMIZERS[self.kind]
+        if self.optimizer not in optimizers:
+            raise UsageError(
+                f"optimizer '{self.optimizer}' for kind {self.kind}, expected {' or '.join(optimizers)}"
+            )
+        if self.sample_bands < 2:
+            raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")
+        self.covariance()  # checks it
+
+    def covariance(self) -> Kernel:
+        """The kernel with its parameters."""
+        return kernel_named(self.kernel, self.mu, self.length_scale)

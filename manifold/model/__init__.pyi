@@ -1,9 +1,9 @@
 from .colours import ColourChoice
-from .located import Located, locate
 from .latent_space import Embedded
+from .located import Located, locate
 from .manifold import LibraryChangedWarning, Manifold
-from .settings import Settings
 from .predicted_file import Prediction, predict
+from .settings import Settings
 
 __all__ = [
     "ColourChoice",

@@ -216,8 +216,10 @@ def test_a_described_bsdf_is_fitted_by_the_command(satin, tmp_path):
     [
         (lambda c: c.pop("values"), "'values'"),
         (lambda c: c.update(format="other"), "format"),
-        (lambda c: c.update(format_version=2), "format_version"),
-        (lambda c: c.update(n_pairs="many"), "n_pairs"),
+        (lambda c: c.update(format_version=2), "format_version is 2, expected 1; fit again"),
+        (lambda c: c.update(n_pairs="many"), 'n_pairs is "many", expected integer; fit again'),
+        (lambda c: c.update(n_pairs=4.0), "n_pairs is 4.0, expected integer"),
+        (lambda c: c.update(seconds=10**400), "seconds is 1000.*, expected number"),
         (lambda c: c["minima"][0].update(as_good=1), r"minima\[0\].as_good"),
         (lambda c: c["source"].pop("sha256"), "'sha256'"),
         (lambda c: c.update(values={}), "values has nothing"),

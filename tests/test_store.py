@@ -27,8 +27,7 @@ from zarr.storage import LocalStore
 
 from manifold.errors import BandMismatchError, LibraryError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.library import staging
-from manifold.library import store as store_module
+from manifold.library import staging, writing, zarr_reading
 from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
@@ -590,14 +589,14 @@ def test_a_full_disk_keeps_what_is_finished(
 ) -> None:
     write_bsdf(folder / "n0_spec.bsdf", sample_file("n0", 9))
     write_bsdf(folder / "n1_spec.bsdf", sample_file("n1", 10))
-    write = store_module._write_array
+    write = writing.write_array
 
     def full(folder: Path, *arguments: object, **named: object) -> None:
         if "n1" in folder.parts:
             raise OSError(28, "No space left on device")
         write(folder, *arguments, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(store_module, "_write_array", full)
+    monkeypatch.setattr(writing, "write_array", full)
     with pytest.raises(LibraryError, match=r"No space left on device.*import again for the rest"):
         import_files(library.path, [folder])
     assert "n1" not in library
@@ -698,12 +697,12 @@ def test_reading_in_threads_leaves_the_filters_of_warnings_as_they_were(tmp_path
         return open_group(*arguments, **options)
 
     zarr.open_group(tmp_path / "group", mode="w", zarr_format=3)
-    monkeypatch.setattr(store_module.zarr, "open_group", slow)
+    monkeypatch.setattr(zarr_reading.zarr, "open_group", slow)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         before = list(warnings.filters)
         with ThreadPoolExecutor(8) as pool:
-            list(pool.map(store_module._open_group, [tmp_path / "group"] * 40))
+            list(pool.map(zarr_reading.open_group, [tmp_path / "group"] * 40))
         assert warnings.filters == before
 
 

@@ -12,10 +12,6 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.fitting.bsdf_evaluation import bsdf_dict
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter, is_number
 
-_TYPES: dict[str, tuple[type, ...]] = {
-    "object": (dict,), "array": (list,), "string": (str,), "number": (int, float), "integer": (int,),
-    "boolean": (bool,), "null": (type(None),),
-}  # fmt: skip
 _SLACK = 1e-6  # of a range: single precision of a value at its end
 
 
@@ -23,6 +19,21 @@ _SLACK = 1e-6  # of a range: single precision of a value at its end
 def schema() -> dict[str, Any]:
     """The JSON schema of a fit."""
     return json.loads(files("manifold.fitting").joinpath("fit.schema.json").read_text(encoding="utf-8"))
+
+
+@lru_cache(maxsize=1)
+def _validator() -> Any:
+    """Of the schema; numbers are finite and fit a float, and 1.0 is no integer."""
+    from jsonschema import Draft202012Validator as Draft
+    from jsonschema.validators import extend
+
+    checker = Draft.TYPE_CHECKER.redefine_many(
+        {
+            "number": lambda _, value: is_number(value),
+            "integer": lambda _, value: is_number(value) and isinstance(value, int),
+        }
+    )
+    return extend(Draft, type_checker=checker)(schema())
 
 
 def require_fit(content: Any, file: str) -> None:
@@ -34,7 +45,7 @@ def require_fit(content: Any, file: str) -> None:
         content: of the JSON.
         file: its name, for the error.
     """
-    _require_schema(content, schema(), file, "the document")
+    _require_schema(content, file)
     try:
         family = BsdfFamily.from_json(content["bsdf"])
     except UsageError as error:
@@ -51,27 +62,16 @@ def require_fit(content: Any, file: str) -> None:
     _require_same(content["mitsuba_spectral"], expected, file, "mitsuba_spectral")
 
 
-def _require_schema(value: Any, rule: Mapping[str, Any], file: str, where: str) -> None:
-    """Raise FileFormatError unless a value follows a schema of the words that ours uses."""
-    expected = rule.get("type", [])
-    names = [expected] if isinstance(expected, str) else expected
-    kinds = tuple(kind for name in names for kind in _TYPES[name])
-    is_wrong = not isinstance(value, kinds) or (isinstance(value, bool) and "boolean" not in names)
-    if is_wrong or (isinstance(value, float) and not is_number(value)):
-        raise FileFormatError(f"{file}: {where} is {_short(value)}, expected {' or '.join(names)}; fit again")
-    if "enum" in rule and value not in rule["enum"]:
-        known = " or ".join(str(v) for v in rule["enum"])
-        raise FileFormatError(f"{file}: {where} is {_short(value)}, expected {known}; fit again")
-    if isinstance(value, dict):
-        for name in rule.get("required", ()):
-            if name not in value:
-                raise FileFormatError(f"{file}: {where} has no {name!r}, expected one; fit again")
-        for name, inner in rule.get("properties", {}).items():
-            if name in value:
-                _require_schema(value[name], inner, file, f"{where}.{name}".removeprefix("the document."))
-    if isinstance(value, list) and "items" in rule:
-        for k, one in enumerate(value):
-            _require_schema(one, rule["items"], file, f"{where}[{k}]")
+def _require_schema(content: Any, file: str) -> None:
+    """Raise FileFormatError, naming the first entry in the schema's order that does not follow it."""
+    for error in _validator().iter_errors(content):
+        where = "the document" if error.json_path == "$" else error.json_path.removeprefix("$.")
+        rule = error.validator_value
+        if error.validator == "required":
+            missing = next(name for name in rule if name not in error.instance)
+            raise FileFormatError(f"{file}: {where} has no {missing!r}, expected one; fit again")
+        expected = rule if isinstance(rule, str) else " or ".join(map(str, rule))
+        raise FileFormatError(f"{file}: {where} is {_short(error.instance)}, expected {expected}; fit again")
 
 
 def _spectral(content: dict[str, Any], family: BsdfFamily, file: str) -> dict[str, Any]:

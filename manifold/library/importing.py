@@ -15,7 +15,8 @@ from manifold.errors import LibraryError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
 from manifold.library.identity import require_material_name
-from manifold.library.store import Library, open_or_create, write_material
+from manifold.library.store import Library
+from manifold.library.writing import make_store, read_bands, write_material
 from manifold.records import Bands, BsdfFile, Progress
 
 Outcome = Literal["imported", "skipped", "replaced"]
@@ -82,7 +83,9 @@ def import_files(
     if loaded:
         _make_folder(library.parent)
         with staging.writing(library) as staged:
-            opened = open_or_create(library, loaded[0].file.bands, staged)
+            if not library.exists():
+                make_store(library, loaded[0].file.bands, staged)
+            opened = Library(library, read_bands(library, library))
             _require_one_grid(loaded, opened.bands, library)  # Another process may have made it meanwhile.
             _store_all(opened, loaded, staged, replace, report)
     return report.result()

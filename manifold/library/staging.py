@@ -10,11 +10,12 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from manifold.errors import LibraryError
 
@@ -110,57 +111,31 @@ def _glob_literal(text: str) -> str:
 def _write_lock(library: Path) -> Iterator[None]:
     """One writer per library. The kernel drops the lock when its holder dies, however it dies."""
     path = library.parent / f".{library.name}.lock"
-    descriptor = _acquire(path, library)
+    lock = FileLock(path, blocking=False)
     try:
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        lock.acquire()
+    except Timeout:
+        raise LibraryError(
+            f"{library.name}: {_holder(path)} is writing to it; import again when that is done"
+        ) from None
+    except OSError as error:
+        raise _cannot_write(library, error) from error
+    try:
+        with suppress(OSError):
+            path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
         yield
     finally:
-        with suppress(OSError):  # Unlinked while still held: a waiter notices by the inode, in `_acquire`.
+        with suppress(
+            OSError
+        ):  # Unlinked while still held: whoever waits for it sees that and makes a new one.
             path.unlink()
-        os.close(descriptor)
+        lock.release()
 
 
-def _acquire(path: Path, library: Path) -> int:
-    while True:
-        try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-            locked = _try_lock(descriptor)
-        except OSError as error:
-            raise _cannot_write(library, error) from error
-        if not locked:
-            holder = _holder(descriptor)
-            os.close(descriptor)
-            raise LibraryError(f"{library.name}: {holder} is writing to it; import again when that is done")
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), os.stat(path)):
-                return descriptor
-        os.close(descriptor)  # The former holder unlinked this file after we opened it: lock the new one.
-
-
-def _holder(descriptor: int) -> str:
-    text = ""
+def _holder(path: Path) -> str:
     with suppress(OSError):
-        text = os.read(descriptor, 200).decode(errors="replace")
-    return text or "another process"
-
-
-def _try_lock(descriptor: int) -> bool:
-    if sys.platform == "win32":
-        import msvcrt
-
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        return True
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        return path.read_text(encoding="utf-8", errors="replace") or "another process"
+    return "another process"
 
 
 def _cannot_write(library: Path, error: OSError) -> LibraryError:

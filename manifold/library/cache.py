@@ -1,0 +1,66 @@
+"""Arrays that can be computed again, kept in a library beside its materials."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from manifold.errors import LibraryError, UsageError
+from manifold.library import staging
+from manifold.library.identity import hash_arrays
+from manifold.library.schema import StoredArray
+from manifold.library.zarr_reading import attributes_of, open_group, read_array
+from manifold.library.zarr_writing import write_array, write_group
+from manifold.records import Array
+
+
+def get(library: Path, key: str) -> dict[str, Array] | None:
+    """Arrays that `put` stored under a key, or None if there are none or they are damaged.
+
+    Raises:
+        UsageError: this cannot be a key.
+    """
+    folder = _folder(library, key)
+    if not folder.is_dir():
+        return None
+    try:
+        group = open_group(folder)
+        attributes = attributes_of(group)
+        arrays = {name: read_array(group, name) for name in attributes["names"]}
+        return arrays if attributes["sha256"] == hash_arrays(arrays) else None
+    except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
+        return None
+
+
+def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
+    """Keep arrays under a key, in one step; without effect where the library cannot be written.
+
+    Raises:
+        UsageError: this cannot be a key.
+    """
+    target = _folder(library, key)
+    try:
+        with staging.writing(library) as staged:
+            folder = staged / key
+            write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
+            for name, array in arrays.items():
+                write_array(folder / _checked(name), StoredArray(np.asarray(array)))
+            if target.exists():
+                os.rename(target, staged / "old")
+            staging.publish(folder, target)
+    except (OSError, LibraryError):
+        return
+
+
+def _folder(library: Path, key: str) -> Path:
+    return library / "cache" / _checked(key)
+
+
+def _checked(key: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}", key):
+        raise UsageError(f"{key!r} cannot be a cache key; use letters, digits, - and _")
+    return key

@@ -16,8 +16,10 @@ import pytest
 from sample_files import write_samples
 
 from manifold.errors import FetchError, UsageError
-from manifold.library import fetch as fetch_module
-from manifold.library.fetch import Entry, IncompleteFetchError, fetch, rgl_table
+from manifold.library import downloading
+from manifold.library.downloading import Downloader
+from manifold.library.fetch import IncompleteFetchError, fetch
+from manifold.library.rgl_table import Entry, rgl_table
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()
 HASH = hashlib.sha256(CONTENT).hexdigest()
@@ -130,7 +132,7 @@ def table(*names: str) -> dict[str, Entry]:
 def test_any_break_of_the_connection_is_tried_again(server, tmp_path, monkeypatch):
     """Such as `ssl.SSLError`, an `OSError` that is no `ConnectionError`."""
     server.behaviours["broken"] = Behaviour()
-    once, calls = fetch_module._Downloader._once, []
+    once, calls = Downloader._once, []
 
     def breaking(self, entry: Entry, part: Path) -> None:
         calls.append(entry.name)
@@ -138,7 +140,7 @@ def test_any_break_of_the_connection_is_tried_again(server, tmp_path, monkeypatc
             raise ssl.SSLError("record layer failure")
         once(self, entry, part)
 
-    monkeypatch.setattr(fetch_module._Downloader, "_once", breaking)
+    monkeypatch.setattr(Downloader, "_once", breaking)
     fetch(["broken"], tmp_path, base_url=server.url, table=table("broken"), **QUICK)
     assert calls == ["broken", "broken"]
     assert files(tmp_path) == {"broken_spec.bsdf"}
@@ -361,7 +363,7 @@ def test_a_full_disk_is_one_error_and_leaves_no_file(
         raise OSError(28, "No space left on device")
 
     server.behaviours["felt"] = Behaviour()
-    monkeypatch.setattr(fetch_module, "_write_all", full)
+    monkeypatch.setattr(downloading, "_write_all", full)
     with pytest.raises(FetchError, match="No space left on device; make room"):
         fetch(["felt"], tmp_path, base_url=server.url, table=table("felt"), **QUICK)
     assert "felt_spec.bsdf" not in files(tmp_path)

@@ -1,41 +1,5 @@
 """Spectra, illuminants, reflectances, colours and their differences; colour-science is imported on first use."""
 
-from manifold.colour.conversion import (
-    decode_srgb,
-    encode_srgb,
-    luminance,
-    srgb_to_xyz,
-    to_srgb,
-    to_xyz,
-    xyz_to_srgb,
-)
-from manifold.colour.difference import colour_differences, delta_e_2000, to_lab
-from manifold.colour.illuminants import Illuminant, illuminant_names
-from manifold.colour.metals import metal_ior, metal_names
-from manifold.colour.reflectances import (
-    diffuse_reflectance,
-    diffuse_reflectance_names,
-    read_reflectance,
-    srgb_reflectance,
-)
+import lazy_loader
 
-__all__ = [
-    "Illuminant",
-    "colour_differences",
-    "decode_srgb",
-    "delta_e_2000",
-    "diffuse_reflectance",
-    "diffuse_reflectance_names",
-    "encode_srgb",
-    "illuminant_names",
-    "luminance",
-    "metal_ior",
-    "metal_names",
-    "read_reflectance",
-    "srgb_reflectance",
-    "srgb_to_xyz",
-    "to_lab",
-    "to_srgb",
-    "to_xyz",
-    "xyz_to_srgb",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

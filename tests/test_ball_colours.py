@@ -8,10 +8,10 @@ import pytest
 import small_library
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
-from manifold.rendering import ball_colours
 
 RGB = Bands(None)
 PIXELS, FINER = 10, 9  # the render has a pixel at the centre of each of the ball's

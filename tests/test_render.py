@@ -15,6 +15,7 @@ import pytest
 from small_library import measured, small_model
 
 from manifold.cli.main import run as run_here
+from manifold.colour import studio
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
@@ -54,13 +55,13 @@ def folder(tmp_path_factory) -> Path:
 
 
 def test_a_white_diffuser_on_the_floor_has_radiance_one():
-    environment = scenes.studio(128).astype(float)
+    environment = studio.studio(128).astype(float)
     theta = np.pi * (np.arange(128) + 0.5) / 128
     solid_angle = np.sin(theta) * (np.pi / 128) ** 2
     irradiance = np.sum(environment[..., 0] * (np.maximum(np.cos(theta), 0.0) * solid_angle)[:, None])
     assert irradiance / np.pi == pytest.approx(1.0, rel=1e-3)
     with pytest.raises(UsageError, match="black above the horizon"):
-        scenes.exposed(np.zeros((4, 8, 3)))
+        studio.exposed(np.zeros((4, 8, 3)))
 
 
 def test_normals_of_the_pedestal_point_outwards():

@@ -45,7 +45,7 @@ class RenderSettings:
         samples: light paths per pixel.
         seed: fixes the noise: same seed, same picture.
         illuminant: the light's spectrum.
-        environment: linear RGB radiance as `scenes.studio` lays it out, (H, W, 3); that by default.
+        environment: linear RGB radiance as `studio.studio` lays it out, (H, W, 3); that by default.
     """
 
     size: int = 256

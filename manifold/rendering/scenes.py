@@ -11,80 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from manifold.directions import from_spherical
-from manifold.errors import UsageError
+from manifold.colour.studio import FLOOR_REFLECTANCE, studio
 from manifold.records import Array
 
-FLOOR_REFLECTANCE = 0.22
 PEDESTAL_REFLECTANCE = 0.42
 BALL_CENTRE = (0.0, 0.0, 1.16)
 
 _FLOOR_RADIUS = 60.0
 _CAMERA, _TARGET, _FIELD_OF_VIEW_DEG = (0.0, -8.2, 3.5), (0.0, 0.0, 0.98), 21.0
 
-# Soft boxes: azimuth from straight ahead to the right, elevation, half width, half height (degrees), radiance.
-_SOFT_BOXES = (
-    (-128.0, 48.0, 17.0, 15.0, 16.0),  # key, behind the camera to the left
-    (98.0, 32.0, 5.0, 26.0, 7.0),  # strip to the right
-    (-38.0, 24.0, 22.0, 5.0, 6.0),  # rim, behind the ball
-)
-_EDGE_DEG = 2.0  # over which a soft box fades out
-_ZENITH, _HORIZON = 0.9, 0.28
-
 # Half the outline of the pedestal: a disc with rounded edges and a bowl that the ball lies in.
 _RADIUS, _HEIGHT, _ROUNDING, _BOWL_RADIUS, _BOWL_DEPTH = 1.02, 0.3, 0.07, 0.62, 0.06
-
-
-def studio(height: int = 256) -> Array:
-    """The package's own environment: a dim dome and three soft boxes, linear and without colour.
-
-    Args:
-        height: rows; there are twice as many columns.
-    Returns:
-        Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right
-        from there.
-    """
-    theta = np.pi * (np.arange(height) + 0.5) / height
-    azimuth = 2 * np.pi * (np.arange(2 * height) + 0.5) / (2 * height)
-    direction = from_spherical(theta[:, None], azimuth[None, :])
-    elevation = np.maximum(direction[..., 2], 0.0)
-    radiance = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(elevation)
-    for box_azimuth, box_elevation, half_width, half_height, power in _SOFT_BOXES:
-        x, y = _angles_from(direction, np.deg2rad(box_azimuth), np.deg2rad(box_elevation))
-        radiance += power * _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
-    return exposed(np.repeat(radiance[..., None], 3, axis=2))
-
-
-def exposed(environment: Array) -> Array:
-    """An environment scaled so that a white diffuser that lies on the floor has the mean radiance 1.
-
-    Args:
-        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
-    Raises:
-        UsageError: no light comes from above.
-    """
-    theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
-    cosine = np.maximum(np.cos(theta), 0.0) * np.sin(theta)
-    total = np.sum(environment.mean(axis=(1, 2)) * cosine) / np.sum(cosine)
-    if not total > 0.0:
-        raise UsageError("the environment is black above the horizon; expected light from there")
-    return np.asarray(environment / total, dtype=np.float32)
-
-
-def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:
-    """Horizontal and vertical angle of directions (..., 3), as seen when facing a point."""
-    forward = from_spherical(np.pi / 2 - elevation, azimuth)
-    right = from_spherical(np.pi / 2, azimuth + np.pi / 2)
-    up = np.cross(forward, right)
-    ahead = direction @ forward
-    behind = np.where(ahead > 0, 0.0, np.pi)
-    return np.arctan2(direction @ right, np.abs(ahead)) + behind, np.arcsin(np.clip(direction @ up, -1, 1))
-
-
-def _plateau(angle_deg: Array, half_width: float) -> Array:
-    """1 within the half width, 0 beyond its edge, smooth between."""
-    t = np.clip((half_width + _EDGE_DEG - np.abs(angle_deg)) / _EDGE_DEG, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
 
 
 def pedestal(n_azimuths: int = 160) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import BRDF
+from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
@@ -98,7 +99,7 @@ def make_settings(
     *, size: int, samples: int, seed: int, illuminant: str, environment: Path | None
 ) -> RenderSettings:
     """Settings from what a user gives. Raises: as `parse_illuminant` and `images.read_image`."""
-    image = None if environment is None else scenes.exposed(images.read_image(environment))
+    image = None if environment is None else studio.exposed(images.read_image(environment))
     return RenderSettings(size, samples, seed, parse_illuminant(illuminant), image)
 
 

@@ -14,13 +14,13 @@ from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
+from manifold.colour import ball_colours
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array, Bands, BsdfFile
-from manifold.rendering import ball_colours
 from manifold.synthetic import corpus
 
 REFERENCE = "syn_satin_gold"

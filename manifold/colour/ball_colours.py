@@ -1,6 +1,6 @@
 """The colours of a material's ball under the studio's light, by quadrature: a fast stand-in for a render.
 
-The ball floats in the studio of `manifold.rendering.scenes`, with the light of the floor from below, and is seen from
+The ball floats in the studio of `manifold.colour.studio`, with the light of the floor from below, and is seen from
 afar. Each pixel looks at one point of it, where the light that arrives is summed over half vectors, densest around the
 normal: so sharp highlights are as well resolved as soft ones. What is evaluated are BRDF values at fixed direction
 pairs.
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifold.colour import studio
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize
 from manifold.records import Array, Bands
-from manifold.rendering import scenes
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
 """From the ball to the viewer."""
@@ -30,11 +30,11 @@ def environment() -> Array:
     """The studio's light in coarse cells, which soften its edges, and that of its floor from below.
 
     Returns:
-        Radiance, float32, laid out as `scenes.studio` does, shape (20, 40, 3).
+        Radiance, float32, laid out as `studio.studio` does, shape (20, 40, 3).
     """
-    fine = scenes.studio(_ENVIRONMENT_ROWS * _BLUR)
+    fine = studio.studio(_ENVIRONMENT_ROWS * _BLUR)
     image = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
-    image[_ENVIRONMENT_ROWS // 2 :] = scenes.FLOOR_REFLECTANCE
+    image[_ENVIRONMENT_ROWS // 2 :] = studio.FLOOR_REFLECTANCE
     return image
 
 

@@ -11,6 +11,8 @@ from manifold.directions import half_vector, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
 
+_LEAST_SQUARED_NORM = 1e-200  # of what is not black
+
 
 def rmse(f: Array, f_star: Array, *, n_pairs: int | None = None) -> float:
     """Root of the squared error, summed over bands and divided by the number of direction pairs only.
@@ -39,13 +41,18 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
         f_star: predicted values, same shape.
         weight: w per direction pair, shape (...); `cosine_weight(wi, wo)` in this package's reports.
     Returns:
-        0 for a perfect prediction, 1 for one of all zeros; 0 / 0 counts as 0, anything else over 0 as inf.
+        0 for a perfect prediction, 1 for one of all zeros; see `norm_ratio` for black materials.
     Raises:
         ShapeError: the shapes differ.
     """
     errors = RunningErrors()
     errors.add(f, f_star, weight)
     return errors.relative_error
+
+
+def norm_ratio(squared_error: Array | float, squared_norm: Array | float) -> Array:
+    """`sqrt(squared_error / squared_norm)`; 0 / 0 counts as 0, anything else over 0 as a very large finite number."""
+    return np.sqrt(np.asarray(squared_error) / np.maximum(squared_norm, _LEAST_SQUARED_NORM))
 
 
 class RunningErrors:
@@ -92,9 +99,7 @@ class RunningErrors:
     @property
     def relative_error(self) -> float:
         """`||w (f* - f)|| / ||w f||` over the pairs counted."""
-        if self._weighted_norm == 0.0:
-            return 0.0 if self._weighted_squared == 0.0 else float("inf")
-        return float(np.sqrt(self._weighted_squared / self._weighted_norm))
+        return float(norm_ratio(self._weighted_squared, self._weighted_norm))
 
 
 def spectral_angle(f: Array, f_star: Array) -> Array:

@@ -57,7 +57,7 @@ def test_relative_error_is_a_ratio_of_weighted_norms(rng):
     assert relative_error(f, f_star, w) == pytest.approx(expected, rel=1e-12)
     assert relative_error(f, np.zeros_like(f), w) == 1.0
     assert relative_error(np.zeros_like(f), np.zeros_like(f)) == 0.0
-    assert relative_error(np.zeros_like(f), f_star) == np.inf
+    assert 1e90 < relative_error(np.zeros_like(f), f_star) < np.inf  # JSON has no infinity
 
 
 def test_shapes_that_do_not_fit_are_refused():

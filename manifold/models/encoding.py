@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.records import Array
 
 PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent
@@ -138,9 +138,7 @@ class Decoder:
 
     def relative_error(self, latents: Array, f: Array) -> float:
         """`||w (f* - f)|| / ||w f||` of values f (R, P) and what latents (R, Q) decode to."""
-        w2 = self.cosines**2
-        wrong = np.sum(w2 * (self.decode(latents) - f) ** 2)
-        return float(np.sqrt(wrong / max(float(np.sum(w2 * f * f)), np.finfo(float).tiny)))
+        return relative_error(f.T, self.decode(latents).T, self.cosines)
 
     def _colour_grid(self) -> Array:
         """Values of a single colour coordinate: the training colours' range and a margin."""

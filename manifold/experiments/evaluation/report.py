@@ -17,7 +17,7 @@ from manifold.experiments.evaluation.heldout import Encoded, encode_all
 from manifold.experiments.evaluation.methods import SAMPLE_BANDS, Method, baseline_methods, gplvm_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, norm_ratio
 from manifold.model import gram
 from manifold.model.combination import Values, evaluate
 from manifold.model.manifold import Manifold
@@ -317,7 +317,7 @@ def _result(
 ) -> MethodResult:
     encoded = sums.encoded
     method, z = encoded.method, encoded.standardised_errors
-    relative = np.sqrt(sums.weighted / np.maximum(norm, np.finfo(float).tiny))
+    relative = norm_ratio(sums.weighted, norm)
     negative = sums.negative / n_values
     return MethodResult(
         key=method.key,

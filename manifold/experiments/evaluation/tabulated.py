@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.models.encoding import PAIR_STRIDE, EncodingPairs
@@ -97,11 +97,6 @@ class Data(Values):
         """D: direction pairs times bands."""
         return self.f.shape[1] * self.f.shape[2]
 
-    @property
-    def squared_weight(self) -> Array:
-        """w^2 per direction pair, shape (P,)."""
-        return self.cosines**2
-
     def gram(self, mapping: Mapping, *, power: int = 1) -> Array:
         """Inner products of whole materials over pairs, weighted by cosines^power, and bands: (N, N)."""
         key = (repr(mapping), power, None)
@@ -134,6 +129,4 @@ class Data(Values):
 
     def relative_error(self, i: int, predicted: Array) -> float:
         """`||w (f* - f)|| / ||w f||` of a prediction (P, B') of material i, `w` the cosines."""
-        w2 = self.squared_weight[:, None]
-        wrong = np.sum(w2 * (predicted - self.f[i]) ** 2)
-        return float(np.sqrt(wrong / np.sum(w2 * self.f[i] ** 2)))
+        return relative_error(self.f[i], predicted, self.cosines)

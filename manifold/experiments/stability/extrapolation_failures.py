@@ -11,6 +11,7 @@ from manifold.directions import from_spherical
 from manifold.experiments.stability.bench import ALPHAS, Bench, named, predict
 from manifold.experiments.stability.model_failures import HALF_OF_NEAREST, held_out, worst
 from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.metrics import relative_error
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array
 
@@ -27,10 +28,10 @@ _NEGATIVE, _ALBEDO, _NON_RECIPROCAL = range(3)
 
 def _measure(brdf: PredictedBRDF, bench: Bench) -> Array:
     """Share of negative values, largest albedo, and relative difference of f(wi, wo) and f(wo, wi): (3,)."""
-    wi, wo, weight = bench.pairs.wi, bench.pairs.wo, bench.pairs.cosines[:, None]
+    wi, wo = bench.pairs.wi, bench.pairs.wo
     f, swapped = brdf.eval(wi, wo), brdf.eval(wo, wi)
     albedo = brdf.albedo(from_spherical(np.deg2rad(_INCIDENCES_DEG), 0.0), 24)
-    apart = np.linalg.norm(weight * (f - swapped)) / np.linalg.norm(weight * f)
+    apart = relative_error(f, swapped, bench.pairs.cosines)
     return np.array([np.mean(f < 0), albedo.max(), apart])
 
 

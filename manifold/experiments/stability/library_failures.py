@@ -19,6 +19,7 @@ from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.metrics import relative_error
 from manifold.model import model_file
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
@@ -69,7 +70,7 @@ def _predicted(damage: Damage) -> Trial:
             whole = _values(bench, folder)
             damage(folder, severity)
             found = _values(bench, folder)
-        return Found(float(np.linalg.norm(found - whole) / np.linalg.norm(whole)))
+        return Found(relative_error(whole, found))
 
     return trial
 

@@ -19,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
+from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
-from manifold.workflows import pipeline
+from manifold.synthetic import corpus
 
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 
@@ -44,7 +46,8 @@ def predict(library: Path, kind: str) -> dict[str, float]:
     model, x = loaded(library, kind)
     with tempfile.TemporaryDirectory() as folder:
         seconds = [
-            pipeline.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
+            predicted_file.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds
+            for k in range(4)
         ]
     return {"first_seconds": seconds[0], "seconds": float(np.median(seconds[1:]))}
 
@@ -118,8 +121,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "library.zarr"
         if options.library is None:
-            pipeline.make_corpus(Path(folder) / "corpus")
-            pipeline.import_library(library, [Path(folder) / "corpus"])
+            corpus.write(Path(folder) / "corpus")
+            import_files(library, [Path(folder) / "corpus"])
         else:
             library.symlink_to(options.library.resolve())
         stored = Library.open(library).info

@@ -21,11 +21,11 @@ import numpy as np
 
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.synthetic import corpus
-from manifold.workflows import pipeline
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
 TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "scalar, predicted file": 10.0}
@@ -86,8 +86,8 @@ def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     model.save(path)
     latent = model.between(*PAIR, 0.5)
     predicted, measured = folder / "predicted_spec.bsdf", folder / "measured_spec.bsdf"
-    pipeline.predict(model, latent, predicted)
-    pipeline.predict(model, model.latent(PAIR[0]), measured)
+    predicted_file.predict(model, latent, predicted)
+    predicted_file.predict(model, model.latent(PAIR[0]), measured)
     plugin = {"type": "manifold", "model": str(path), "latent": ",".join(repr(float(v)) for v in latent)}
     materials = {
         "measured file": {"type": "measured", "filename": str(measured)},

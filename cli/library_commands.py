@@ -66,10 +66,10 @@ def corpus(
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
     from manifold import __version__
-    from manifold.workflows import pipeline
+    from manifold.synthetic import corpus
 
     with terminal.progress("Measuring synthetic materials") as step:
-        paths = pipeline.make_corpus(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
+        paths = corpus.write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
     size = sum(path.stat().st_size for path in paths)
     results = terminal.Results(json)
     results.rows(
@@ -144,11 +144,11 @@ def import_(
     A material appears in one step, when it is whole; what is there already is skipped.
     """
     from manifold.errors import LibraryError
-    from manifold.workflows import pipeline
+    from manifold.library.importing import import_files
 
     results = terminal.Results(json)
     with terminal.progress("Importing") as step:
-        result = pipeline.import_library(library, sources, replace=replace, on_progress=step)
+        result = import_files(library, sources, replace=replace, on_progress=step)
     results.rows(
         f"Library {library}",
         {

@@ -15,7 +15,7 @@ from . import terminal
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption, MovedLibraryOption
 
 if TYPE_CHECKING:
-    from manifold.workflows.pipeline import Prediction
+    from manifold.model.predicted_file import Prediction
 
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
 
@@ -232,13 +232,13 @@ def predict(
     On a monochrome manifold the latent is the structure (gloss, layers); the colour is that of the nearest
     material unless --like, --reflectance or --srgb says otherwise.
     """
+    from manifold.model import predicted_file
     from manifold.model.colours import ColourChoice
-    from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     coordinates = parse_latent(latent)
     with terminal.progress("Reading materials") as step:
-        made = pipeline.predict(
+        made = predicted_file.predict(
             model,
             coordinates,
             output,
@@ -280,11 +280,11 @@ def locate(
     json: JsonOption = None,
 ) -> None:
     """Find where a material that the manifold has not seen belongs: its latent, and its colours in the JSON."""
-    from manifold.workflows import pipeline
+    from manifold.model import located
 
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
-        found = pipeline.locate(model, path, library=library, on_progress=step)
+        found = located.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
         "latent": ",".join(f"{v:.4g}" for v in found.latent),
         "reconstruction error": f"{found.relative_error:.3g} (relative)",
@@ -366,8 +366,9 @@ def demo(
             "library": result.library.name,
             "model": result.model.name,
             "prediction": result.predicted.path.name,
-            "fit": result.fit.name,
+            "fit": "none" if result.fit is None else result.fit.name,
             "report": f"{result.report_text.name}, {result.report_json.name}",
             "pictures": [path.name for path in result.pictures],
-        },
+        }
+        | ({"left out": ", ".join(result.left_out)} if result.left_out else {}),
     )

@@ -77,11 +77,18 @@ def latent_map(
     if marked is None and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
     with terminal.progress("Rendering") as step:
-        ball_pictures.latent_map(
+        left_out = ball_pictures.latent_map(
             model, output, library=library, marked=marked, colour=colour, on_progress=step
         )
-    results.rows(f"Drawn {output}", {})
-    results.document({"program": f"manifold {__version__}", "picture": str(output), "marked": marked})
+    results.rows(f"Drawn {output}", {"left out": ", ".join(left_out)} if left_out else {})
+    results.document(
+        {
+            "program": f"manifold {__version__}",
+            "picture": str(output),
+            "marked": marked,
+            "left_out": list(left_out),
+        }
+    )
 
 
 def walk(

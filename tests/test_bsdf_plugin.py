@@ -20,6 +20,7 @@ from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model import predicted_file
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.rendering import backend, scenes
@@ -27,7 +28,6 @@ from manifold.rendering.plugin import mixture
 from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
 from manifold.synthetic import corpus
-from manifold.workflows import pipeline
 
 pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
 
@@ -222,7 +222,7 @@ def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path,
     model = Manifold.load(models["material"])
     x = model.between(model.names[1], model.names[4], t)
     path = tmp_path / "between_spec.bsdf"
-    pipeline.predict(model, x, path, resolution=48, n_theta_i=24)
+    predicted_file.predict(model, x, path, resolution=48, n_theta_i=24)
     mi = backend.mitsuba("spectral")
     film = colorimetric_film(mi, 20, Illuminant.named(illuminant))
     written = passes(mi, {"type": "measured", "filename": str(path)}, film, 0)

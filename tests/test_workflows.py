@@ -14,8 +14,10 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes
 from manifold.io_rgl import read_bsdf
+from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
+from manifold.model.predicted_file import predict
 from manifold.synthetic import corpus
 from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
@@ -97,7 +99,7 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
         raise Stopped
 
     monkeypatch.setattr(corpus, "measure", lambda *_, **__: pytest.fail("measured again"))
-    monkeypatch.setattr(pipeline, "predict", stop)  # what follows is made anew
+    monkeypatch.setattr(demo_module, "predict", stop)  # what follows is made anew
     before = Manifold.load(demo.model)
     with pytest.raises(Stopped):
         demo_module.run(demo.model.parent)
@@ -108,7 +110,7 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
 
 def test_a_prediction_at_a_material_is_that_material(tmp_path):
     model = Manifold.load(small_model(tmp_path))
-    made = pipeline.predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
+    made = predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
     assert made.std == 0.0
     assert made.weights == (("syn_satin_gold", 1.0),)
     assert made.nearest[0] == ("syn_satin_gold", 0.0)
@@ -117,7 +119,7 @@ def test_a_prediction_at_a_material_is_that_material(tmp_path):
 
 def test_predictions_go_into_bsdf_files_only(tmp_path):
     with pytest.raises(UsageError, match=r"-o NAME\.bsdf"):
-        pipeline.predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
+        predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
 
 
 def test_the_main_job_runs_on_real_files(tmp_path, rng):
@@ -125,12 +127,12 @@ def test_the_main_job_runs_on_real_files(tmp_path, rng):
     if folder is None:
         pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
-    result = pipeline.import_library(library, [folder])
+    result = import_files(library, [folder])
     assert not result.failed
     fitted = pipeline.embed(library, model, Settings()).model
     assert len(fitted.names) == len(result.imported)
     suffix = "rgb" if fitted.bands.is_rgb else "spec"
-    made = pipeline.predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
+    made = predict(model, [-0.1, 0.2], tmp_path / f"between_{suffix}.bsdf")
     assert np.all(np.isfinite(read_bsdf(made.path).spectra))
     report = pipeline.report(model, picture=tmp_path / "map.png")
     assert report.methods[0].rmse == (0.0,) * len(fitted.names)

@@ -1,4 +1,7 @@
-"""Measured indices of refraction of metals and crystals, from the tables that Mitsuba ships."""
+"""Measured indices of refraction of metals and crystals, from the tables that Mitsuba ships.
+
+Those of the metals in the built-in corpus lie beside this module, for where Mitsuba is missing.
+"""
 
 from __future__ import annotations
 
@@ -44,17 +47,16 @@ def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=1)
 def _ior_files() -> dict[str, tuple[Path, Path]]:
-    """The files of eta and k by material. Only Mitsuba's folder is looked up; Mitsuba is not imported."""
+    """The files of eta and k by material: our own, and Mitsuba's, which is looked up and not imported."""
     # Past sys.modules: an imported mitsuba that has set a variant no longer says where it lies.
     spec = PathFinder.find_spec("mitsuba")
     folders = [Path(p) / "data" / "ior" for p in (spec.submodule_search_locations or [])] if spec else []
+    folders.insert(0, Path(__file__).with_name("ior"))
     found = {
         path.name.removesuffix(".eta.spd"): (path, path.with_name(path.name.replace(".eta.", ".k.")))
         for folder in folders
         for path in folder.glob("*.eta.spd")
     }
-    if not found:
-        raise FileFormatError("mitsuba: found no data/ior/*.eta.spd in the package; reinstall mitsuba>=3.6")
     return {name: pair for name, pair in found.items() if pair[1].is_file()}
 
 

@@ -12,9 +12,9 @@ from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
-from manifold.plots import figures, plot_balls
+from manifold.plots import figures, plot_balls, plot_latents
 from manifold.records import Array, Progress
-from manifold.rendering import thumbnails
+from manifold.rendering import backend, thumbnails
 from manifold.rendering.thumbnails import cropped
 
 MOST_STEPS = 25
@@ -28,7 +28,7 @@ def latent_map(
     marked: Array | Sequence[float] | None = None,
     colour: ColourChoice = NEAREST,
     on_progress: Progress | None = None,
-) -> None:
+) -> tuple[str, ...]:
     """Draw the map of latents with a rendered ball per material, and with one of a prediction.
 
     Args:
@@ -38,16 +38,21 @@ def latent_map(
         marked: latent of a prediction to show, (Q,).
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
+    Returns:
+        What is left out: rendered balls, where Mitsuba is missing; materials are points then.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
-    x, ball = None, None
-    if marked is not None:
-        x = loaded.require_latent(marked)
+    x, ball = None if marked is None else loaded.require_latent(marked), None
+    if not backend.is_available():
+        figures.save(plot_latents.latent_map(loaded, marked=x), output)
+        return ("rendered balls, since Mitsuba is missing",)
+    if x is not None:
         predicted = loaded.predict(x, choose_colour(loaded, x, colour).colours)
         ball = cropped(thumbnails.of_material(predicted))
     balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
     figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
+    return ()
 
 
 def walk(
@@ -66,10 +71,12 @@ def walk(
         What speaks against predictions on the way, with their t; their steps are marked in the picture.
     Raises:
         UsageError: a material is unknown, or there are fewer than 2 or more than 25 steps.
+        RendererError: Mitsuba is missing.
     """
     if not 2 <= steps <= MOST_STEPS:
         raise UsageError(f"{steps} steps, expected 2 to {MOST_STEPS}")
     figures.require_writable(output)
+    backend.choose()
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
     rows: list[tuple[str, list[Array]]] = []

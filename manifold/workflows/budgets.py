@@ -18,12 +18,12 @@ from manifold.experiments.budget.scene_document import SceneDocument, SceneMater
 from manifold.experiments.budget.scene_survey import Asked
 from manifold.experiments.budget.search import Difference, Tolerance
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.model import predicted_file
 from manifold.model.colours import ColourChoice
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Array, Progress
 from manifold.rendering import backend, image_metrics, render
-from manifold.workflows import pipeline
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
         Path(properties[n]) if n in properties else None for n in ("reflectance", "library")
     )
     colour = ColourChoice(properties.get("like"), reflectance, properties.get("srgb"))
-    pipeline.predict(Path(properties["model"]), latent, path, library=library, colour=colour)
+    predicted_file.predict(Path(properties["model"]), latent, path, library=library, colour=colour)
     return path
 
 

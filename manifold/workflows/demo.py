@@ -11,7 +11,9 @@ from manifold.errors import LibraryError
 from manifold.experiments.budget import example_scenes
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
+from manifold.library.importing import import_files
 from manifold.model.manifold import Settings
+from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
@@ -21,7 +23,7 @@ from manifold.workflows.budgets import BudgetSettings
 from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.pictures import slices, sources
-from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Prediction, Stage, no_stage
+from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Stage, no_stage
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
@@ -44,70 +46,61 @@ TRIED = (
 """Failure modes that the demo tries; `manifold stability` tries all."""
 
 
+FIT = "predicted.fit.json"
+
+
 @dataclass(frozen=True)
 class DemoResult:
     """What `run` left in its folder.
 
     Attributes:
-        library, model, report_text, report_json, fit: paths.
+        library, model, report_text, report_json: paths.
+        fit: path of the fit; None without Mitsuba.
         pictures: what was drawn.
         predicted: the prediction.
         report: the report.
+        left_out: what could not be made here.
     """
 
     library: Path
     model: Path
     report_text: Path
     report_json: Path
-    fit: Path
+    fit: Path | None
     pictures: tuple[Path, ...]
     predicted: Prediction
     report: Report
+    left_out: tuple[str, ...]
 
 
 def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     """Files, library, model, a prediction, renders, a fit, the report.
 
     A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
-    made anew.
+    made anew. Without Mitsuba nothing is rendered or fitted.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
     with stage("Measuring the synthetic corpus") as step:
         corpus.write(files, keep=True, on_progress=step)
     with stage("Importing it into a library") as step:
-        imported = pipeline.import_library(library, [files], on_progress=step)
+        imported = import_files(library, [files], on_progress=step)
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
     fitted = pipeline.embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
         between = fitted.between(START, END, 0.75)
-        predicted = pipeline.predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
-    pictures = []
-    with stage("Rendering the prediction") as step:
-        pictures.append(folder / "predicted.png")
-        source = renders.file_source(predicted.path)
-        renders.render(source, pictures[-1], RenderSettings(), step)
-    pictures.append(folder / "slices.png")
-    slices(sources([START, END], [between], model), pictures[-1])
-    with stage("Drawing the map and the walk") as step:
-        pictures.append(folder / "map.png")
-        if backend.choose().is_llvm:
-            ball_pictures.latent_map(model, pictures[-1], marked=between, on_progress=step)
-            pictures.append(folder / "walk.png")
-            ball_pictures.walk(model, START, END, pictures[-1], on_progress=step)
+        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+    pictures = [folder / "slices.png", folder / "map.png"]
+    slices(sources([START, END], [between], model), pictures[0])
+    has_mitsuba = backend.is_available()
+    with stage("Drawing the map") as step:
+        if has_mitsuba and backend.choose().is_llvm:
+            ball_pictures.latent_map(model, pictures[1], marked=between, on_progress=step)
         else:  # balls would take minutes
-            figures.save(plot_latents.latent_map(fitted, marked=between), pictures[-1])
-    with stage("Fitting game parameters to the prediction") as step:
-        fit = folder / "predicted.fit.json"
-        fits.fit_files([predicted.path], fit, FitSettings(), on_progress=step)
-        pictures.append(folder / "predicted.fit.png")
-        picture_of_fit(fit, predicted.path, pictures[-1])
-    with stage("Budgeting three scenes"):
-        settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
-        for name in example_scenes.EXAMPLES:
-            pictures.append(folder / f"budget_{name}.png")
-            budgets.example(name, settings=settings, output=folder / "budget" / name, picture=pictures[-1])
+            figures.save(plot_latents.latent_map(fitted, marked=between), pictures[1])
+    if has_mitsuba:
+        pictures += _with_mitsuba(folder, model, predicted.path, stage)
     with stage("Charting speed against accuracy") as step:
         pictures.append(folder / "chart.png")
         figures.save(plot_chart.chart(charts.chart(library, only=CHARTED, on_progress=step)), pictures[-1])
@@ -119,4 +112,27 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     text, document = folder / "report.txt", folder / "report.json"
     atomic.write_text(text, format_report(made))
     atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
-    return DemoResult(library, model, text, document, fit, tuple(pictures), predicted, made)
+    fit = folder / FIT if has_mitsuba else None
+    left_out = () if has_mitsuba else ("renders, walk, fits and budgets, since Mitsuba is missing",)
+    return DemoResult(library, model, text, document, fit, tuple(pictures), predicted, made, left_out)
+
+
+def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> list[Path]:
+    """Renders, the walk, a fit, budgets; the pictures made."""
+    pictures = [folder / "predicted.png"]
+    with stage("Rendering the prediction") as step:
+        renders.render(renders.file_source(predicted), pictures[0], RenderSettings(), step)
+    if backend.choose().is_llvm:
+        with stage("Drawing the walk") as step:
+            pictures.append(folder / "walk.png")
+            ball_pictures.walk(model, START, END, pictures[-1], on_progress=step)
+    with stage("Fitting game parameters to the prediction") as step:
+        fits.fit_files([predicted], folder / FIT, FitSettings(), on_progress=step)
+        pictures.append(folder / "predicted.fit.png")
+        picture_of_fit(folder / FIT, predicted, pictures[-1])
+    with stage("Budgeting three scenes"):
+        settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
+        for name in example_scenes.EXAMPLES:
+            pictures.append(folder / f"budget_{name}.png")
+            budgets.example(name, settings=settings, output=folder / "budget" / name, picture=pictures[-1])
+    return pictures

@@ -11,13 +11,13 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
+from manifold.model import predicted_file
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.records import Array
 from manifold.rendering import image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.workflows import pipeline
 from manifold.workflows.renders import RIM, file_source
 
 
@@ -62,7 +62,8 @@ def picture_of_fit(
     file = read_bsdf(material)
     sources = [
         Source(
-            "predicted" if file.description.startswith(pipeline.PREDICTED) else "measured", MeasuredBRDF(file)
+            "predicted" if file.description.startswith(predicted_file.PREDICTED) else "measured",
+            MeasuredBRDF(file),
         ),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
@@ -78,5 +79,5 @@ def picture_of_prediction_fit(
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        pipeline.predict(model, latent, path, library=library, colour=colour)
+        predicted_file.predict(model, latent, path, library=library, colour=colour)
         return picture_of_fit(fit, path, output)

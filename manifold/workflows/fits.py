@@ -159,9 +159,11 @@ def fit_files(
         that is killed make those undone that were finished.
     Raises:
         UsageError: a source or the output cannot be used.
+        RendererError: Mitsuba is missing.
     """
     paths = find_files(sources)
     tasks, outcomes = _plan(paths, output)
+    backend.choose()  # probed once, here, and not by every process
 
     def done(outcome: FitOutcome) -> None:
         outcome = _written(outcome)
@@ -175,8 +177,6 @@ def fit_files(
         for path, target in tasks.items():
             done(_fit_file(path, target, settings))
     else:
-        # The backend is probed once, here.
-        backend.choose()
         calls = [(path, target, settings) for path, target in tasks.items()]
         with closing(in_processes(_fit_file, calls, n, initializer=_use_one_thread)) as fitted:
             for outcome in fitted:
@@ -191,7 +191,7 @@ def fit_prediction(
     model: Path, latent: Array | Sequence[float], output: Path | None, settings: FitSettings, *,
     library: Path | None = None, colour: ColourChoice = NEAREST, on_progress: Progress | None = None,
 ) -> FitOutcome:  # fmt: skip
-    """Fit the material that a model predicts at a latent; arguments as in `pipeline.predict` and `fit_files`.
+    """Fit the material that a model predicts at a latent; arguments as in `predicted_file.predict` and `fit_files`.
 
     Raises:
         UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.

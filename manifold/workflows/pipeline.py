@@ -1,8 +1,8 @@
-"""One function per command: paths in, paths and results out."""
+"""The work behind `manifold embed` and `manifold report`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,32 +14,14 @@ from manifold.errors import UsageError
 from manifold.experiments.evaluation import selection
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.selection import Candidate
-from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
-from manifold.model.located import Located, locate
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.predicted_file import PREDICTED, Prediction, predict
 from manifold.plots import figures, plot_latents
 from manifold.records import Progress
-from manifold.synthetic import corpus
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""
 
-
-__all__ = [
-    "PREDICTED",
-    "Candidate",
-    "Embedding",
-    "Located",
-    "Prediction",
-    "embed",
-    "import_library",
-    "locate",
-    "make_corpus",
-    "predict",
-    "report",
-]
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -48,21 +30,6 @@ DEFAULT_MODEL = Path("model.h5")
 def no_stage(title: str) -> AbstractContextManager[None]:
     """A stage nobody watches."""
     return nullcontext()
-
-
-def make_corpus(
-    folder: Path, *, seed: int = 0, anisotropic: bool = False, rgb: bool = False,
-    on_progress: Progress | None = None,
-) -> list[Path]:  # fmt: skip
-    """Write the built-in synthetic corpus into a folder; see `corpus.write`."""
-    return corpus.write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=on_progress)
-
-
-def import_library(
-    library: Path, sources: Iterable[Path], *, replace: bool = False, on_progress: Progress | None = None
-) -> ImportResult:
-    """Import files and folders into a library; see `importing.import_files`."""
-    return import_files(library, sources, replace=replace, on_progress=on_progress)
 
 
 @dataclass(frozen=True)

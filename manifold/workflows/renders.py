@@ -19,13 +19,13 @@ from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
+from manifold.model import predicted_file
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.plots import figures, plot_comparison
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.image_metrics import Summary
 from manifold.rendering.render import RenderSettings, render_bsdf, render_material, require_d65
-from manifold.workflows import pipeline
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
 
@@ -139,7 +139,7 @@ def latent_source(
     """The prediction at a latent: through a `.bsdf` that lives as long as the block, or straight from the materials.
 
     Raises:
-        UsageError: `direct` without LLVM; and what `pipeline.predict` raises.
+        UsageError: `direct` without LLVM; and what `predicted_file.predict` raises.
     """
     name = "latent " + ", ".join(f"{v:.4g}" for v in latent)
     if direct:
@@ -163,7 +163,7 @@ def latent_source(
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        pipeline.predict(model, latent, path, library=library, colour=colour, on_progress=on_progress)
+        predicted_file.predict(model, latent, path, library=library, colour=colour, on_progress=on_progress)
         source = file_source(path)
         yield Source(name, source.material, source.is_rgb, "predicted file")
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
-from manifold.errors import UsageError
+from manifold.errors import RendererError, UsageError
 from manifold.experiments.chart import fits, instruments, pareto
 from manifold.experiments.chart.held_out import HeldOut
 from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measured, Timed
@@ -123,7 +123,7 @@ def make_chart(
         key, title = f"fit_{method}", f"fit, {fits.METHODS[method]}"
         try:
             measured = fits.measure(method, files, fitted, bench.target, bench.watch)
-        except UsageError as error:
+        except (RendererError, UsageError) as error:
             skipped[key] = str(error)
         else:
             add(key, title, fits.FAMILY, measured, is_held_out=False)

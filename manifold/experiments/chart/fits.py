@@ -28,7 +28,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, 
     Predictions are evaluations at as many direction pairs as the material's file has.
 
     Raises:
-        UsageError: the method does not run here.
+        UsageError, RendererError: the method does not run here, or Mitsuba is missing.
     """
     errors, fits, predicts, numbers = [], [], [], []
     for i in evenly_spaced(len(files), count):

@@ -62,23 +62,46 @@ def corpus(
         bool, typer.Option("--anisotropic", help="Add the 11 anisotropic ones, 110 MB each.")
     ] = False,
     rgb: Annotated[bool, typer.Option("--rgb", help="Write linear sRGB instead of 195 bands.")] = False,
+    neural: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the published neural fits in this folder or zip file of asztr/Neural-BRDF instead, in RGB.",
+            metavar="SOURCE",
+        ),
+    ] = None,
+    spectral: Annotated[
+        bool, typer.Option("--spectral", help="With --neural: up-sample colours to 195 bands.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
-    """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer."""
-    from manifold import __version__
-    from manifold.synthetic import corpus
+    """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer.
 
+    Or, with --neural, fits of about 150 real materials (Sztrajman et al. 2021), which you download yourself.
+    """
+    from manifold import __version__
+    from manifold.errors import UsageError
+    from manifold.synthetic.corpus import write
+    from manifold.synthetic.neural import write_neural
+
+    if neural is not None and (anisotropic or (rgb and spectral)):
+        found = "--anisotropic" if anisotropic else "--rgb and --spectral"
+        raise UsageError(f"--neural with {found}: neural fits are isotropic, in RGB or --spectral; leave it out")
+    if neural is None and spectral:
+        raise UsageError("--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out")
     with terminal.progress("Measuring synthetic materials") as step:
-        paths = corpus.write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
+        if neural is not None:
+            paths = write_neural(neural, folder, spectral=spectral, on_progress=step)
+        else:
+            paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
     size = sum(path.stat().st_size for path in paths)
     results = terminal.Results(json)
-    results.rows(
-        f"Synthetic corpus in {folder}", {"files": len(paths), "size": terminal.megabytes(size), "seed": seed}
-    )
+    what = "Synthetic corpus" if neural is None else "Neural fits"
+    origin = {"seed": seed} if neural is None else {"from": str(neural)}
+    results.rows(f"{what} in {folder}", {"files": len(paths), "size": terminal.megabytes(size), **origin})
     results.document(
         {
             "program": f"manifold {__version__}",
-            "seed": seed,
+            **origin,
             "bytes": size,
             "files": [str(path) for path in paths],
         }

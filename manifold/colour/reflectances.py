@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.colour.columns import read_columns
 from manifold.colour.conversion import to_srgb
-from manifold.colour.tables import colour_science, distribution, near_names
+from manifold.colour.tables import colour_science, distribution, frozen, near_names
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.records import Array, Bands
 
@@ -59,16 +59,27 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
         bands: the spectral axis.
     Raises:
         ShapeError: the colour is not three values in [0, 1].
-    Source: Mallett & Yuksel 2019, whose three basis spectra sum to 1; held constant outside 380 to 780 nm.
+    Source: as `srgb_spectra`.
     """
     display = np.asarray(display, dtype=np.float64)
     if display.shape != (3,) or not np.all((display >= 0) & (display <= 1)):
         raise ShapeError(f"an sRGB colour is {display.tolist()}, expected three values from 0 to 1")
     linear = np.asarray(colour_science().models.eotf_sRGB(display), float)
-    if bands.is_rgb:
-        return linear
-    nodes, values = distribution(colour_science().recovery.RGB_to_sd_Mallett2019(linear))
-    return np.clip(np.interp(np.asarray(bands.wavelengths_nm), nodes, values), 0.0, 1.0)
+    return linear if bands.is_rgb else np.clip(linear @ srgb_spectra(bands), 0.0, 1.0)
+
+
+@lru_cache(maxsize=8)
+def srgb_spectra(bands: Bands) -> Array:
+    """Smooth spectra of the three linear sRGB primaries under D65, read-only, shape (3, B), B wavelengths.
+
+    A colour times them is a spectrum that looks like it; none is negative, and they sum to 1 in every band.
+
+    Source: Mallett & Yuksel 2019; held constant outside 380 to 780 nm.
+    """
+    to_spectrum = colour_science().recovery.RGB_to_sd_Mallett2019
+    at = np.asarray(bands.wavelengths_nm)
+    primaries = [distribution(to_spectrum(primary)) for primary in np.eye(3)]
+    return frozen(np.stack([np.interp(at, nm, values) for nm, values in primaries]))
 
 
 def read_reflectance(path: Path, bands: Bands) -> Array:

@@ -1,4 +1,4 @@
-"""Models as HDF5 files without pickles. This module alone imports h5py.
+"""Models as HDF5 files without pickles.
 
 A file holds latents, a few settings, and what the kind of latent space needs beside them. The measured data stay in
 the library, which is named by its place relative to the model and by the hash of its content.

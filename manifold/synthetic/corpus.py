@@ -8,7 +8,7 @@ zeros like those of its files. Everything follows from one seed. It is synthetic
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from manifold.brdf.unmeasured import find_rim
 from manifold.colour.conversion import luminance, to_srgb
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.synthetic.recipes import anisotropic_recipes, isotropic_recipes
 
 _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
@@ -110,7 +110,7 @@ def write(
     anisotropic: bool = False,
     rgb: bool = False,
     keep: bool = False,
-    on_progress: Callable[[int, int, str], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> list[Path]:
     """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
 
@@ -125,20 +125,32 @@ def write(
     Raises:
         UsageError: the folder cannot be made.
     """
+    materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
+    measured = [(m.name, lambda m=m: measure(m, seed=seed, rgb=rgb)) for m in materials]
+    return write_files(folder, measured, "rgb" if rgb else "spec", keep=keep, on_progress=on_progress)
+
+
+def write_files(
+    folder: Path | str,
+    materials: Sequence[tuple[str, Callable[[], BsdfFile]]],
+    suffix: str,
+    *,
+    keep: bool = False,
+    on_progress: Progress | None = None,
+) -> list[Path]:
+    """Write `NAME_SUFFIX.bsdf` for every name and what measures it; arguments, errors and result as in `write`."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
     paths = []
-    materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
-    for done, material in enumerate(materials, start=1):
-        path = folder / f"{material.name}_{'rgb' if rgb else 'spec'}.bsdf"
-        if not (keep and path.exists()):
-            write_bsdf(path, measure(material, seed=seed, rgb=rgb))
-        paths.append(path)
+    for done, (name, measure_it) in enumerate(materials, start=1):
+        paths.append(folder / f"{name}_{suffix}.bsdf")
+        if not (keep and paths[-1].exists()):
+            write_bsdf(paths[-1], measure_it())
         if on_progress is not None:
-            on_progress(done, len(materials), material.name)
+            on_progress(done, len(materials), name)
     return paths
 
 

@@ -85,9 +85,13 @@ def corpus(
 
     if neural is not None and (anisotropic or (rgb and spectral)):
         found = "--anisotropic" if anisotropic else "--rgb and --spectral"
-        raise UsageError(f"--neural with {found}: neural fits are isotropic, in RGB or --spectral; leave it out")
+        raise UsageError(
+            f"--neural with {found}: neural fits are isotropic, in RGB or --spectral; leave it out"
+        )
     if neural is None and spectral:
-        raise UsageError("--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out")
+        raise UsageError(
+            "--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out"
+        )
     with terminal.progress("Measuring synthetic materials") as step:
         if neural is not None:
             paths = write_neural(neural, folder, spectral=spectral, on_progress=step)

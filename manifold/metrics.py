@@ -14,7 +14,7 @@ from manifold.records import Array
 _LEAST_SQUARED_NORM = 1e-200  # of what is not black
 
 
-def rmse(f: Array, f_star: Array, *, n_pairs: int | None = None) -> float:
+def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
     """Root of the squared error, summed over bands and divided by the number of direction pairs only.
 
     `sqrt(sum_d (f_d - f*_d)^2 / n_pairs)`: bands are summed, not averaged.
@@ -28,9 +28,8 @@ def rmse(f: Array, f_star: Array, *, n_pairs: int | None = None) -> float:
         ShapeError: the shapes differ.
     Source: Hikichi & Iwasaki, eq. 22.
     """
-    errors = RunningErrors()
-    errors.add(f, f_star)
-    return errors.rmse if n_pairs is None else errors.rmse_over(n_pairs)
+    errors = _errors_of(f, f_star, 1.0)
+    return float(errors.rmse(errors.n_pairs if n_pairs is None else n_pairs))
 
 
 def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
@@ -41,65 +40,101 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
         f_star: predicted values, same shape.
         weight: w per direction pair, shape (...); `cosine_weight(wi, wo)` in this package's reports.
     Returns:
-        0 for a perfect prediction, 1 for one of all zeros; see `norm_ratio` for black materials.
+        0 for a perfect prediction, 1 for one of all zeros; 0 / 0 counts as 0, anything else over 0 as a very large
+        finite number: JSON has no infinity.
     Raises:
         ShapeError: the shapes differ.
     """
-    errors = RunningErrors()
-    errors.add(f, f_star, weight)
-    return errors.relative_error
+    return float(_errors_of(f, f_star, weight).relative_error)
 
 
-def norm_ratio(squared_error: Array | float, squared_norm: Array | float) -> Array:
-    """`sqrt(squared_error / squared_norm)`; 0 / 0 counts as 0, anything else over 0 as a very large finite number."""
-    return np.sqrt(np.asarray(squared_error) / np.maximum(squared_norm, _LEAST_SQUARED_NORM))
+def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
+    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; close to what an eye sees."""
+    return float(_errors_of(f, f_star, weight).cube_root_error)
+
+
+def _errors_of(f: Array, f_star: Array, weight: Array | float) -> RunningErrors:
+    """The errors of one material with values (..., B) in 1/sr, weight (...) or one for all."""
+    f, f_star = np.asarray(f), np.asarray(f_star)
+    _require_alike(f, f_star)
+    weight = np.asarray(weight, dtype=np.float64)
+    if weight.ndim and weight.shape != f.shape[:-1]:
+        raise ShapeError(f"weight has shape {weight.shape}, expected {f.shape[:-1]}, one per direction pair")
+    errors, rows = RunningErrors(), (-1, f.shape[-1])
+    errors.add(f.reshape(rows), f_star.reshape(rows), np.broadcast_to(weight, f.shape[:-1]).reshape(-1))
+    return errors
 
 
 class RunningErrors:
-    """RMSE and relative error accumulated over blocks of direction pairs."""
+    """Errors accumulated over blocks of direction pairs, of one material or of many side by side.
+
+    Attributes:
+        n_pairs: direction pairs counted.
+    """
 
     def __init__(self) -> None:
         self.n_pairs = 0
-        self._squared = 0.0
-        self._weighted_squared = 0.0
-        self._weighted_norm = 0.0
+        self._squared: Array = np.zeros(())
+        self._linear: tuple[Array, Array] = (np.zeros(()), np.zeros(()))
+        self._cube_root: tuple[Array, Array] = (np.zeros(()), np.zeros(()))
 
-    def add(self, f: Array, f_star: Array, weight: Array | float = 1.0) -> None:
-        """Count a block: f and f_star (..., B) in 1/sr, weight (...) per direction pair.
+    def add(self, f: Array, f_star: Array, weight: Array, roots: Array | None = None) -> None:
+        """Count a block.
 
+        Args:
+            f: measured values in 1/sr, shape (..., P, B); leading axes are materials.
+            f_star: predicted values, same shape.
+            weight: per direction pair, shape (P,).
+            roots: `(w f)^(1/3)` where it is at hand, shape (..., P, B).
         Raises:
-            ShapeError: f and f_star differ in shape, or weight is not one number per direction pair.
+            ShapeError: f and f_star differ in shape.
         """
         f, f_star = np.asarray(f), np.asarray(f_star)
-        if f.shape != f_star.shape or f.ndim == 0:
-            raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
-        weight = np.asarray(weight, dtype=np.float64)
-        if weight.ndim and weight.shape != f.shape[:-1]:
-            raise ShapeError(
-                f"weight has shape {weight.shape}, expected {f.shape[:-1]}, one per direction pair"
-            )
-        per_pair = np.sum(np.square(np.subtract(f_star, f, dtype=np.float64)), axis=-1)  # [...]
-        norm = np.sum(np.square(f, dtype=np.float64), axis=-1)
-        self.n_pairs += int(per_pair.size)
-        self._squared += float(per_pair.sum())
-        self._weighted_squared += float(np.sum(weight**2 * per_pair))
-        self._weighted_norm += float(np.sum(weight**2 * norm))
+        _require_alike(f, f_star)
+        self.n_pairs += f.shape[-2]
+        per_pair = _squared_norms(np.subtract(f_star, f, dtype=np.float64))  # [..., P]
+        self._squared = self._squared + per_pair.sum(axis=-1)
+        self._linear = _plus(self._linear, per_pair @ weight**2, _squared_norms(f) @ weight**2)
+        if roots is None:
+            roots = np.cbrt(weight)[:, None] * np.cbrt(f)
+        wrong = np.cbrt(weight)[:, None] * np.cbrt(f_star) - roots
+        self._cube_root = _plus(
+            self._cube_root, _squared_norms(wrong).sum(axis=-1), _squared_norms(roots).sum(axis=-1)
+        )
 
-    @property
-    def rmse(self) -> float:
-        """Eq. 22 of Hikichi & Iwasaki over the pairs counted."""
-        return self.rmse_over(self.n_pairs)
-
-    def rmse_over(self, n_pairs: int) -> float:
-        """Eq. 22 of Hikichi & Iwasaki with the sum divided by `n_pairs`."""
+    def rmse(self, n_pairs: float) -> Array:
+        """Eq. 22 of Hikichi & Iwasaki with the sum divided by `n_pairs`, per material."""
         if n_pairs < 1:
             raise ShapeError("RMSE over no direction pairs, expected at least one")
-        return float(np.sqrt(self._squared / n_pairs))
+        return np.sqrt(self._squared / n_pairs)
 
     @property
-    def relative_error(self) -> float:
-        """`||w (f* - f)|| / ||w f||` over the pairs counted."""
-        return float(norm_ratio(self._weighted_squared, self._weighted_norm))
+    def relative_error(self) -> Array:
+        """`||w (f* - f)|| / ||w f||`, per material."""
+        return _norm_ratio(*self._linear)
+
+    @property
+    def cube_root_error(self) -> Array:
+        """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, per material."""
+        return _norm_ratio(*self._cube_root)
+
+
+def _require_alike(f: Array, f_star: Array) -> None:
+    if f.shape != f_star.shape or f.ndim == 0:
+        raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
+
+
+def _squared_norms(f: Array) -> Array:
+    """Of the last axis, in double precision."""
+    return np.einsum("...b,...b->...", f, f, dtype=np.float64)
+
+
+def _plus(sums: tuple[Array, Array], wrong: Array, norm: Array) -> tuple[Array, Array]:
+    return sums[0] + wrong, sums[1] + norm
+
+
+def _norm_ratio(squared_error: Array, squared_norm: Array) -> Array:
+    return np.sqrt(squared_error / np.maximum(squared_norm, _LEAST_SQUARED_NORM))
 
 
 def spectral_angle(f: Array, f_star: Array) -> Array:
@@ -110,8 +145,7 @@ def spectral_angle(f: Array, f_star: Array) -> Array:
     Source: Kruse et al. 1993, in the half-angle form of Kahan, which is exact for small angles.
     """
     f, f_star = np.asarray(f, dtype=np.float64), np.asarray(f_star, dtype=np.float64)
-    if f.shape != f_star.shape or f.ndim == 0:
-        raise ShapeError(f"f has shape {f.shape}, f_star {f_star.shape}, expected the same (..., bands)")
+    _require_alike(f, f_star)
     u, v = _unit_or_zero(f), _unit_or_zero(f_star)
     return 2.0 * np.arctan2(np.linalg.norm(u - v, axis=-1), np.linalg.norm(u + v, axis=-1))
 

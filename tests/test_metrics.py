@@ -14,6 +14,7 @@ from manifold.metrics import (
     RunningErrors,
     RusinkiewiczGrid,
     cosine_weight,
+    cube_root_error,
     from_rusinkiewicz,
     relative_error,
     rmse,
@@ -47,8 +48,28 @@ def test_errors_in_blocks_are_the_errors_of_the_whole(rng):
     for start in range(0, 90, 25):
         rows = slice(start, start + 25)
         running.add(f[rows], f_star[rows], w[rows])
-    assert running.rmse == pytest.approx(rmse(f, f_star), rel=1e-12)
+    assert running.rmse(running.n_pairs) == pytest.approx(rmse(f, f_star), rel=1e-12)
     assert running.relative_error == pytest.approx(relative_error(f, f_star, w), rel=1e-12)
+    assert running.cube_root_error == pytest.approx(cube_root_error(f, f_star, w), rel=1e-12)
+
+
+def test_errors_of_many_materials_are_those_of_each(rng):
+    f, f_star, w = rng.random((5, 30, 4)), rng.random((5, 30, 4)), rng.random(30)
+    running = RunningErrors()
+    running.add(f, f_star, w)
+    for k in range(5):
+        assert running.rmse(30)[k] == pytest.approx(rmse(f[k], f_star[k]), rel=1e-12)
+        assert running.relative_error[k] == pytest.approx(relative_error(f[k], f_star[k], w), rel=1e-12)
+        assert running.cube_root_error[k] == pytest.approx(cube_root_error(f[k], f_star[k], w), rel=1e-12)
+
+
+def test_cube_root_error_is_a_ratio_of_norms_of_cube_roots(rng):
+    f, f_star, w = rng.random((20, 4)), rng.random((20, 4)) - 0.2, rng.random(20)
+    root, root_star = np.cbrt(w[:, None] * f), np.cbrt(w[:, None] * f_star)
+    expected = np.linalg.norm(root_star - root) / np.linalg.norm(root)
+    assert cube_root_error(f, f_star, w) == pytest.approx(expected, rel=1e-12)
+    assert cube_root_error(f, np.zeros_like(f), w) == pytest.approx(1.0, rel=1e-12)
+    assert cube_root_error(f, f.copy(), w) == 0.0
 
 
 def test_relative_error_is_a_ratio_of_weighted_norms(rng):

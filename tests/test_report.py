@@ -13,10 +13,12 @@ from small_library import small_library
 from manifold import metrics
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
-from manifold.experiments.evaluation import heldout, report
-from manifold.experiments.evaluation.heldout import Data
+from manifold.experiments.evaluation import report, report_measures
+from manifold.experiments.evaluation.cross_validation import encode_all
+from manifold.experiments.evaluation.methods import standard_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
 from manifold.experiments.evaluation.report_text import format_report
+from manifold.experiments.evaluation.tabulated import Data
 from manifold.library.store import Library
 from manifold.metrics import (
     RusinkiewiczGrid,
@@ -93,7 +95,7 @@ def test_the_smooth_reconstruction_is_off_by_little(reports, kind):
 def test_held_out_methods_never_use_the_material_itself(models, data, kind):
     for m in model_methods(models[kind]):
         if m.is_held_out:
-            for i, combination in enumerate(heldout.encode_all(data, m).combinations):
+            for i, combination in enumerate(encode_all(data, m).combinations):
                 weights = combination.weights.reshape(*combination.weights.shape[:-1], data.n_materials, -1)
                 assert np.all(weights[..., i, :] == 0.0)
                 np.testing.assert_allclose(combination.weights.sum(axis=-1), 1.0, atol=1e-9)
@@ -102,7 +104,7 @@ def test_held_out_methods_never_use_the_material_itself(models, data, kind):
 def test_latents_kept_are_the_closed_form_of_leave_one_out(models, data):
     """Rasmussen & Williams 2006, eq. 5.12, for weights and variances."""
     model = models["material"]
-    combinations = heldout.encode_all(data, method_of(model, "gp_latents_kept")).combinations
+    combinations = encode_all(data, method_of(model, "gp_latents_kept")).combinations
     found = np.array([c.weights for c in combinations])
     np.testing.assert_allclose(found, model.gp.leave_one_out_weights(), atol=1e-8)
     ratio = np.array([c.variance for c in combinations]) / model.gp.leave_one_out_variance()
@@ -142,7 +144,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
     n_pairs, wi, wo = len(wi), wi[above], wo[above]
     w = cosine_weight(wi, wo)
     f = np.stack([m.eval(wi, wo) for m in model.load_materials()])
-    methods = [*model_methods(model), *heldout.standard_methods()]
+    methods = [*model_methods(model), *standard_methods()]
     chosen = next(m for m in methods if m.key == key)
     result = method(made, key)
     negative = 0
@@ -168,7 +170,7 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
     model, result = models["material"], method(reports["material"], "nearest")
     materials = model.load_materials()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
-    nearest = [c.source for c in heldout.encode_all(data, heldout.standard_methods()[0]).combinations]
+    nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
     wi, wo = multi_angle_pairs()
     physical = [plausibility(materials[n]) for n in nearest]
     assert result.max_albedo == pytest.approx(max(p.max_albedo for p in physical), rel=1e-9)
@@ -185,12 +187,12 @@ def test_other_grids_are_walked_in_blocks(model, monkeypatch):
     """The published grid, made coarser for the test: the same weights, other pairs, errors as if evaluated at once."""
     grid = RusinkiewiczGrid(9, 9, 18, squared_theta_h=False, offset=0.0)
     monkeypatch.setitem(metrics.NAMED_GRIDS, "hikichi", grid)
-    monkeypatch.setattr(report, "_BLOCK_VALUES", 2000)
+    monkeypatch.setattr(report_measures, "_BLOCK_VALUES", 2000)
     made = report.make_report(model, "hikichi")
     wi, wo, above = grid.directions()
     f = np.stack([m.eval(wi[above], wo[above]) for m in model.load_materials()])
     data = Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
-    linear = next(m for m in heldout.standard_methods() if m.key == "linear")
+    linear = next(m for m in standard_methods() if m.key == "linear")
     for i in range(len(f)):
         predicted = np.tensordot(linear.leave_out(data, i).weights, f, axes=1)
         expected = rmse(f[i], predicted, n_pairs=grid.n_pairs)
@@ -213,9 +215,9 @@ def test_bytes_count_files_and_numbers(model, made):
 
 
 def test_long_methods_are_left_out_unless_asked_for(models):
-    long = {m.key for m in heldout.standard_methods() if report.is_long(m, 51, 195)}
+    long = {m.key for m in standard_methods() if report.is_long(m, 51, 195)}
     assert long == {"published", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2"}
-    assert not any(report.is_long(m, 20, 3) for m in heldout.standard_methods())
+    assert not any(report.is_long(m, 20, 3) for m in standard_methods())
     assert report.is_long(method_of(models["monochrome"], "gp_refitted"), 51, 195)
 
 

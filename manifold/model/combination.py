@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class Values:
             cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
             self._mapped[key] = mapping.forward(self.f, cosines)
         return self._mapped[key]
+
+    @cached_property
+    def roots(self) -> Array:
+        """`(w f)^(1/3)` of all materials, shape (N, P, B): where the cube-root error is measured."""
+        return np.cbrt(self.cosines)[:, None] * np.cbrt(self.f)
 
     def mapped_samples(self, mapping: Mapping, bands: Array) -> Array:
         """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); remembered."""

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
 from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
-from manifold.models.encoding import Decoder
+from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
 from manifold.models.per_band import join_latents
 from manifold.records import Array
@@ -143,11 +143,11 @@ class CurveSpace(LatentSpace):
 
     def samples(self, mapped: Array, cosines: Array) -> Samples:
         """Training samples from mapped values (N, B_s, P): a row holds one band of a material."""
-        return Samples(mapped.reshape(-1, mapped.shape[2]), cosines, mapped.shape[1])
+        return Samples(mapped.reshape(-1, mapped.shape[2]), cosines)
 
-    def embed(self, decoder: Decoder, f: Array) -> Embedded:
+    def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The structure and colours of a material with values f (B, P) in all bands."""
-        structure = decoder.encode(f[self.sample_bands])[0, : self.X.shape[1]]
-        colours = decoder.encode_colours(structure, f)[:, 0]
+        structure = encoder.encode(f[self.sample_bands])[0, : self.X.shape[1]]
+        colours = encoder.encode_colours(structure, f)[:, 0]
         latents = self._joined(structure[None], colours[None])
-        return Embedded(structure, colours, decoder.relative_error(latents, f))
+        return Embedded(structure, colours, encoder.relative_error(latents, f))

@@ -1,4 +1,4 @@
-"""Latents turned into values of a library's materials at direction pairs: for embedding, and for reflectances."""
+"""Latents of a library's materials decoded at direction pairs, and new materials encoded there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.encoding import Decoder, EncodingPairs
+from manifold.models.decoder import Decoder, EncodingPairs
+from manifold.models.encoder import Encoder
 from manifold.records import Array
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
@@ -42,13 +43,13 @@ def decoder_at(
         brdf.eval_into(located, f)
         rows.append(mapping.forward(f, cosines).T)  # [B_e, P]
     samples = space.samples(np.stack(rows), cosines)
-    return Decoder(
-        gp=space.gp,
-        n_structure=space.X.shape[1],
-        group=samples.group,
-        mapped=samples.mapped,
-        mapping=mapping,
-        cosines=samples.cosines,
-        gram_weight=samples.cosines,
-        prior=settings.prior,
-    )
+    return Decoder(space.gp, samples.mapped, mapping, samples.cosines)
+
+
+def encoder_at(
+    pairs: EncodingPairs, space: LatentSpace, materials: MaterialCache, settings: Settings
+) -> Encoder:
+    """What finds latents of a space from values at direction pairs: of all embedding bands, or band by band."""
+    decoder = decoder_at(pairs, space, materials, settings)
+    group = len(space.sample_rows(np.arange(1)))
+    return Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior)

@@ -12,7 +12,7 @@ from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
 from manifold.model.curve_space import CurveSpace
-from manifold.model.decoding import decoder_at, encoding_pairs, integrating_sphere
+from manifold.model.decoding import encoder_at, encoding_pairs, integrating_sphere
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
@@ -73,13 +73,13 @@ def _fit_curves(
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
     # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
     pairs = encoding_pairs()
-    decoder = decoder_at(pairs, space, materials, s)
+    encoder = encoder_at(pairs, space, materials, s)
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)
     for n, material in enumerate(materials.filled()):
         f = material.eval(pairs.wi, pairs.wo).T
-        colours[n] = decoder.encode_colours(space.X[n], f)[:, 0]
+        colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
         if on_progress is not None:
             on_progress(n + 1, len(materials.names), "colours")

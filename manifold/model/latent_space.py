@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from manifold.gpr import GPWeights
-from manifold.models.encoding import Decoder
+from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
 
@@ -43,12 +43,10 @@ class Samples:
     Attributes:
         mapped: one row per sample, shape (n, P').
         cosines: cos(theta_i) cos(theta_o) per column, shape (P',).
-        group: samples per material.
     """
 
     mapped: Array
     cosines: Array
-    group: int
 
 
 class LatentSpace(ABC):
@@ -142,7 +140,7 @@ class LatentSpace(ABC):
         """Training samples from mapped values (N, B_e, P) in the embedding bands, and cosines (P,)."""
 
     @abstractmethod
-    def embed(self, decoder: Decoder, f: Array) -> Embedded:
+    def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:

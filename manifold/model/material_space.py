@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
-from manifold.models.encoding import Decoder
+from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
 from manifold.records import Array, evenly_spaced
 
@@ -112,10 +112,10 @@ class MaterialSpace(LatentSpace):
 
     def samples(self, mapped: Array, cosines: Array) -> Samples:
         """Training samples from mapped values (N, B_e, P): a row holds all bands of a material."""
-        return Samples(mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1]), 1)
+        return Samples(mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1]))
 
-    def embed(self, decoder: Decoder, f: Array) -> Embedded:
+    def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""
         values = f[self.embedding_bands(len(f))].reshape(1, -1)
-        latent = decoder.encode(values)
-        return Embedded(latent[0], None, decoder.relative_error(latent, values))
+        latent = encoder.encode(values)
+        return Embedded(latent[0], None, encoder.relative_error(latent, values))

@@ -16,7 +16,8 @@ from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import require_latent
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.encoding import Decoder
+from manifold.models.colour_table import ColourTable
+from manifold.models.decoder import Decoder
 from manifold.records import Array
 
 
@@ -73,7 +74,7 @@ class ReflectanceColours:
         if reflectance.shape != expected or not np.all(np.isfinite(reflectance)):
             raise ShapeError(f"reflectance has shape {reflectance.shape}, expected {expected}, finite")
         decoder, measure = self._sphere
-        return decoder.colours_of_albedo(self._latent(x), reflectance, measure)
+        return ColourTable(decoder, self._latent(x)).of_albedo(reflectance, measure)
 
     def _latent(self, x: Array) -> Array:
         return require_latent(x, self._space.X.shape[1])

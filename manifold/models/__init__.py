@@ -7,15 +7,15 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
-    "Decoder": "manifold.models.encoding",
+    "Decoder": "manifold.models.decoder",
     "direct_local_search": "manifold.dls",
+    "Encoder": "manifold.models.encoder",
     "GPLVM": "manifold.gplvm",
     "GPRegressor": "manifold.gpr",
     "GPWeights": "manifold.gpr",
     "hooke_jeeves": "manifold.dls",
     "Kernel": "manifold.models.kernels",
     "kernel_named": "manifold.models.kernels",
-    "LikelihoodEncoder": "manifold.models.likelihood_encoding",
     "MonochromeGPLVM": "manifold.models.per_band",
     "SparseGPLVM": "manifold.models.sparse",
 }

@@ -1,19 +1,19 @@
 from ..dls import direct_local_search, hooke_jeeves
 from ..gplvm import GPLVM
 from ..gpr import GPRegressor, GPWeights
-from .encoding import Decoder
+from .decoder import Decoder
+from .encoder import Encoder
 from .kernels import Kernel, kernel_named
-from .likelihood_encoding import LikelihoodEncoder
 from .per_band import MonochromeGPLVM
 from .sparse import SparseGPLVM
 
 __all__ = [
     "GPLVM",
     "Decoder",
+    "Encoder",
     "GPRegressor",
     "GPWeights",
     "Kernel",
-    "LikelihoodEncoder",
     "MonochromeGPLVM",
     "SparseGPLVM",
     "direct_local_search",

@@ -35,7 +35,7 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, 
         file = files[i]
         result, seconds = watch.lap(partial(principled.fit_bsdf, file, method=method))
         fits.append(seconds)
-        evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.ball_pairs)]
+        evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.balls.pairs)]
         on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
         errors.append(target.errors(int(i), on_grid, on_ball))
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))

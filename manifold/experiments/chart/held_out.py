@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from manifold.experiments.chart import instruments
 from manifold.experiments.chart.instruments import Kept, Measured, Stopwatch, Target, Timed
 from manifold.experiments.chart.registry import Setting
 from manifold.experiments.chart.storage_forms import Storage
+from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
@@ -95,21 +97,19 @@ class HeldOut:
     def _fitted(self, setting: Setting) -> _Fitted:
         """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
         if setting.method not in self._fits:
-            everything = np.arange(self._data.n_materials)
-            found: dict[int, Combination] = {}
-            times, warned = [], []
-            for fold in range(self.folds):
-                if fold < _REPEATS:
-                    data = self._data.unmapped()
-                out = everything[fold :: self.folds]
+            warned: list[str] = []
+
+            def lap(fit: Callable[[], Any]) -> tuple[Any, float]:
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", UserWarning)
-                    encode, ratio = self.watch.lap(partial(setting.fit, data, np.setdiff1d(everything, out)))
-                    found |= {int(i): encode(int(i)) for i in out}
-                warned += [str(caught[0].message)] if caught else []
-                if fold < _REPEATS:
-                    times.append(self._tabulating + ratio)
-            self._fits[setting.method] = [found[int(i)] for i in everything], Timed.of(times), tuple(warned)
+                    result = self.watch.lap(fit)
+                warned.extend(str(warning.message) for warning in caught[:1])
+                return result
+
+            splits = leave_out(self._data.n_materials, self.folds)
+            encoded = cross_validate(self._data, setting.fit, splits, lap=lap, own_tables=_REPEATS)
+            times = [self._tabulating + ratio for ratio in encoded.fit_times[:_REPEATS]]
+            self._fits[setting.method] = list(encoded.combinations), Timed.of(times), tuple(warned)
         return self._fits[setting.method]
 
     def _kept_as(self, storage: Storage) -> Kept:

@@ -12,15 +12,16 @@ import numba as nb
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from manifold import metrics
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.colour import ball_colours
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
+from manifold.experiments.evaluation.ball_errors import BallErrors, values_at
 from manifold.experiments.evaluation.tabulated import Data
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.model.combination import Combination, Values, evaluate
-from manifold.records import Array, Bands, BsdfFile
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.combination import Combination, evaluate
+from manifold.records import Array, BsdfFile
 from manifold.synthetic import corpus
 
 REFERENCE = "syn_satin_gold"
@@ -160,10 +161,7 @@ class Kept:
         else:
             self.back = storage_forms.interpolation(files[0].bands, storage.bands)
             self._some_back = self.back[target.data.bands]
-        self._at = [
-            Values(np.stack([evaluated(brdf, pairs) for brdf in sampled]), cosine_weight(pairs.wi, pairs.wo))
-            for pairs in (target.pairs, target.ball_pairs)
-        ]
+        self._at = [values_at(sampled, pairs) for pairs in (target.pairs, target.balls.pairs)]
 
     def file_bytes(self, band_share: float) -> int:
         """What predictions read of all files, values in a share of the bands."""
@@ -183,20 +181,13 @@ class Target:
     def __init__(self, data: Data, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> None:
         """Colour the balls of materials whose values at the pairs are `data`."""
         self.data, self.pairs = data, pairs
-        self._ball = ball_colours.ball()
-        self.ball_pairs = DirectionPairs(self._ball.wi, self._ball.wo)
-        nm = materials[0].bands.wavelengths_nm
-        self.bands = materials[0].bands if nm is None else Bands(tuple(nm[b] for b in data.bands))
-        sampled = [m.select_bands(data.bands.tolist()) for m in materials]
-        self._xyz = [self._ball.xyz(evaluated(m, self.ball_pairs), self.bands) for m in sampled]
+        self.balls = BallErrors(materials, data.bands)
 
     def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, float, float]:
         """Relative error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""
         data = self.data
-        squared = float(np.sum((f - data.f[i]) ** 2))
-        rmse = np.sqrt(squared / f.shape[0] * data.n_bands / f.shape[1])
-        colour = ball_colours.delta_e(self._xyz[i], self._ball.xyz(f_ball, self.bands))
-        return data.relative_error(i, f), float(rmse), colour
+        rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
+        return data.relative_error(i, f), rmse, self.balls.delta_e(i, f_ball)
 
     def errors_of(self, kept: Kept, combinations: Sequence[Combination]) -> Array:
         """Errors (N, 3), as `errors` gives them, of a prediction per material."""

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
-from manifold.experiments.evaluation.methods import (
+from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_pca
+from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
-    Fit,
     fit_gplvm,
-    fit_linear,
     fit_monochrome,
-    fit_nearest,
-    fit_pca,
     fit_published,
 )
+from manifold.experiments.evaluation.method import Fit
 
 PUBLISHED = "published"
 AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"

@@ -5,72 +5,57 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_solve
 
-from manifold.experiments.evaluation.methods import (
-    Encode,
-    Fit,
-    Method,
-    curve,
-    encode_in_curves,
-    encode_in_materials,
-    fit_gplvm,
-    fit_monochrome,
-    fit_pca,
-    sample_columns,
-)
+from manifold.experiments.evaluation.baselines import fit_pca
+from manifold.experiments.evaluation.latent_models import fit_settings
+from manifold.experiments.evaluation.method import Encode, Fit, Method
+from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.gpr import GPWeights
 from manifold.model.combination import Combination
-from manifold.model.curve_space import CurveSpace
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
 from manifold.records import Array
 
 
 def model_methods(model: Manifold) -> list[Method]:
     """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
-    space, settings = model.space, model.settings
-    is_curve = isinstance(space, CurveSpace)
-    sample_bands = len(space.sample_bands) if isinstance(space, CurveSpace) else None
-
-    def numbers(B: int) -> int:
-        return settings.latent_dim + B * is_curve
+    space, count = model.space, _pca_count(model)
+    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
 
     def method(key: str, title: str, fit: Fit, *, held_out: bool = True, refits: bool = True) -> Method:
-        return Method(key, title, numbers, fit, held_out, refits, sample_bands, "refitted" in key)
+        return Method(key, title, space.numbers, fit, held_out, refits, sample_bands, "refitted" in key)
 
-    count = _pca_count(model)
     return [
         Method(
-            "reconstruction", "reconstruction", numbers, _fit_reconstruction(model), is_held_out=False,
+            "reconstruction", "reconstruction", space.numbers, _fit_reconstruction(model), is_held_out=False,
             refits=False,
         ),
         method("smooth", "reconstruction, smooth", _fit_smooth(model), held_out=False, refits=False),
         method("gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
         method("gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
-        method("gp_refitted", "GP, refitted without it", _fit_refitted(model)),
-        method("gp_refitted_likelihood", "GP, refitted, likelihood", _fit_refitted(model, by_likelihood=True)),
+        method("gp_refitted", "GP, refitted without it", fit_settings(model.settings)),
+        method("gp_refitted_likelihood", "GP, refitted, likelihood", fit_settings(model.settings, "likelihood")),
         Method(
-            "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count,
-            fit_pca("log-relative", count),
+            "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
         ),
     ]  # fmt: skip
 
 
 def replaced_keys(model: Manifold) -> set[str]:
     """Keys of the standard methods that are the model's own under another name."""
-    s = model.settings
-    keys = {f"pca_{_pca_count(model)}_log_relative"}
     standard = {
         "gplvm_2": Settings(kind="material", latent_dim=2, optimizer="l-bfgs"),
         "gplvm_6": Settings(kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1),
         "monochrome_2_1": Settings(latent_dim=2),
         "monochrome_3_1": Settings(latent_dim=3),
     }
-    return keys | {key for key, settings in standard.items() if s == settings}
+    same = {key for key, settings in standard.items() if model.settings == settings}
+    return same | {f"pca_{_pca_count(model)}_log_relative"}
 
 
 def _pca_count(model: Manifold) -> int:
-    """As many components as the model has dimensions, its colour coordinate included."""
-    return min(model.settings.latent_dim + isinstance(model.space, CurveSpace), len(model.names) - 2)
+    """As many components as a latent of the model has coordinates."""
+    return min(model.gp.X.shape[1], len(model.names) - 2)
 
 
 def _fit_reconstruction(model: Manifold) -> Fit:
@@ -86,13 +71,13 @@ def _fit_smooth(model: Manifold) -> Fit:
     """The posterior mean at a material's own latent without the delta: what lies next to the material."""
 
     def fit(data: Data, training: Array) -> Encode:
-        gp, output_variance = model.gp, _output_variance(model, data)
+        process = _process(model, data, training)
+        gp = process.gp
 
         def encode(i: int) -> Combination:
-            latents = _latents(model, i)
+            latents = model.space.own_latents(i)
             W = cho_solve((gp.L, True), gp.kernel.smooth(latents, gp.X).T).T
-            weights = W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples
-            return _combine(model, data, training, gp, latents, output_variance, weights)
+            return process.at(latents, W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples)
 
         return encode
 
@@ -107,12 +92,11 @@ def _fit_latents_kept(model: Manifold) -> Fit:
     """
 
     def fit(data: Data, training: Array) -> Encode:
-        output_variance = _output_variance(model, data)
+        variance = _process(model, data, training).output_variance  # of all materials, this one too
 
         def encode(i: int) -> Combination:
-            others = np.delete(training, i)
-            gp = _gp_of(model, others)
-            return _combine(model, data, others, gp, _latents(model, i), output_variance)
+            process = _process(model, data, np.delete(training, i), variance)
+            return process.at(model.space.own_latents(i))
 
         return encode
 
@@ -123,66 +107,18 @@ def _fit_encoded(model: Manifold) -> Fit:
     """The process on the other materials, their latents kept; the material's own is found from its data."""
 
     def fit(data: Data, training: Array) -> Encode:
-        gp, space, prior = _gp_of(model, training), model.space, model.settings.prior
-        if isinstance(space, CurveSpace):
-            return encode_in_curves(
-                data, training, gp, space.X.shape[1], space.sample_bands, model.mapping, prior
-            )
-        S = data.gram(model.mapping)[np.ix_(training, training)]
-        s2 = gp.output_variance(S, data.n_outputs)
-        return encode_in_materials(data, training, gp, model.mapping, prior, s2)
+        return _process(model, data, training).encode
 
     return fit
 
 
-def _fit_refitted(model: Manifold, *, by_likelihood: bool = False) -> Fit:
-    """The model's own settings, fitted to the others from their own principal components."""
-    s = model.settings
-    if isinstance(model.space, CurveSpace):
-        return fit_monochrome(
-            min(s.latent_dim, len(model.names) - 2), 1, mapping=s.mapping, mu=s.mu,
-            length_scale=s.length_scale, kernel=s.kernel, prior=s.prior, sample_bands=s.sample_bands,
-            by_likelihood=by_likelihood,
-        )  # fmt: skip
-    return fit_gplvm(
-        s.latent_dim, mapping=s.mapping, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior,
-        optimizer=s.optimizer, by_likelihood=by_likelihood,
-    )  # fmt: skip
-
-
-def _latents(model: Manifold, i: int) -> Array:
-    """Latents of material i: one, or one per band."""
-    return model.space.own_latents(i)
-
-
-def _gp_of(model: Manifold, materials: Array) -> GPWeights:
-    """The process on the latents of some materials."""
-    return GPWeights(model.space.latents_of(materials), model.space.kernel)
-
-
-def _output_variance(model: Manifold, data: Data) -> float:
-    """Profiled variance of the mapped values, all materials seen."""
-    if isinstance(model.space, CurveSpace):
-        S = data.sample_gram(model.mapping, model.space.sample_bands)
-        return model.gp.output_variance(S, data.f.shape[1])
-    return model.gp.output_variance(data.gram(model.mapping), data.n_outputs)
-
-
-def _combine(
-    model: Manifold,
-    data: Data,
-    training: Array,
-    gp: GPWeights,
-    latents: Array,
-    output_variance: float,
-    weights: Array | None = None,
-) -> Combination:
-    """The combination that latents stand for in a process on some materials."""
-    if isinstance(model.space, CurveSpace):
-        bands = model.space.sample_bands
-        columns = sample_columns(training, len(bands))
-        return curve(data, columns, gp, latents, bands, model.mapping, output_variance, weights)
-    spread = np.zeros(data.n_materials)
-    spread[training] = (gp.weights(latents) if weights is None else weights)[0]
-    variance = output_variance * float(gp.variance(latents)[0])
-    return Combination(model.mapping, spread, variance=variance)
+def _process(
+    model: Manifold, data: Data, materials: Array, output_variance: float | None = None
+) -> LatentProcess:
+    """The process on the latents of some materials of the model."""
+    space = model.space
+    samples = Samples(data, model.mapping, space.sample_bands)
+    gp = GPWeights(space.latents_of(materials), space.kernel)
+    return LatentProcess(
+        gp, space.X.shape[1], samples, materials, model.settings.prior, known_variance=output_variance
+    )

@@ -14,14 +14,14 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
-from manifold.gplvm import GPLVM
-from manifold.mapping import MAPPINGS, mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.model.manifold import Settings
-from manifold.models.encoding import Decoder
-from manifold.models.per_band import MonochromeGPLVM
-from manifold.parallel import one_blas_thread
-from manifold.records import Array, Progress, evenly_spaced
+from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
+from manifold.experiments.evaluation.errors import measure_errors
+from manifold.experiments.evaluation.latent_models import fit_settings
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.mapping import MAPPINGS
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.settings import Settings
+from manifold.records import Progress, evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # of a whole material
@@ -112,30 +112,20 @@ class _Trials:
 
     def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
         self._settings = settings
-        self._is_curves = settings.kind == "monochrome"
-        count = settings.sample_bands if self._is_curves else MAX_BANDS
+        count = settings.sample_bands if settings.kind == "monochrome" else MAX_BANDS
         bands = evenly_spaced(materials[0].bands.count, count).tolist()
-        wi, wo, above = GRID.directions()
-        wi, wo = wi[above], wo[above]
-        self._cosines = cosine_weight(wi, wo)
-        self._f = np.stack([m.select_bands(bands).eval(wi, wo).T for m in materials])  # [N, B, P]
-        folds = len(materials) if len(materials) <= LEAVE_ONE_OUT_UP_TO else FOLDS
-        self._folds = [np.arange(k, len(materials), folds) for k in range(folds)]
+        self._data = Data.evaluate(
+            [m.select_bands(bands) for m in materials], GRID, np.arange(len(bands)), stride=1
+        )
+        N = len(materials)
+        self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
 
     def run(self, name: str, latent_dim: int) -> Candidate:
         """Held-out errors of one setting."""
         start = time.perf_counter()
-        mapping = mapping_named(name)
-        T = mapping.forward(np.swapaxes(self._f, 1, 2), np.broadcast_to(self._cosines, self._f.shape[::2]))
-        T = np.ascontiguousarray(np.swapaxes(T, 1, 2))  # [N, B, P]
-        error = np.empty(len(self._f))
-        for fold in self._folds:
-            others = np.setdiff1d(np.arange(len(self._f)), fold)
-            with one_blas_thread:  # the matrices are small: a second thread costs more than it does
-                decoder = self._fit(T[others], name, latent_dim)
-                for i in fold:
-                    f = self._f[i] if self._is_curves else self._f[i].reshape(1, -1)
-                    error[i] = decoder.relative_error(decoder.encode(f), f)
+        fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
+        found = cross_validate(self._data, fit, self._splits).combinations
+        error = measure_errors([found], self._data.bands, [self._data])[0].linear
         return Candidate(
             mapping=name,
             latent_dim=latent_dim,
@@ -144,22 +134,3 @@ class _Trials:
             p90=float(np.percentile(error, 90)),
             seconds=time.perf_counter() - start,
         )
-
-    def _fit(self, T: Array, name: str, latent_dim: int) -> Decoder:
-        """A model of mapped values T (N, B, P), as something that decodes its latents."""
-        s, (N, B, P) = self._settings, T.shape
-        if self._is_curves:
-            samples = T.reshape(N * B, P)
-            curves = MonochromeGPLVM(
-                latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
-            )
-            gp = curves.fit_gram((samples * self._cosines) @ samples.T, N, P).gp_
-            weight, group = self._cosines, B
-        else:
-            samples, weight, group = T.reshape(N, B * P), np.tile(self._cosines, B), 1
-            whole = GPLVM(
-                latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior,
-                tol=_TOLERANCE,
-            )  # fmt: skip
-            gp = whole.fit_gram((samples * weight) @ samples.T, B * P).gp_
-        return Decoder(gp, latent_dim, group, samples, mapping_named(name), weight, weight, s.prior)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.model import gram
 from manifold.model.combination import Values
-from manifold.models.encoding import PAIR_STRIDE, EncodingPairs
+from manifold.models.decoder import PAIR_STRIDE, EncodingPairs
 from manifold.records import Array, evenly_spaced
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
@@ -27,12 +27,14 @@ class Data(Values):
         cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
         bands: which of all bands the values are in, increasing, shape (B',); by default all.
         n_bands: B.
-        full_values: material i at every `PAIR_STRIDE`th direction pair in all bands, shape (P / PAIR_STRIDE, B).
+        full_values: material i at every `stride`th direction pair in all bands, shape (P / stride, B).
+        stride: one in so many direction pairs serves to find a latent by decoded values.
     """
 
     bands: Array = field(default=None)  # type: ignore[arg-type]
     n_bands: int = 0
     full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
+    stride: int = PAIR_STRIDE
     _grams: dict[tuple[str, int, tuple[int, ...] | None], Array] = field(
         default_factory=dict, repr=False, kw_only=True
     )
@@ -42,15 +44,17 @@ class Data(Values):
             object.__setattr__(self, "bands", np.arange(self.f.shape[2]))
             object.__setattr__(self, "n_bands", self.f.shape[2])
         if self.full_values is None:
-            object.__setattr__(self, "full_values", lambda i: self.f[i, ::PAIR_STRIDE])
+            object.__setattr__(self, "full_values", lambda i: self.f[i, :: self.stride])
 
     @classmethod
     def evaluate(
         cls,
-        materials: Sequence[BRDF],
+        materials: Sequence[MeasuredBRDF],
         grid: RusinkiewiczGrid,
         bands: Array | None = None,
         on_block: Callable[[int, int], None] | None = None,
+        *,
+        stride: int = PAIR_STRIDE,
     ) -> Data:
         """Evaluate materials on a grid.
 
@@ -59,33 +63,30 @@ class Data(Values):
             grid: direction pairs.
             bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
             on_block: called with (done, total) blocks of direction pairs.
+            stride: see `Data`.
         """
         n_bands = materials[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS) if bands is None else bands
-        measured = [material for material in materials if isinstance(material, MeasuredBRDF)]
-        can_select = len(measured) == len(materials)
-        sampled = (
-            [material.select_bands(bands.tolist()) for material in measured] if can_select else materials
-        )
-        kept = slice(None) if can_select else bands
+        selected = [material.select_bands(bands.tolist()) for material in materials]
         blocks = []
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
-        for wi, wo, f in gram.value_blocks(sampled, grid):
-            blocks.append((cosine_weight(wi, wo), f[..., kept]))
+        for wi, wo, f in gram.value_blocks(selected, grid):
+            blocks.append((cosine_weight(wi, wo), f))
             if on_block is not None:
                 on_block(len(blocks), total)
-        pairs = EncodingPairs.of_grid(grid)
+        pairs = EncodingPairs.of_grid(grid, stride)
         return cls(
             np.concatenate([f for _, f in blocks], axis=1),
             np.concatenate([c for c, _ in blocks]),
             bands,
             n_bands,
             lambda i: materials[i].eval(pairs.wi, pairs.wo),
+            stride,
         )
 
     def unmapped(self) -> Data:
         """The same without what methods share, values in a mapped domain and their products: each pays its own."""
-        return Data(self.f, self.cosines, self.bands, self.n_bands, self.full_values)
+        return Data(self.f, self.cosines, self.bands, self.n_bands, self.full_values, self.stride)
 
     @property
     def n_materials(self) -> int:
@@ -97,28 +98,35 @@ class Data(Values):
         """D: direction pairs times bands."""
         return self.f.shape[1] * self.f.shape[2]
 
-    def gram(self, mapping: Mapping, *, power: int = 1) -> Array:
-        """Inner products of whole materials over pairs, weighted by cosines^power, and bands: (N, N)."""
-        key = (repr(mapping), power, None)
-        if key not in self._grams:
-            weight = np.repeat(np.sqrt(self.cosines**power), self.f.shape[2])
-            flat = self.mapped(mapping).reshape(self.n_materials, -1) * weight
-            self._grams[key] = flat @ flat.T
-        return self._grams[key]
+    def gram(self, mapping: Mapping, bands: Array | None = None, *, power: int = 1) -> Array:
+        """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
 
-    def sample_gram(self, mapping: Mapping, bands: Array) -> Array:
-        """Inner products of monochrome samples over pairs, weighted by the cosines: (N * B_s, N * B_s).
-
-        `bands` (B_s,) counts among all bands.
+        Args:
+            mapping: T.
+            bands: as for `samples`.
+        Returns:
+            Shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
         """
-        key = (repr(mapping), 1, tuple(int(b) for b in bands))
+        key = (repr(mapping), power, None if bands is None else tuple(int(b) for b in bands))
         if key not in self._grams:
-            flat = self.samples(mapping, bands) * np.sqrt(self.cosines)
+            weight = np.sqrt(self.cosines**power)
+            columns = np.repeat(weight, self.f.shape[2]) if bands is None else weight
+            flat = self.samples(mapping, bands) * columns
             self._grams[key] = flat @ flat.T
         return self._grams[key]
 
-    def samples(self, mapping: Mapping, bands: Array) -> Array:
-        """T(f) of bands (B_s,), counted among all bands, as samples: (N * B_s, P)."""
+    def samples(self, mapping: Mapping, bands: Array | None = None) -> Array:
+        """T(f), sample by sample.
+
+        Args:
+            mapping: T.
+            bands: which bands are samples of their own, shape (B_s,), counted among all; None where whole materials
+                are samples.
+        Returns:
+            Shape (N, P * B') of whole materials, (N * B_s, P) of single bands.
+        """
+        if bands is None:
+            return self.mapped(mapping).reshape(self.n_materials, -1)
         return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
 
     def available_bands(self, count: int) -> Array:
@@ -127,6 +135,13 @@ class Data(Values):
         nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
         return np.unique(self.bands[nearest])
 
+    def interpolated(self, nodes: Array) -> Array:
+        """Coordinates (B, Q) of all bands from those of the data's bands, (B', Q); of a whole material (1, Q) as is."""
+        if len(nodes) == 1:
+            return nodes
+        every = np.arange(self.n_bands)
+        return np.column_stack([np.interp(every, self.bands, node) for node in nodes.T])
+
     def relative_error(self, i: int, predicted: Array) -> float:
-        """`||w (f* - f)|| / ||w f||` of a prediction (P, B') of material i, `w` the cosines."""
+        """Of a prediction (P, B') of material i, weighted by the cosines."""
         return relative_error(self.f[i], predicted, self.cosines)

@@ -28,7 +28,7 @@ from manifold.model import diagnostics
 from manifold.model.latent_space import LatentSpace
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.prediction import PredictedBRDF
-from manifold.models.encoding import EncodingPairs
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Bands, BsdfFile
 from manifold.synthetic.microfacet import GGX, Plastic
 

@@ -1,0 +1,75 @@
+"""How different predictions look: the mean CIEDE2000 of the ball in the studio, by quadrature."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.colour import ball_colours
+from manifold.metrics import cosine_weight
+from manifold.model.combination import Combination, Values, evaluate
+from manifold.records import Array, Bands
+
+_AT_ONCE = 8  # predictions evaluated together
+
+
+def values_at(materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
+    """Measured values of N materials of the same bands at direction pairs."""
+    f = np.empty((len(materials), len(pairs), materials[0].bands.count))
+    for k, material in enumerate(materials):
+        material.eval_into(pairs, f[k])
+    return Values(f, cosine_weight(pairs.wi, pairs.wo))
+
+
+def some_of(bands: Bands, chosen: Array) -> Bands:
+    """The bands that are chosen, by their wavelengths; RGB stays."""
+    nm = bands.wavelengths_nm
+    return bands if nm is None else Bands(tuple(nm[b] for b in chosen))
+
+
+class BallErrors:
+    """Balls of N materials in some of their bands, and how predictions of them differ.
+
+    Attributes:
+        pairs: direction pairs (P,) that light a ball; see `ball_colours.Ball`.
+        values: of the materials there.
+    """
+
+    def __init__(self, materials: Sequence[MeasuredBRDF], bands: Array) -> None:
+        """Colour the balls in bands (B',)."""
+        self._ball = ball_colours.ball()
+        self._bands = some_of(materials[0].bands, bands)
+        self.pairs = DirectionPairs(self._ball.wi, self._ball.wo)
+        self.values = values_at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
+        self._chosen = bands
+        self._xyz = [self._ball.xyz(f, self._bands) for f in self.values.f]
+
+    def delta_e(self, i: int, f: Array) -> float:
+        """Mean CIEDE2000 between material i and values f (P, B') in 1/sr."""
+        return ball_colours.delta_e(self._xyz[i], self._ball.xyz(f, self._bands))
+
+    def of(self, combinations: Sequence[Combination]) -> Array:
+        """Mean CIEDE2000 of a prediction per material, shape (N,)."""
+        here = [c.in_bands(self._chosen) for c in combinations]
+        found = []
+        for first in range(0, len(here), _AT_ONCE):
+            predicted = evaluate(here[first : first + _AT_ONCE], self.values)
+            found += [self.delta_e(first + k, f) for k, f in enumerate(predicted)]
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Median and 90th percentile over materials."""
+
+    median: float
+    p90: float
+
+    @classmethod
+    def of(cls, errors: Array) -> Summary:
+        """Of errors (N,)."""
+        return cls(float(np.median(errors)), float(np.percentile(errors, 90)))

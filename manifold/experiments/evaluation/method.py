@@ -1,0 +1,53 @@
+"""What a way to predict materials is: it learns from some of them and encodes any as a weighted sum of those."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.model.combination import Combination
+from manifold.records import Array
+
+Encode = Callable[[int], Combination]
+"""From the index of a material to its prediction."""
+
+Fit = Callable[[Data, Array], Encode]
+"""From data and the indices of the materials to learn from to what encodes any material."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to predict materials.
+
+    Attributes:
+        key: name in JSON.
+        title: for people.
+        numbers: how many numbers describe a material of B bands.
+        fit: learns from some materials, and encodes any.
+        is_held_out: whether the prediction of a material is made from the others only.
+        refits: whether every left-out material needs a fit without it; False: one fit to all serves, and
+            `fit` keeps the held-out promise itself.
+        sample_bands: bands of the measured files that predictions need, at most; None is all.
+        fits_model: whether a fit searches for latents, which takes long.
+    """
+
+    key: str
+    title: str
+    numbers: Callable[[int], int]
+    fit: Fit
+    is_held_out: bool = True
+    refits: bool = True
+    sample_bands: int | None = None
+    fits_model: bool = False
+
+    def leave_out(self, data: Data, i: int) -> Combination:
+        """The prediction of material i."""
+        everything = np.arange(data.n_materials)
+        return self.fit(data, np.delete(everything, i) if self.refits else everything)(i)
+
+    def predict(self, data: Data, i: int) -> Array:
+        """The predicted values of material i at the data's pairs and bands, shape (P, B')."""
+        return self.leave_out(data, i).in_bands(data.bands).evaluate(data)

@@ -1,0 +1,76 @@
+"""Decode latents: BRDF values at some outputs as `T^-1(V T(F))`, with weights V of the training samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.gpr import GPWeights
+from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.records import Array
+
+PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent
+
+
+@dataclass(frozen=True, eq=False)
+class EncodingPairs:
+    """The direction pairs at which a material is compared with what latents decode.
+
+    Attributes:
+        wi, wo: unit vectors above the horizon, shape (P, 3).
+    """
+
+    wi: Array
+    wo: Array
+
+    @classmethod
+    def of_grid(cls, grid: RusinkiewiczGrid, stride: int = PAIR_STRIDE) -> EncodingPairs:
+        """Some of the pairs of a grid: every so manieth."""
+        wi, wo, above = grid.directions()
+        return cls(wi[above][::stride], wo[above][::stride])
+
+    @property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o), shape (P,)."""
+        return cosine_weight(self.wi, self.wo)
+
+
+@dataclass(frozen=True, eq=False)
+class Decoder:
+    """What turns latents into BRDF values at P outputs: direction pairs of one band, or pairs and bands.
+
+    Attributes:
+        gp: of the n training samples.
+        mapped: T of the training samples, shape (n, P).
+        mapping: T.
+        cosines: cos(theta_i) cos(theta_o) of each output, shape (P,).
+    """
+
+    gp: GPWeights
+    mapped: Array
+    mapping: Mapping
+    cosines: Array
+
+    def decode(self, latents: Array) -> Array:
+        """Values f in 1/sr at latents (R, Q), at least 0, shape (R, P)."""
+        mapped = (self.gp.weights(latents) @ self.mapped)[..., None]
+        return np.maximum(self.mapping.inverse(mapped, self._row_cosines(len(mapped)))[..., 0], 0.0)
+
+    def combine(self, V: Array) -> tuple[Array, Array]:
+        """Values (R, P) of weights V (R, n), as they come, and their derivatives by the mapped values, (R, P)."""
+        rows = self._row_cosines(len(V))
+        values = self.mapping.inverse((V @ self.mapped)[..., None], rows)
+        return values[..., 0], self.mapping.slope(values, rows)[..., 0]
+
+    def map(self, f: Array) -> Array:
+        """T of values f (R, P), same shape."""
+        return self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
+
+    def relative_error(self, latents: Array, f: Array) -> float:
+        """Of values f (R, P) and what latents (R, Q) decode to; see `metrics.relative_error`."""
+        return relative_error(f.T, self.decode(latents).T, self.cosines)
+
+    def _row_cosines(self, rows: int) -> Array:
+        return np.broadcast_to(self.cosines, (rows, self.cosines.size))

@@ -1,0 +1,231 @@
+"""Embed a material that a process has not seen: the latents that fit its data best, by a criterion of choice.
+
+Rows are what one latent each decodes: a whole material is one row of all its bands, single bands a row each, whose
+structure coordinates are shared. The search starts from the nearest training materials. Criteria of decoded values are
+minimised from where the mapped residual, which sees inner products only and is cheap, has led.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve
+from scipy.optimize import minimize
+
+from manifold.errors import UsageError
+from manifold.gpr import GPWeights
+from manifold.models import criteria
+from manifold.models.colour_table import ColourTable
+from manifold.models.criteria import CRITERIA, OF_VALUES, Criterion, Products
+from manifold.models.decoder import Decoder
+from manifold.records import Array
+
+_STARTS = 5  # nearest training materials to start from
+_REFINED = 3  # ends of the first search that the second one starts from
+_APART = 1e-2  # in latents: ends nearer to each other are one
+_MAX_ITER = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Encoder:
+    """Finds latents (R, Q) of a new material: R rows that share their structure coordinates.
+
+    Minimises a criterion plus `prior / 2 ||x_r||^2` of every row.
+
+    Attributes:
+        gp: of the n training samples, material by material.
+        S: Gram matrix of the mapped samples, not centred, shape (n, n).
+        n_outputs: D, outputs behind S.
+        n_structure: leading latent coordinates that all rows of a material share.
+        group: samples per training material: 1 for whole materials, B for single bands.
+        prior: weight of the Gaussian prior on each row's latent.
+        criterion: one of `CRITERIA`.
+        decoder: of the values that materials are compared by; None where inner products are all that is known.
+
+    Raises:
+        UsageError: there is no such criterion, or it needs decoded values and there is no decoder.
+    """
+
+    gp: GPWeights
+    S: Array
+    n_outputs: int
+    n_structure: int
+    group: int = 1
+    prior: float = 0.0
+    criterion: str = "decoded"
+    decoder: Decoder | None = None
+
+    def __post_init__(self) -> None:
+        if self.criterion not in CRITERIA:
+            raise UsageError(f"criterion '{self.criterion}', expected one of {', '.join(CRITERIA)}")
+        if self.criterion in OF_VALUES and self.decoder is None:
+            raise UsageError(f"criterion '{self.criterion}' needs a decoder, expected mapped or likelihood")
+
+    @classmethod
+    def of_decoder(
+        cls,
+        decoder: Decoder,
+        n_structure: int,
+        group: int = 1,
+        prior: float = 0.0,
+        criterion: str = "decoded",
+    ) -> Encoder:
+        """An encoder that sees materials where a decoder decodes them, weighted by the cosines."""
+        S = (decoder.mapped * decoder.cosines) @ decoder.mapped.T
+        P = decoder.mapped.shape[1]
+        return cls(decoder.gp, S, P, n_structure, group, prior, criterion, decoder)
+
+    # -- encoding ------------------------------------------------------------------------------------------
+
+    def encode(self, f: Array) -> Array:
+        """Latents (R, Q) of a new material with values f (R, P) at the decoder's outputs."""
+        products = self._products(f)
+        if self.criterion not in OF_VALUES:
+            return self._best(self._by_products(products), self._starts(products))
+        first = criteria.mapped_residual(products)
+        ends = [self.minimise(first, start) for start in self._starts(products)]
+        return self._best(self._by_values(f), _best_apart(ends))
+
+    def encode_products(self, cross: Array, norm: Array, more_starts: Sequence[Array] = ()) -> Array:
+        """Latents (R, Q) of a new material by inner products with the samples, about the origin that S is about.
+
+        Args:
+            cross: products of each row with the training samples, shape (R, n).
+            norm: squared norms of the rows, shape (R,).
+            more_starts: latents (R, Q) to start from besides those of the nearest materials.
+        Raises:
+            UsageError: the criterion needs decoded values.
+        """
+        products = Products.centred(self.S, cross, norm)
+        return self._best(self._by_products(products), [*self._starts(products), *more_starts])
+
+    def encode_colours(self, structure: Array, f: Array) -> Array:
+        """Colour coordinates of bands with values f (R, P), structure (Q_s,) kept: (R, Q_c).
+
+        One colour coordinate is looked up in a table, which serves any number of bands at once; more of them are
+        searched for band by band.
+        """
+        if self.gp.X.shape[1] - self.n_structure > 1:
+            return np.concatenate([self.search_colour(structure, row[None]) for row in f])
+        scale = self._scale if self.criterion == "likelihood" else None
+        return ColourTable(self._require_decoder(), structure).nearest(f, self._in_domain, scale)[:, None]
+
+    def search_colour(self, structure: Array, f: Array) -> Array:
+        """Colour coordinates (1, Q_c) of one band with values f (1, P), from those of the nearest training samples."""
+        Qs, products = self.n_structure, self._products(f)
+        criterion = self._by_values(f) if self.criterion in OF_VALUES else self._by_products(products)
+        samples = np.argsort(products.distances[0], kind="stable")[:_STARTS]
+        starts = [np.hstack([structure, self.gp.X[k, Qs:]])[None] for k in samples]
+        return self._best(criterion, starts, fixed=True)[:, Qs:]
+
+    def relative_error(self, latents: Array, f: Array) -> float:
+        """Of values f (R, P) and what latents (R, Q) decode to; see `metrics.relative_error`."""
+        return self._require_decoder().relative_error(latents, f)
+
+    # -- criteria ------------------------------------------------------------------------------------------
+
+    def _by_products(self, products: Products) -> Criterion:
+        if self.criterion == "mapped":
+            return criteria.mapped_residual(products)
+        if self.criterion == "likelihood":
+            return criteria.likelihood(products, self._scale)
+        raise UsageError(f"criterion '{self.criterion}' needs decoded values, expected mapped or likelihood")
+
+    def _by_values(self, f: Array) -> Criterion:
+        return criteria.decoded_error(self._require_decoder(), f, cube_root=self.criterion == "cube-root")
+
+    def _in_domain(self, f: Array) -> Array:
+        """Values (R, P) where their differences are what the criterion measures."""
+        decoder = self._require_decoder()
+        if self.criterion in OF_VALUES:
+            weighted = decoder.cosines * f
+            return np.cbrt(weighted) if self.criterion == "cube-root" else weighted
+        return np.sqrt(decoder.cosines) * decoder.map(f)
+
+    @cached_property
+    def output_variance(self) -> float:
+        """s^2 of the training samples."""
+        return max(self.gp.output_variance(self.S, self.n_outputs), np.finfo(float).tiny)
+
+    @property
+    def _scale(self) -> float:
+        """D s^2."""
+        return self.n_outputs * self.output_variance
+
+    def _products(self, f: Array) -> Products:
+        decoder = self._require_decoder()
+        T = decoder.map(f)
+        weighted = T * decoder.cosines
+        return Products.centred(self.S, weighted @ decoder.mapped.T, np.sum(weighted * T, axis=1))
+
+    def _require_decoder(self) -> Decoder:
+        if self.decoder is None:
+            raise UsageError("this encoder has no decoder of values; give inner products")
+        return self.decoder
+
+    # -- searching -----------------------------------------------------------------------------------------
+
+    def _starts(self, products: Products) -> list[Array]:
+        """Latents (R, Q) of the nearest training materials, with the colours of their own or of any samples."""
+        distance, Qs = products.distances, self.n_structure
+        by_material = distance.reshape(len(distance), -1, self.group)  # [R, N, group]
+        nearest = np.argsort(by_material.min(axis=2).sum(axis=0), kind="stable")[:_STARTS]
+        anywhere = self.gp.X[distance.argmin(axis=1), Qs:]
+        starts = []
+        for material in nearest:
+            own = material * self.group + by_material[:, material].argmin(axis=1)
+            structure = np.repeat(self.gp.X[material * self.group, :Qs][None], len(distance), axis=0)
+            starts.append(np.hstack([structure, self.gp.X[own, Qs:]]))
+            if self.group > 1:
+                starts.append(np.hstack([structure, anywhere]))
+        return starts
+
+    def _best(self, criterion: Criterion, starts: Sequence[Array], *, fixed: bool = False) -> Array:
+        ends = [self.minimise(criterion, start, fixed=fixed) for start in starts]
+        return min(ends, key=lambda end: end[1])[0]
+
+    def minimise(self, criterion: Criterion, start: Array, *, fixed: bool = False) -> tuple[Array, float]:
+        """Latents (R, Q) where criterion and prior together are least near a start, and that value.
+
+        With `fixed` the structure stays where it is.
+        """
+        R, Q = start.shape
+        Qs = self.n_structure
+
+        def unpack(z: Array) -> Array:
+            return np.hstack([np.broadcast_to(z[:Qs], (R, Qs)), z[Qs:].reshape(R, Q - Qs)])
+
+        def value_and_gradient(z: Array) -> tuple[float, Array]:
+            value, gradient = self.value_and_gradient(criterion, unpack(z))
+            shared = np.zeros(Qs) if fixed else gradient[:, :Qs].sum(axis=0)
+            return value, np.concatenate([shared, gradient[:, Qs:].ravel()])
+
+        z0 = np.concatenate([start[0, :Qs], start[:, Qs:].ravel()])
+        found = minimize(value_and_gradient, z0, jac=True, method="L-BFGS-B", options={"maxiter": _MAX_ITER})
+        return unpack(found.x), float(found.fun)
+
+    def value_and_gradient(self, criterion: Criterion, x: Array) -> tuple[float, Array]:
+        """Criterion and prior at latents x (R, Q), and the gradient (R, Q) with every row free."""
+        gp = self.gp
+        k, slope = gp.kernel.smooth_and_slope(x, gp.X)  # [R, n]
+        W = cho_solve((gp.L, True), k.T).T
+        V = W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples
+        v = gp.kernel.prior_variance(x) - np.sum(k * W, axis=1)
+        value, dV, dv = criterion(V, v)
+        # Pull the derivatives back through the centring, the solve, and the kernel.
+        dk = cho_solve((gp.L, True), (dV - dV.mean(axis=1, keepdims=True)).T).T - 2.0 * dv[:, None] * W
+        gradient = gp.kernel.pull_back(x, gp.X, dk, slope) + gp.kernel.pull_back_variance(x, dv)
+        gradient += self.prior * x
+        return value + 0.5 * self.prior * float(np.sum(x * x)), gradient
+
+
+def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
+    """The latents of the `_REFINED` best ends that are `_APART`."""
+    kept: list[Array] = []
+    for latents, _ in sorted(ends, key=lambda end: end[1]):
+        if all(np.abs(latents - other).max() > _APART for other in kept):
+            kept.append(latents)
+    return kept[:_REFINED]

@@ -50,7 +50,7 @@ def chart(
     """Leave materials out in ten folds with every setting: errors beside time to predict, bytes, and time to fit.
 
     Times are in those of one evaluation of a synthetic material, in the same run. P, B, F: on the Pareto front of an
-    error against time to predict, bytes, or time to fit. Fits represent materials that they have seen, and are on none.
+    error against time to predict, bytes, or time to fit. Fits see their materials, and are on no front.
     """
     from manifold.plots import figures, plot_chart
     from manifold.workflows import charts
@@ -64,7 +64,7 @@ def chart(
         ["setting", "RMSE", "front", "CIEDE2000", "front", "relative", "predict", "MB", "fit"], _rows(made)
     )
     results.text(
-        "front: not beaten by another setting against P time to predict, B bytes, F time to fit.\n"
+        "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
         f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
         f"each material left out once, in {made.folds} folds.\n"
     )

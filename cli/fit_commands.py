@@ -70,9 +70,9 @@ def fit(
         ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="Gauss-Newton from many starts, or an older way to compare with.")
+        Method, typer.Option(help="Gauss-Newton from many starts, or an earlier method to compare with.")
     ] = Method.gauss_newton,
-    metric: Annotated[Metric, typer.Option(help="What residuals are measured in.")] = Metric.cube_root,
+    metric: Annotated[Metric, typer.Option(help="Domain in which residuals are minimised.")] = Metric.cube_root,
     free: Annotated[
         str | None,
         typer.Option(help="Parameters of principled to fit, commas between; others stay fixed.", metavar="NAMES"),
@@ -83,7 +83,7 @@ def fit(
                      metavar="FILE"),
     ] = None,
     noise: Annotated[
-        float, typer.Option(help="Relative noise of the samples, at least.", metavar="SHARE")
+        float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", help="Processes; one per core if not given.", metavar="N", min=1)
@@ -95,8 +95,8 @@ def fit(
 ) -> None:  # fmt: skip
     """Fit measured files, or a predicted material, by a BSDF that Mitsuba renders.
 
-    Writes one JSON per material: parameters, residuals, all minima found, and what the samples say of each
-    parameter. Fits that are there already are kept.
+    Writes one JSON per material: parameters, residuals, all minima found, and how well the samples
+    determine each parameter. Fits that are there already are kept.
     """
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import fits
@@ -105,7 +105,7 @@ def fit(
         raise UsageError("expected either files or --latent X,Y; name what to fit")
     colour = ColourChoice(like, reflectance, srgb)
     if sources and colour != NEAREST:
-        raise UsageError("--like, --reflectance and --srgb go with --latent; a file is what it is")
+        raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
     results = terminal.Results(json)
     settings = fits.FitSettings(
         family=fits.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
@@ -202,7 +202,7 @@ def _rows(content: dict[str, Any]) -> dict[str, object]:
     for statement in content["statements"]:
         about = f"{statement['value']:.3f} +- {statement['standard_error']:.3f}, {statement['state']}"
         if statement["entangled_with"] is not None:
-            about += f" (entangled with {statement['entangled_with']})"
+            about += f" (correlated with {statement['entangled_with']})"
         rows[statement["name"]] = about + ", at the end of its range" * statement["at_bound"]
     rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
     rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"

@@ -99,7 +99,7 @@ def embed(
         typer.Option(
             "--latent-dim",
             "-q",
-            help="Dimensions of the manifold; auto takes as many as pay.",
+            help="Dimensions of the manifold; auto chooses by held-out error.",
             metavar="Q|auto",
         ),
     ] = "2",
@@ -279,7 +279,7 @@ def locate(
     library: MovedLibraryOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Find where a material that the manifold has not seen belongs: its latent, and its colours in the JSON."""
+    """Embed a new material: its latent on the fitted manifold, and its colours in the JSON."""
     from manifold.model import located
 
     results = terminal.Results(json)

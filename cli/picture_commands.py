@@ -43,7 +43,7 @@ def register(app: typer.Typer) -> None:
     )(latent_map)
     app.command(
         "walk",
-        short_help="Draw the way between two materials.",
+        short_help="Draw the path between two materials.",
         epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
     )(walk)
     app.command(
@@ -94,13 +94,13 @@ def latent_map(
 def walk(
     start: Annotated[str, typer.Argument(help="The first material.", metavar="FROM")],
     end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
-    steps: Annotated[int, typer.Option(help="Balls on the way.", metavar="N", min=2, max=25)] = 7,
+    steps: Annotated[int, typer.Option(help="Balls on the path.", metavar="N", min=2, max=25)] = 7,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     output: PictureOption = Path("walk.png"),
     json: JsonOption = None,
 ) -> None:
-    """Draw the way between two materials along the manifold, and beside it their linear interpolation."""
+    """Draw the path between two materials along the manifold, and below it their linear interpolation."""
     from manifold import __version__
     from manifold.workflows import ball_pictures
 

@@ -88,7 +88,7 @@ def render(
 ) -> None:
     """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
 
-    Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light, as the eye does.
+    Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light (Bradford).
     """
     from manifold.model.colours import ColourChoice
     from manifold.rendering import images
@@ -101,7 +101,9 @@ def render(
         raise UsageError(f"found both {file} and --latent; give one of them")
     colour = ColourChoice(like, reflectance, srgb)
     if file is not None and (direct or colour != ColourChoice()):
-        raise UsageError("--direct, --like, --reflectance and --srgb go with --latent; a file is what it is")
+        raise UsageError(
+            "--direct, --like, --reflectance and --srgb go with --latent; a file has its own colour"
+        )
     images.require_image_path(output)
     settings = renders.make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment

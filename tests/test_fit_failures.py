@@ -55,7 +55,7 @@ def test_a_swarm_is_silently_wrong_where_nobody_looks_for_a_step_down(monkeypatc
 def test_brushed_metal_is_not_called_diffuse_where_diffuse_fits_no_better():
     found = principled.fit_bsdf(fit_samples.from_brdf(fit_failures.brushed(10.0)))
     assert found.family.type == "principled"
-    assert any("does not reach" in note for note in found.notes)
+    assert any("does not fit" in note for note in found.notes)
 
 
 def test_smooth_grey_is_silently_wrong_where_rivals_are_not_told(monkeypatch):

@@ -48,7 +48,7 @@ class ParameterIdentifiability:
     def __str__(self) -> str:
         text = f"{self.value:.3f} +- {self.standard_error:.3f}, {self.state}"
         if self.entangled_with is not None:
-            text += f" (entangled with {self.entangled_with})"
+            text += f" (correlated with {self.entangled_with})"
         return text + ", at the end of its range" * self.at_bound
 
 

@@ -32,7 +32,7 @@ from manifold.rendering import backend
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
 """The methods by name, with the class of their hyperparameters."""
 
-_UNREACHED = (
+_POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
 )
 
@@ -255,8 +255,7 @@ def _result(
         statements=statements,
         notes=tuple(
             _notes(family, values, statements, len(others), residuals[metric.name], float(diffuse))
-            + [f"no minimum of the {metric.name} residual: gauss-newton would go on from here"]
-            * (not is_minimum)
+            + [f"no minimum of the {metric.name} residual: gauss-newton would improve it"] * (not is_minimum)
         ),
         n_pairs=len(samples),
         variant=backend.mitsuba(colour="rgb").variant(),
@@ -277,15 +276,15 @@ def _notes(
     if ends:
         notes.append(f"at the end of the range: {', '.join(ends)}")
     if n_others:
-        notes.append(f"the samples cannot tell {n_others + 1} different solutions apart; all are listed")
+        notes.append(f"ambiguous: {n_others + 1} solutions fit equally well within the noise; all are listed")
     unknown = [s.name for s in statements if s.state == identifiability.UNSEEN]
     if unknown:
         notes.append(f"not determined by the data: {', '.join(unknown)}")
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
-    if residual > _UNREACHED:
+    if residual > _POOR_FIT:
         notes.append(
-            f"{family.type} does not reach these samples: relative residual {100.0 * residual:.0f} %; look at --picture"
+            f"{family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %; look at --picture"
         )
     return notes
 

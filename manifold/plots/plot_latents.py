@@ -77,7 +77,7 @@ def draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
         cmap=_UNCERTAINTY, vmin=0.0, vmax=1.0,
     )  # fmt: skip
     bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.04)
-    bar.set_label("posterior standard deviation, share of the prior's")
+    bar.set_label("posterior over prior standard deviation")
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
 

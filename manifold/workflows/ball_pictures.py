@@ -65,10 +65,10 @@ def walk(
     library: Path | None = None,
     on_progress: Progress | None = None,
 ) -> tuple[str, ...]:
-    """Draw the way between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
+    """Draw the path between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
 
     Returns:
-        What speaks against predictions on the way, with their t; their steps are marked in the picture.
+        Diagnostics of the predictions on the path, with their t; their steps are marked in the picture.
     Raises:
         UsageError: a material is unknown, or there are fewer than 2 or more than 25 steps.
         RendererError: Mitsuba is missing.

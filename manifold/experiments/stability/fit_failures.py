@@ -94,7 +94,7 @@ def _minima(method: str) -> Trial:
         found = fit_bsdf(
             _samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method)
         )
-        return Found(_error(found, truth), _said(found, "cannot tell", "diffuse", "no minimum"))
+        return Found(_error(found, truth), _said(found, "ambiguous", "diffuse", "no minimum"))
 
     return trial
 
@@ -108,7 +108,7 @@ def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
             _samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05, options=_OPTIONS.get(method)
         )
         error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
-        said = [note for note in found.notes if "cannot tell" in note]
+        said = [note for note in found.notes if "ambiguous" in note]
         said += [
             f"{s.name}: {s}" for s in found.statements if s.name == "roughness" and s.state != DETERMINED
         ]
@@ -120,7 +120,7 @@ def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
 def _few(bench: Bench, n_pairs: float) -> Found:
     rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
     found = fit_bsdf(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
-    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
+    return Found(_error(found, _TRUTH), _said(found, "ambiguous", "not determined"))
 
 
 def _one_incidence(bench: Bench, n_pairs: float) -> Found:
@@ -130,7 +130,7 @@ def _one_incidence(bench: Bench, n_pairs: float) -> Found:
     )
     wi = np.broadcast_to(from_spherical(np.deg2rad(45.0), 0.0), wo.shape)
     found = fit_bsdf(_samples(_TRUTH, (wi, wo)))
-    return Found(_error(found, _TRUTH), _said(found, "cannot tell", "not determined"))
+    return Found(_error(found, _TRUTH), _said(found, "ambiguous", "not determined"))
 
 
 def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
@@ -141,7 +141,7 @@ def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
         ends = [
             s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
         ]
-        said = [note for note in found.notes if "diffuse" in note or "reach" in note]
+        said = [note for note in found.notes if "diffuse" in note or "does not fit" in note]
         said += [note for note in found.notes if "end of the range" in note and ends]
         return Found(found.residuals[found.metric], tuple(said))
 
@@ -217,7 +217,7 @@ MODES: tuple[Mode, ...] = (
         number="relative error of the fitted BSDF over all directions",
         threshold=_AS_MEASURED,
         methods={"all over the hemisphere": _few, "one incidence": _one_incidence},
-        advice="Read what the fit says of each parameter; fix those that the samples do not show.",
+        advice="Read the identifiability of each parameter; fix those that the data do not determine.",
     ),
     Mode(
         key="mirror_fit",

@@ -16,7 +16,9 @@ _HOMES = {
     "hooke_jeeves": "manifold.dls",
     "Kernel": "manifold.models.kernels",
     "kernel_named": "manifold.models.kernels",
+    "Lobes": "manifold.models.lobes",
     "MonochromeGPLVM": "manifold.models.per_band",
+    "nonnegative_weights": "manifold.models.nonnegative",
     "SparseGPLVM": "manifold.models.sparse",
 }
 __all__ = list(_HOMES)

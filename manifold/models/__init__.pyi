@@ -4,6 +4,8 @@ from ..gpr import GPRegressor, GPWeights
 from .decoder import Decoder
 from .encoder import Encoder
 from .kernels import Kernel, kernel_named
+from .lobes import Lobes
+from .nonnegative import nonnegative_weights
 from .per_band import MonochromeGPLVM
 from .sparse import SparseGPLVM
 
@@ -14,9 +16,11 @@ __all__ = [
     "GPRegressor",
     "GPWeights",
     "Kernel",
+    "Lobes",
     "MonochromeGPLVM",
     "SparseGPLVM",
     "direct_local_search",
     "hooke_jeeves",
     "kernel_named",
+    "nonnegative_weights",
 ]

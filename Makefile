@@ -2,13 +2,14 @@
 BIN := .venv/bin
 OUT ?= demo
 
-.PHONY: demo test check bench clean help
+.PHONY: demo test test-slow check bench clean help
 
 help:
-	@echo "make demo    run the whole program on the built-in corpus, into $(OUT)/"
-	@echo "make test    run the tests"
-	@echo "make check   ruff, mypy, import-linter"
-	@echo "make bench   speed as ratios, into benchmarks/results/"
+	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
+	@echo "make test        run the tests, all but the slow ones"
+	@echo "make test-slow   run the slow ones"
+	@echo "make check       ruff, mypy, import-linter"
+	@echo "make bench       speed as ratios, into benchmarks/results/"
 
 .venv/ready: pyproject.toml tools/setup.sh
 	tools/setup.sh
@@ -21,7 +22,10 @@ demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
 test: .venv/readydev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: .venv/readydev
+	$(BIN)/python -m pytest -m slow
 
 check: .venv/readydev
 	$(BIN)/ruff check .

@@ -11,6 +11,13 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many slow tests were left out."""
+    left = [item for item in terminalreporter.stats.get("deselected", ()) if item.get_closest_marker("slow")]
+    if left:
+        terminalreporter.write_line(f"{len(left)} slow tests left to `make test-slow`")
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """The one source of randomness in tests."""

@@ -3,9 +3,9 @@
     python benchmarks/bench_held_out.py FOLDER                      # every trial, on the .bsdf files of a folder
     python benchmarks/bench_held_out.py FOLDER --trial kernels      # one of them; see --list
 
-The protocol is `manifold.experiments.evaluation.heldout`: fit to N - 1 materials, find the latent of the last by what
-it decodes to, compare. Each row changes one thing; `--kernel matern32 --linear 1` all rows. Results:
-docs/design/held-out.md.
+The protocol is that of reports (`manifold.experiments.evaluation.cross_validation`): fit to N - 1 materials, find the
+latent of the last from its data, compare what it decodes to. Each row changes one thing; `--kernel matern32+linear`
+all rows. Results: docs/design/held-out.md.
 """
 
 from __future__ import annotations
@@ -16,127 +16,52 @@ import re
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.spatial.distance import cdist
-from trial_models import CUBE_ROOT, Kernel, Power, Setting, TrialDecoder, fit, left_out_error, priors
+from trial_models import CUBE_ROOT, Power, Setting, fit_trial
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.experiments.evaluation.methods import sample_columns
+from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import LogRelative, Mapping
-from manifold.metrics import RusinkiewiczGrid
-from manifold.models.encoding import PAIR_STRIDE
-from manifold.parallel import one_blas_thread
-from manifold.records import Array
-
-# -- protocol ----------------------------------------------------------------------------------------------
+from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
+from manifold.models.criteria import CRITERIA
+from manifold.models.kernels import KERNELS, kernel_named
 
 
-def held_out(data: Data, setting: Setting, every: int = 1) -> tuple[Array, float]:
-    """Relative error of every so manieth material left out, and the largest sum of absolute weights."""
-    T = setting.mapping
-    bands = _farthest_bands(data, setting) if setting.farthest else data.available_bands(setting.bands)
-    within = np.searchsorted(data.bands, bands)
-    N, P, _ = data.f.shape
-    if setting.whole:
-        samples = data.mapped(T).reshape(N, -1)
-        weight, group = np.repeat(data.cosines, data.f.shape[2]), 1
-    else:
-        samples = data.samples(T, bands)
-        weight, group = data.cosines, len(bands)
-    S = (samples * weight**setting.gram_power) @ samples.T
-    stride = slice(None, None, PAIR_STRIDE)
-    if setting.whole:
-        rows = data.mapped(T)[:, stride].reshape(N, -1)
-        cosines = np.repeat(data.cosines[stride], data.f.shape[2])
-    else:
-        rows, cosines = np.ascontiguousarray(samples[:, stride]), data.cosines[stride]
-    left_out = range(0, N, every)
-    errors, largest = np.empty(len(left_out)), 0.0
-    for k, i in enumerate(left_out):
-        others = np.delete(np.arange(N), i)
-        columns = sample_columns(others, group)
-        with one_blas_thread:
-            models = fit(S[np.ix_(columns, columns)], N - 1, samples.shape[1], setting)
-            if setting.choose == "likelihood":
-                models = models[:1]
-            elif setting.choose == "others":
-                models = [
-                    min(models, key=lambda m: left_out_error(m.process, S[np.ix_(columns, columns)], group))
-                ]
-            ends = []
-            for model in models:
-                decoder = TrialDecoder(
-                    model.process, setting.structure, group, rows[columns], T, cosines, cosines**setting.gram_power,
-                    priors(setting),
-                )  # fmt: skip
-                f = data.f[i, stride].reshape(1, -1) if setting.whole else data.f[i, stride].T  # [R, P]
-                seen = f if setting.whole else f[within]
-                first = None
-                if model.encode is not None:
-                    own = np.arange(i * group, (i + 1) * group)
-                    first = model.encode(S[np.ix_(own, columns)], np.diag(S)[own])
-                x = first if setting.back_only and first is not None else decoder.ends(seen, setting, first)
-                V = model.process.weights(_all_bands(data, setting, decoder, x, f, bands))
-                mapped = V @ samples[columns]
-                shape = (P, -1) if setting.whole else (-1, P)
-                mapped = mapped.reshape(shape) if setting.whole else mapped.reshape(shape).T
-                predicted = np.maximum(T.inverse(mapped, data.cosines), 0.0)
-                ends.append((data.relative_error(i, predicted), float(np.abs(V).sum(axis=1).max())))
-        errors[k], most = min(ends)
-        largest = max(largest, most)
-    return errors, largest
-
-
-def _all_bands(
-    data: Data, setting: Setting, decoder: TrialDecoder, x: Array, f: Array, bands: Array
-) -> Array:
-    """Latents of all the data's bands from those of the sample bands."""
-    if setting.whole or len(bands) == len(data.bands):
-        return x
-    Qs = setting.structure
-    if setting.interpolate or setting.colour > 1:
-        colours = np.column_stack([np.interp(data.bands, bands, c) for c in x[:, Qs:].T])
-    else:
-        colours = decoder.encode_colours(x[0, :Qs], f)
-    return np.hstack([np.tile(x[0, :Qs], (len(data.bands), 1)), colours])
-
-
-def _farthest_bands(data: Data, setting: Setting) -> Array:
-    """Bands whose mapped values differ most from those chosen before, over all materials; the ends come first."""
-    flat = np.moveaxis(data.mapped(setting.mapping), 2, 0)[..., ::PAIR_STRIDE]
-    flat = (flat * np.sqrt(data.cosines[::PAIR_STRIDE])).reshape(len(data.bands), -1)
-    chosen = [0, len(data.bands) - 1]
-    while len(chosen) < setting.bands:
-        chosen.append(int(cdist(flat, flat[chosen]).min(axis=1).argmax()))
-    return data.bands[np.sort(chosen)]
+def held_out(data: Data, setting: Setting, every: int = 1) -> dict[str, list[float] | float]:
+    """Linear and cube-root error of every so manieth material left out, and the largest sum of absolute weights."""
+    splits = leave_out(data.n_materials)[::every]
+    found = cross_validate(data, fit_trial(setting), splits).combinations
+    left_out = [int(out[0]) for _, out in splits]
+    predicted = [c.in_bands(data.bands).evaluate(data) for c in found]
+    both = [
+        [error(data.f[i], f, data.cosines) for i, f in zip(left_out, predicted, strict=True)]
+        for error in (relative_error, cube_root_error)
+    ]
+    weights = max(float(np.abs(c.weights).sum(axis=-1).max()) for c in found)
+    return {"errors": both[0], "cube_root": both[1], "weights": weights}
 
 
 # -- trials ------------------------------------------------------------------------------------------------
 
 MONO_2, MONO_3 = Setting(), Setting(structure=3)
-WHOLE_2 = Setting(0, 2, True, Kernel(mu=1e-4), prior=0.0, n_starts=1)
+WHOLE_2 = Setting(0, 2, True, kernel_named("se", 1e-4), prior=0.0, n_starts=1)
 WHOLE_6 = replace(WHOLE_2, colour=6, prior=0.1)
 MODELS = {"whole 2": WHOLE_2, "whole 6": WHOLE_6, "mono 2+1": MONO_2, "mono 3+1": MONO_3}
 
 
-def _mu(setting: Setting, mu: float) -> Setting:
-    return replace(setting, kernel=replace(setting.kernel, mu=mu))
+def _kernel(setting: Setting, name: str | None = None, **changed: float) -> Setting:
+    """The setting under another kernel, or with another mu or weight of the linear term."""
+    kernel = setting.kernel if name is None else kernel_named(name, setting.kernel.mu)
+    return replace(setting, kernel=replace(kernel, **changed))
 
 
 def trials(data: Data) -> dict[str, dict[str, Setting]]:
     """Name of a trial -> name of a row -> setting."""
     outputs = data.f.shape[1]
     monochrome = {"mono 2+1": MONO_2, "mono 3+1": MONO_3}
-    kernels: dict[str, dict[str, Any]] = {
-        "SE": {"name": "se"}, "Matern 3/2": {"name": "matern32"}, "Matern 5/2": {"name": "matern52"},
-        "RQ, alpha 0.5": {"name": "rq", "alpha": 0.5}, "RQ, alpha 1": {"name": "rq"},
-        "RQ, alpha 2": {"name": "rq", "alpha": 2.0},
-        "SE + 0.01 linear": {"linear": 0.01}, "SE + 0.1 linear": {"linear": 0.1}, "SE + linear": {"linear": 1.0},
-    }  # fmt: skip
     mappings: dict[str, Mapping] = {
         "square root": Power(2.0), "2.5th root": Power(2.5), "cube root": CUBE_ROOT, "4th root": Power(4.0),
         "6th root": Power(6.0), "log-relative, 1e-3": LogRelative(), "log-relative, 1e-2": LogRelative(epsilon=1e-2),
@@ -155,7 +80,7 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
             for a, b in ((0.03, 0.1), (0.03, 0.3), (0.1, 0.01), (0.1, 0.03), (0.1, 0.3), (0.3, 0.03), (0.3, 0.1))
         },
         "noise": {
-            f"{name}, mu {mu:g}": _mu(s, mu)
+            f"{name}, mu {mu:g}": _kernel(s, mu=mu)
             for name, s in MODELS.items()
             for mu in (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 1e-1)
         } | {f"{name}, mu by likelihood": replace(s, learn=("mu",)) for name, s in MODELS.items()},
@@ -163,27 +88,27 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
             f"{name}, length scales by likelihood": replace(s, learn=("ard",)) for name, s in MODELS.items()
         },
         "kernels": {
-            f"{name}, {title}": replace(s, kernel=replace(s.kernel, **kernel))
+            f"{name}, {kernel}": _kernel(s, kernel) for name, s in MODELS.items() for kernel in KERNELS
+        } | {
+            f"{name}, se + {weight:g} linear": _kernel(s, linear=weight)
             for name, s in MODELS.items()
-            for title, kernel in kernels.items()
+            for weight in (0.01, 0.1)
         },
         "linear": {
-            f"{name}, SE + {weight:g} linear, mu {mu:g}, prior {prior:g}": replace(
-                s, kernel=Kernel(mu=mu, linear=weight), prior=prior
+            f"{name}, {family} + {weight:g} linear, mu {mu:g}, prior {prior:g}": replace(
+                _kernel(s, family, linear=weight, mu=mu), prior=prior
             )
             for name, s in MODELS.items()
             if name != "whole 2"
+            for family in ("se", "matern32")
             for weight in (0.3, 1.0, 3.0, 10.0)
             for mu in (1e-4, 3e-4, 1e-3, 3e-3)
             for prior in (0.03, 0.1, 0.3)
         },
-        "back": {
-            f"{name}, {kind} encoder" + (", alone" if alone else ", then searched"): replace(
-                s, back=kind, back_only=alone
-            )
+        "criterion": {
+            f"{name}, by {criterion}": replace(s, criterion=criterion)
             for name, s in MODELS.items()
-            for kind in ("linear", "rbf")
-            for alone in (False, True)
+            for criterion in CRITERIA
         },
         "starts": {
             f"{name}, {count} starts, best by {choose}": replace(s, n_starts=count, choose=choose)
@@ -192,14 +117,13 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
                 (1, "likelihood"), (2, "likelihood"), (8, "likelihood"), (2, "others"), (8, "others"), (8, "held-out")
             )
         },
-        "encoder": {f"{name}, every end polished": replace(s, encoder="all") for name, s in MODELS.items()},
         "mapping": {
             f"{name}, {title}": replace(s, mapping=mapping)
             for name, s in (*monochrome.items(), ("whole 6", WHOLE_6))
             for title, mapping in mappings.items()
         },
         "gram": {
-            f"{name}, Gram weight cos^{power:.2g}, mu {mu:g}": _mu(replace(s, gram_power=power), mu)
+            f"{name}, Gram weight cos^{power:.2g}, mu {mu:g}": _kernel(replace(s, gram_power=power), mu=mu)
             for name, s in monochrome.items()
             for power in (1.0, 2.0 / 3.0, 1.0 / 3.0)
             for mu in (1e-4, 1e-3)
@@ -211,17 +135,12 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
     }  # fmt: skip
     if data.n_bands > data.f.shape[2]:
         table["bands"] = {
-            f"mono 2+1, {count} {'farthest' if far else 'even'} bands, colours {'interpolated' if line else 'solved'}":
-            replace(MONO_2, bands=count, farthest=far, interpolate=line)
-            for count, far, line in (
-                (3, False, False), (5, False, False), (7, False, False), (9, False, False), (13, False, False),
-                (3, True, False), (5, True, False), (7, True, False),
-                (5, False, True), (9, False, True), (13, False, True), (7, True, True),
+            f"mono 2+1, {count} {'farthest' if far else 'even'} bands": replace(MONO_2, bands=count, farthest=far)
+            for count, far in (
+                (3, False), (5, False), (7, False), (9, False), (13, False), (3, True), (5, True), (7, True)
             )
         }  # fmt: skip
-        table["bands"] |= {
-            f"mono 3+1, {count} even bands, colours solved": replace(MONO_3, bands=count) for count in (3, 5)
-        }
+        table["bands"] |= {f"mono 3+1, {count} even bands": replace(MONO_3, bands=count) for count in (3, 5)}
     return table
 
 
@@ -247,11 +166,9 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--trial", action="append", help="may be given several times")
-    parser.add_argument(
-        "--kernel", dest="name", choices=("se", "matern32", "matern52", "rq"), help="of every model"
-    )
-    parser.add_argument("--linear", type=float, help="add a linear term of this weight to every kernel")
+    parser.add_argument("--kernel", choices=KERNELS, help="of every model")
     parser.add_argument("--mu", type=float, help="noise filter of every kernel")
+    parser.add_argument("--criterion", choices=CRITERIA, help="by which all materials are encoded")
     parser.add_argument("--rows", default="", help="only rows whose name this regular expression finds")
     parser.add_argument(
         "--every", type=int, default=1, help="leave out only every so manieth material, to save time"
@@ -263,27 +180,33 @@ def main() -> None:
     data = load(args.folder, args.cache)
     table = trials(data)
     for trial in args.trial or table:
-        print(f"\n{trial}\n| row | geometric mean | median | 90th pct. | largest sum of weights | seconds |")
-        print("|---|---|---|---|---|---|")
+        print(
+            f"\n{trial}\n| row | geometric mean | median | 90th pct. | cube root | largest sum of weights | seconds |"
+        )
+        print("|---|---|---|---|---|---|---|")
         for name, setting in table[trial].items():
             if not re.search(args.rows, name):
                 continue
             if args.list:
                 print(f"| {name} |")
                 continue
-            changes = {
-                key: value for key in ("name", "linear", "mu") if (value := getattr(args, key)) is not None
-            }
-            setting = replace(setting, kernel=replace(setting.kernel, **changes))
+            if args.kernel is not None:
+                setting = _kernel(setting, args.kernel)
+            if args.mu is not None:
+                setting = _kernel(setting, mu=args.mu)
+            if args.criterion is not None:
+                setting = replace(setting, criterion=args.criterion)
             start = time.perf_counter()
-            errors, largest = held_out(data, setting, args.every)
+            found = held_out(data, setting, args.every)
+            errors, roots = np.array(found["errors"]), np.array(found["cube_root"])
             row = {
                 "trial": trial, "row": name, "mean": float(np.exp(np.mean(np.log(errors)))),
-                "median": float(np.median(errors)), "p90": float(np.percentile(errors, 90)), "weights": largest,
-                "seconds": time.perf_counter() - start, "errors": errors.tolist(),
+                "median": float(np.median(errors)), "p90": float(np.percentile(errors, 90)),
+                "seconds": time.perf_counter() - start, **found,
             }  # fmt: skip
             print(
-                f"| {name} | {row['mean']:.3f} | {row['median']:.3f} | {row['p90']:.3f} | {largest:.0f} "
+                f"| {name} | {row['mean']:.3f} | {row['median']:.3f} | {row['p90']:.3f} "
+                f"| {np.median(roots):.3f} / {np.percentile(roots, 90):.3f} | {found['weights']:.0f} "
                 f"| {row['seconds']:.0f} |",
                 flush=True,
             )

@@ -20,17 +20,17 @@ import numpy as np
 from bench_held_out import MODELS
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
-from trial_models import CUBE_ROOT, TrialDecoder, fit, priors
+from trial_models import CUBE_ROOT, fit_gram
 
 from manifold.brdf import cells, goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.experiments.evaluation.methods import sample_columns
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
-from manifold.model.manifold import evenly_spaced
+from manifold.models.criteria import Products, mapped_residual
+from manifold.models.encoder import Encoder
 from manifold.parallel import one_blas_thread
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 from manifold.synthetic.microfacet import GGX, Plastic, RoughConductor
 
 NODES = 128  # of a profile
@@ -200,16 +200,18 @@ class Held:
     def leave_out(self, i: int) -> float:
         """The held-out error of material i."""
         setting, Qs = self.setting, self.setting.structure
-        columns = sample_columns(np.delete(np.arange(len(self.files)), i), self.group)
+        others = np.delete(np.arange(len(self.files)), i)
+        columns = (others[:, None] * self.group + np.arange(self.group)).reshape(-1)
         S = self.S[np.ix_(columns, columns)]
-        process = fit(S, len(self.files) - 1, self.features.shape[1], setting)[0].process
+        D = self.features.shape[1]
+        process = fit_gram(S, len(others), D, setting)[0]
         own = np.arange(i * self.group, (i + 1) * self.group)
         cross, norm = self.S[np.ix_(own, columns)], np.diag(self.S)[own]
-        one = np.ones(1)
-        weights = priors(setting)
-        decoder = TrialDecoder(process, Qs, self.group, self.features[columns], CUBE_ROOT, one, one, weights)
-        residual = decoder._mapped_residual(S, cross, norm)
-        ends = [decoder._minimise(residual, start)[0] for start in decoder._starts(S, cross, norm)]
+        weights = setting.priors
+        encoder = Encoder(process, S, D, Qs, self.group, weights, "mapped")
+        products = Products.centred(S, cross, norm)
+        residual = mapped_residual(products)
+        ends = [encoder.minimise(residual, start)[0] for start in encoder.starts(products)]
         R, Q = ends[0].shape
 
         def unpack(z: Array) -> Array:

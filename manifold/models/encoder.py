@@ -41,7 +41,7 @@ class Encoder:
         n_outputs: D, outputs behind S.
         n_structure: leading latent coordinates that all rows of a material share.
         group: samples per training material: 1 for whole materials, B for single bands.
-        prior: weight of the Gaussian prior on each row's latent.
+        prior: weight of the Gaussian prior on each row's latent, or one per axis, shape (Q,).
         criterion: one of `CRITERIA`.
         decoder: of the values that materials are compared by; None where inner products are all that is known.
 
@@ -54,7 +54,7 @@ class Encoder:
     n_outputs: int
     n_structure: int
     group: int = 1
-    prior: float = 0.0
+    prior: float | Array = 0.0
     criterion: str = "decoded"
     decoder: Decoder | None = None
 
@@ -70,7 +70,7 @@ class Encoder:
         decoder: Decoder,
         n_structure: int,
         group: int = 1,
-        prior: float = 0.0,
+        prior: float | Array = 0.0,
         criterion: str = "decoded",
     ) -> Encoder:
         """An encoder that sees materials where a decoder decodes them, weighted by the cosines."""
@@ -84,9 +84,9 @@ class Encoder:
         """Latents (R, Q) of a new material with values f (R, P) at the decoder's outputs."""
         products = self._products(f)
         if self.criterion not in OF_VALUES:
-            return self._best(self._by_products(products), self._starts(products))
+            return self._best(self._by_products(products), self.starts(products))
         first = criteria.mapped_residual(products)
-        ends = [self.minimise(first, start) for start in self._starts(products)]
+        ends = [self.minimise(first, start) for start in self.starts(products)]
         return self._best(self._by_values(f), _best_apart(ends))
 
     def encode_products(self, cross: Array, norm: Array, more_starts: Sequence[Array] = ()) -> Array:
@@ -100,7 +100,7 @@ class Encoder:
             UsageError: the criterion needs decoded values.
         """
         products = Products.centred(self.S, cross, norm)
-        return self._best(self._by_products(products), [*self._starts(products), *more_starts])
+        return self._best(self._by_products(products), [*self.starts(products), *more_starts])
 
     def encode_colours(self, structure: Array, f: Array) -> Array:
         """Colour coordinates of bands with values f (R, P), structure (Q_s,) kept: (R, Q_c).
@@ -168,7 +168,7 @@ class Encoder:
 
     # -- searching -----------------------------------------------------------------------------------------
 
-    def _starts(self, products: Products) -> list[Array]:
+    def starts(self, products: Products) -> list[Array]:
         """Latents (R, Q) of the nearest training materials, with the colours of their own or of any samples."""
         distance, Qs = products.distances, self.n_structure
         by_material = distance.reshape(len(distance), -1, self.group)  # [R, N, group]
@@ -219,7 +219,7 @@ class Encoder:
         dk = cho_solve((gp.L, True), (dV - dV.mean(axis=1, keepdims=True)).T).T - 2.0 * dv[:, None] * W
         gradient = gp.kernel.pull_back(x, gp.X, dk, slope) + gp.kernel.pull_back_variance(x, dv)
         gradient += self.prior * x
-        return value + 0.5 * self.prior * float(np.sum(x * x)), gradient
+        return value + 0.5 * float(np.sum(self.prior * x * x)), gradient
 
 
 def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:

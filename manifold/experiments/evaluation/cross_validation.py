@@ -53,7 +53,7 @@ class Encoded:
     """What a method makes of every material.
 
     Attributes:
-        combinations: the predictions, one per material.
+        combinations: the predictions, one per material that was left out, in the order of the materials.
         fit_times: of the fits, split by split.
         encode_times: of encoding, split by split, all its materials together.
     """
@@ -77,7 +77,7 @@ def cross_validate(
     Args:
         data: of all materials.
         fit: see `Method`.
-        splits: every material is predicted in one of them.
+        splits: each material is predicted in one of them, or in none.
         lap: measures times.
         own_tables: so many fits first map the values and multiply them anew, which is part of their time.
         on_material: called with the number of materials done.
@@ -98,7 +98,7 @@ def cross_validate(
                 encode_times[-1] += seconds
                 if on_material is not None:
                     on_material(len(found))
-    return Encoded(tuple(found[i] for i in range(data.n_materials)), tuple(fit_times), tuple(encode_times))
+    return Encoded(tuple(found[i] for i in sorted(found)), tuple(fit_times), tuple(encode_times))
 
 
 def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:

@@ -92,7 +92,7 @@ class LatentProcess:
         n_structure: leading coordinates that all samples of a material share.
         samples: what the samples are.
         training: the materials, shape (n,).
-        prior: weight of the Gaussian prior on latents.
+        prior: weight of the Gaussian prior on latents, or one per axis.
         criterion: by which latents of a material are found; see `Encoder`.
         known_variance: output variance s^2 of the mapped values, where it is not that of the training materials.
     """
@@ -101,7 +101,7 @@ class LatentProcess:
     n_structure: int
     samples: Samples
     training: Array
-    prior: float
+    prior: float | Array
     criterion: str = "decoded"
     known_variance: float | None = None
 

@@ -35,7 +35,7 @@ class Data(Values):
     n_bands: int = 0
     full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
     stride: int = PAIR_STRIDE
-    _grams: dict[tuple[str, int, tuple[int, ...] | None], Array] = field(
+    _grams: dict[tuple[str, float, tuple[int, ...] | None], Array] = field(
         default_factory=dict, repr=False, kw_only=True
     )
 
@@ -98,7 +98,7 @@ class Data(Values):
         """D: direction pairs times bands."""
         return self.f.shape[1] * self.f.shape[2]
 
-    def gram(self, mapping: Mapping, bands: Array | None = None, *, power: int = 1) -> Array:
+    def gram(self, mapping: Mapping, bands: Array | None = None, *, power: float = 1.0) -> Array:
         """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
 
         Args:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from scipy.linalg import cho_solve, eigh
+from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
@@ -28,12 +28,13 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from manifold.dls import STOPPED, direct_local_search
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.gpr import GPWeights, centre_gram
+from manifold.models.criteria import Products
+from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, kernel_named, radial_of_pair, require_mu
 from manifold.parallel import one_blas_thread
 from manifold.records import Array
 
 OPTIMIZERS = ("dls", "l-bfgs", "both")
-CRITERIA = ("likelihood", "residual")
 _DRIFT = 2e-9  # largest entry of K P - I tolerated before P is computed afresh
 _RENEWED = 500  # accepted moves after which P is computed afresh in any case
 _FIRST_STEP, _LARGEST_STEP = 0.02, 0.5  # of the search, in length scales
@@ -257,27 +258,29 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     def transform_gram(self, cross: Array, norm: Array, *, criterion: str = "likelihood") -> Array:
         """Latents of new samples known by their products with the training samples, shape (M, Q).
 
-        Minimises, per output and with the training latents kept,
-        `1/2 log v + r^2 / (2 D s^2 v) + prior/2 ||x||^2`, where `v(x)` is the posterior variance in units of
-        s^2 and `r(x)` the distance between the sample and its reconstruction. `residual` gives the sample a
-        variance of its own instead of v, `1/2 log r^2 + prior/2 ||x||^2`: the latent whose *prediction* is
-        nearest. The search starts from the latents of the nearest training samples and a linear guess.
+        The training latents are kept; a training sample gets its own. See `manifold.models.criteria`: by `likelihood`,
+        the error of the reconstruction is weighed against the posterior variance; `mapped` is where the
+        *prediction* is nearest.
 
         Args:
             cross: products `Y_new Y^T` about the origin that `fit_gram` saw, shape (M, N).
             norm: squared norms of the new samples about the same origin, shape (M,).
-            criterion: `likelihood` or `residual`.
+            criterion: `likelihood` or `mapped`.
         Raises:
             ShapeError: cross is not (M, N), norm is not (M,), or either is not finite.
-            UsageError: the criterion is unknown.
+            UsageError: the criterion is unknown, or needs more than products.
         """
         check_is_fitted(self, "embedding_")
-        cross, norm = self._centred_products(cross, norm)
-        if criterion not in CRITERIA:
-            raise UsageError(f"criterion '{criterion}', expected one of {', '.join(CRITERIA)}")
-        latents = np.empty((cross.shape[0], self.embedding_.shape[1]))
-        for m, (c, n) in enumerate(zip(cross, norm, strict=True)):
-            latents[m] = self._embed_one(c, float(n), criterion)
+        products = Products(self.gram_, *self._centred_products(cross, norm))
+        Q, prior = self.embedding_.shape[1], float(self.prior)
+        encoder = Encoder(self.gp_, self.gram_, self.n_outputs_, Q, prior=prior, criterion=criterion)
+        # At a training latent variance and residual are both 0, and the likelihood is unbounded.
+        squared = products.distances
+        nearest = squared.argmin(axis=1)
+        same = squared.min(axis=1) <= _SAME * (products.norm + np.diag(self.gram_)[nearest])
+        latents = self.embedding_[nearest]
+        for m in np.flatnonzero(~same):
+            latents[m] = encoder.encode_products(products.cross[[m]], products.norm[[m]])[0]
         return latents
 
     def inverse_transform(self, X: Array) -> Array:
@@ -309,54 +312,6 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         mean_cross = cross.mean(axis=1)
         centred = cross - mean_cross[:, None] - self._gram_row_mean[None, :] + self._gram_mean
         return centred, np.maximum(norm - 2.0 * mean_cross + self._gram_mean, 0.0)
-
-    def _embed_one(self, cross: Array, norm: float, criterion: str) -> Array:
-        squared = norm + np.diag(self.gram_) - 2.0 * cross  # distances to the training samples, [N]
-        order = np.argsort(squared, kind="stable")
-        nearest = order[0]
-        # At a training latent variance and residual are both 0, and the likelihood is unbounded.
-        if squared[nearest] <= _SAME * (norm + self.gram_[nearest, nearest]):
-            return self.embedding_[nearest]
-        linear = np.linalg.lstsq(self.gram_, cross, rcond=1e-3)[0] @ self.embedding_
-        starts = [*self.embedding_[order[:4]], linear]
-        objective = _embedding_objective(self, cross, norm, criterion)
-        best_x, best = starts[0], np.inf
-        for start in starts:
-            found = minimize(objective, start, jac=True, method="L-BFGS-B")
-            if found.fun < best:
-                best_x, best = found.x, float(found.fun)
-        return best_x
-
-
-def _embedding_objective(
-    model: GPLVM, cross: Array, norm: float, criterion: str
-) -> Callable[[Array], tuple[float, Array]]:
-    """What `transform_gram` minimises for one sample, with its gradient: x (Q,) to (value, gradient (Q,))."""
-    gp, X, S = model.gp_, model.embedding_, model.gram_
-    scale = model.n_outputs_ * max(model.output_variance_, np.finfo(float).tiny)
-    kernel, prior = gp.kernel, float(model.prior)
-    floor = 1e-14 * (norm + float(np.trace(S)) / S.shape[0])  # r^2 is a difference of such numbers
-
-    def objective(x: Array) -> tuple[float, Array]:
-        K, slope = kernel.smooth_and_slope(x[None, :], X)  # [1, N]
-        k = K[0]
-        w = cho_solve((gp.L, True), k)
-        Sw = S @ w
-        residual = max(norm - 2.0 * (w @ cross) + w @ Sw, floor)
-        variance = float(kernel.prior_variance(x[None, :])[0]) - k @ w
-        d_residual = 2.0 * cho_solve((gp.L, True), Sw - cross)  # by k, [N]
-        if criterion == "likelihood":
-            value = 0.5 * np.log(variance) + 0.5 * residual / (scale * variance)
-            d_variance = 0.5 / variance - 0.5 * residual / (scale * variance**2)
-            d_k = 0.5 / (scale * variance) * d_residual - 2.0 * d_variance * w
-        else:
-            value = 0.5 * np.log(residual)
-            d_variance, d_k = 0.0, 0.5 / residual * d_residual
-        gradient = kernel.pull_back(x[None, :], X, d_k[None, :], slope)[0] + prior * x
-        gradient += kernel.pull_back_variance(x[None, :], d_variance)[0]
-        return value + 0.5 * prior * float(x @ x), gradient
-
-    return objective
 
 
 class LatentObjective:

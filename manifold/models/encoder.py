@@ -89,18 +89,17 @@ class Encoder:
         ends = [self.minimise(first, start) for start in self.starts(products)]
         return self._best(self._by_values(f), _best_apart(ends))
 
-    def encode_products(self, cross: Array, norm: Array, more_starts: Sequence[Array] = ()) -> Array:
+    def encode_products(self, cross: Array, norm: Array) -> Array:
         """Latents (R, Q) of a new material by inner products with the samples, about the origin that S is about.
 
         Args:
             cross: products of each row with the training samples, shape (R, n).
             norm: squared norms of the rows, shape (R,).
-            more_starts: latents (R, Q) to start from besides those of the nearest materials.
         Raises:
             UsageError: the criterion needs decoded values.
         """
         products = Products.centred(self.S, cross, norm)
-        return self._best(self._by_products(products), [*self.starts(products), *more_starts])
+        return self._best(self._by_products(products), self.starts(products))
 
     def encode_colours(self, structure: Array, f: Array) -> Array:
         """Colour coordinates of bands with values f (R, P), structure (Q_s,) kept: (R, Q_c).

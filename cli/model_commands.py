@@ -39,6 +39,7 @@ AUTO = "auto"
 class Kind(StrEnum):
     """Choices of --kind."""
 
+    blend = "blend"
     monochrome = "monochrome"
     material = "material"
 
@@ -91,7 +92,8 @@ def embed(
     kind: Annotated[
         Kind,
         typer.Option(
-            help="monochrome: structure on the map, colour apart. material: colour and all on the map."
+            help="blend: every place a non-negative combination of the materials around. monochrome: structure on "
+            "the map, colour apart. material: colour and all on the map."
         ),
     ] = Kind.monochrome,
     latent_dim: Annotated[

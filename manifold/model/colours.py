@@ -62,13 +62,15 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
         FileFormatError: the file holds no reflectance spectrum.
     """
-    if model.space.sample_bands is None:
+    if not model.space.takes_colours:
         if choice != NEAREST:
             raise UsageError(
                 "the materials of this manifold carry their colours with them; leave the colour out, or "
                 "embed with --kind monochrome to choose it"
             )
         return ChosenColour(None, None, 0.0)
+    if choice == NEAREST and not model.space.needs_colours:
+        return ChosenColour(None, "blended from the materials around", 0.0)
     if choice.reflectance is None and choice.srgb is None:
         name = choice.like if choice.like is not None else model.nearest(x)[0][0]
         colours = model.colours.like(x, name)

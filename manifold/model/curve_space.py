@@ -37,6 +37,8 @@ class CurveSpace(LatentSpace):
     reflectances: Array
     kernel: Kernel
     kind: ClassVar[str] = "monochrome"
+    takes_colours: ClassVar[bool] = True
+    needs_colours: ClassVar[bool] = True
 
     def with_kernel(self, kernel: Kernel) -> CurveSpace:
         """The same latents under another kernel."""

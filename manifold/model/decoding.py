@@ -24,9 +24,9 @@ def encoding_pairs() -> EncodingPairs:
     return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
 
 
-def integrating_sphere() -> tuple[EncodingPairs, Array]:
+def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tuple[EncodingPairs, Array]:
     """Direction pairs (P, 3) of an integrating sphere, and what makes a reflectance of values f there, (P,)."""
-    wi = from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0)
+    wi = from_spherical(np.deg2rad(incidence_deg), 0.0)
     wo, measure = mirrored_quadrature(wi)
     return EncodingPairs(np.broadcast_to(wi, wo.shape), wo), measure * wo[:, 2]
 

@@ -16,6 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from manifold.gpr import GPWeights
+from manifold.mapping import Mapping
+from manifold.model.combination import Combination
+from manifold.models.colour_table import ColourTable
+from manifold.models.decoder import Decoder
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
@@ -56,9 +60,16 @@ class LatentSpace(ABC):
         X: latents of the materials, shape (N, Q); of a `CurveSpace` their structure coordinates.
         kernel: covariance function on the latents.
         sample_bands: bands of the materials that predictions combine, shape (B_s,); None is all of them.
+        kind: its name.
+        takes_colours: whether colours can be chosen.
+        needs_colours: whether a prediction needs them.
+        is_nonnegative: whether negative measured values are taken for 0 where materials are combined.
     """
 
     kind: ClassVar[str]
+    takes_colours: ClassVar[bool]
+    needs_colours: ClassVar[bool] = False
+    is_nonnegative: ClassVar[bool] = False
     X: Array
     kernel: Kernel
     sample_bands: Array | None
@@ -142,6 +153,23 @@ class LatentSpace(ABC):
     @abstractmethod
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""
+
+    def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
+        """What a prediction at a latent x (Q,) is made of; at a training latent, of that material alone."""
+        k = self.training_index(x, colours)
+        if k is not None:
+            return Combination(mapping, np.eye(len(self.X))[k])
+        return Combination(mapping, self.weights(x, colours), self.sample_bands)
+
+    def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
+        """What a structure x (Q,) in colours (B,) reflects under a measure (P,) of the decoder's outputs, (B,)."""
+        return decoder.decode(self.join(x[None], colours)) @ measure
+
+    def colours_of(
+        self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
+    ) -> tuple[Array, Array]:
+        """Colours (B,) that give a structure x (Q,) a reflectance (B,), and the reflectance that they do give, (B,)."""
+        return ColourTable(decoder, x).of_albedo(reflectance, measure)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material whose latent x (Q,) and colours (B,) these are."""

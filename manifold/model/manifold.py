@@ -25,6 +25,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import open_library, restore
 from manifold.model.settings import Settings
+from manifold.model.spaces import SPACES
 from manifold.records import Array, Bands, Progress
 
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
@@ -82,7 +83,8 @@ class Manifold:
             UsageError: fewer than two materials, or more dimensions than materials less one.
             LibraryError: a material cannot be read.
         """
-        materials = MaterialCache(library, library.names)
+        is_nonnegative = SPACES[settings.kind].is_nonnegative
+        materials = MaterialCache(library, library.names, is_nonnegative=is_nonnegative)
         space, statistics = fit_space(materials, settings, on_progress)
         return cls(materials, space, settings, statistics)
 
@@ -128,12 +130,10 @@ class Manifold:
 
     def prepare(self, on_progress: Progress | None = None) -> None:
         """Read ahead what predictions need: the materials, of a monochrome manifold a few of their bands."""
-        self._combined_materials(on_progress)
-
-    def _combined_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         if self.space.sample_bands is None:
-            return self.materials.filled(on_progress=on_progress)
-        return self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
+            self.materials.filled(on_progress=on_progress)
+        else:
+            self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
 
     # -- latents -------------------------------------------------------------------------------------------
 
@@ -218,27 +218,29 @@ class Manifold:
             ShapeError: colours are not (B,) or not finite.
         """
         x = self.require_latent(x)
-        if colours is None and self.space.sample_bands is not None:
+        if colours is None and self.space.needs_colours:
             colours = self.colours.like(x, self.nearest(x)[0][0])
         combination = self.combination(x, colours)
         if combination.source is not None:
             return PredictedBRDF(
                 [self.material(self.names[combination.source])], replace(combination, weights=_ONE)
             )
-        return PredictedBRDF(self._combined_materials(), combination, self.bands)
+        if combination.sample_bands is not None:
+            return PredictedBRDF(
+                self.materials.in_bands(combination.sample_bands.tolist()), combination, self.bands
+            )
+        used = np.flatnonzero(combination.weights)
+        materials = self.materials.filled([self.names[k] for k in used])
+        return PredictedBRDF(materials, replace(combination, weights=combination.weights[used]))
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
         """What a prediction at a latent x (Q,) is made of; at a training latent, of that material alone."""
-        colours = self.space.require_colours(colours)
-        k = self.space.training_index(x, colours)
-        if k is not None:
-            return Combination(self.mapping, np.eye(len(self.names))[k])
-        return Combination(self.mapping, self.space.weights(x, colours), self.space.sample_bands)
+        return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
         """The prediction on the straight line from material a (t = 0) to b (t = 1), reflectances too."""
         x = self.between(a, b, t)
-        if self.space.sample_bands is None:
+        if not self.space.needs_colours:
             return self.predict(x)
         if t in (0.0, 1.0):
             return self.predict(x, self.colours.like(x, b if t else a))
@@ -301,4 +303,9 @@ class Manifold:
                 LibraryChangedWarning,
                 stacklevel=2,
             )
-        return cls(MaterialCache(library, stored.names), space, settings, stored.statistics)
+        return cls(
+            MaterialCache(library, stored.names, is_nonnegative=space.is_nonnegative),
+            space,
+            settings,
+            stored.statistics,
+        )

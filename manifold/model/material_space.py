@@ -34,6 +34,7 @@ class MaterialSpace(LatentSpace):
     kernel: Kernel
     sample_bands: None = None
     kind: ClassVar[str] = "material"
+    takes_colours: ClassVar[bool] = False
 
     def with_kernel(self, kernel: Kernel) -> MaterialSpace:
         """The same latents under another kernel."""

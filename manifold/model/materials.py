@@ -6,6 +6,9 @@ import difflib
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
@@ -22,10 +25,12 @@ class MaterialCache:
     Attributes:
         library: where they are read from.
         names: in the order of the latents, N of them.
+        is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
+            colours outside of sRGB.
     """
 
-    def __init__(self, library: Library, names: Sequence[str]) -> None:
-        self.library, self.names = library, tuple(names)
+    def __init__(self, library: Library, names: Sequence[str], *, is_nonnegative: bool = False) -> None:
+        self.library, self.names, self.is_nonnegative = library, tuple(names), is_nonnegative
         self._measured: dict[str, MeasuredBRDF] = {}
         self._filled: dict[str, MeasuredBRDF] = {}
         self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
@@ -94,7 +99,10 @@ class MaterialCache:
     def _with_unmeasured_filled(self, file: BsdfFile) -> BsdfFile:
         cells = unmeasured_cells(file)
         self._unmeasured_shares[file.name] = unmeasured_share(file, cells)
-        return fill_unmeasured(file, cells)
+        filled = fill_unmeasured(file, cells)
+        if self.is_nonnegative and np.any(filled.spectra < 0):
+            filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
+        return filled
 
     def _read(
         self,

@@ -16,7 +16,6 @@ from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import require_latent
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.colour_table import ColourTable
 from manifold.models.decoder import Decoder
 from manifold.records import Array
 
@@ -44,7 +43,7 @@ class ReflectanceColours:
     def reached(self, x: Array, colours: Array) -> Array:
         """Reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
         decoder, measure = self._sphere
-        return decoder.decode(self._space.join(self._latent(x)[None], colours)) @ measure
+        return self._space.reflectance_of(self._latent(x), colours, decoder, measure)
 
     def like(self, x: Array, name: str) -> Array:
         """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
@@ -74,7 +73,7 @@ class ReflectanceColours:
         if reflectance.shape != expected or not np.all(np.isfinite(reflectance)):
             raise ShapeError(f"reflectance has shape {reflectance.shape}, expected {expected}, finite")
         decoder, measure = self._sphere
-        return ColourTable(decoder, self._latent(x)).of_albedo(reflectance, measure)
+        return self._space.colours_of(self._latent(x), reflectance, decoder, measure)
 
     def _latent(self, x: Array) -> Array:
         return require_latent(x, self._space.X.shape[1])

@@ -10,10 +10,11 @@ from manifold.gplvm import OPTIMIZERS
 from manifold.models.kernels import Kernel, kernel_named
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
+    "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
     "monochrome": {"optimizer": "l-bfgs", "mu": 1e-3, "prior": 0.1},
     "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"monochrome": ("l-bfgs",), "material": OPTIMIZERS}
+_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "monochrome": ("l-bfgs",), "material": OPTIMIZERS}
 
 KINDS = tuple(_KIND_DEFAULTS)
 
@@ -23,7 +24,8 @@ class Settings:
     """How a manifold was fitted.
 
     Attributes:
-        kind: `monochrome`, every band a sample, or `material`, the kind of Hikichi & Iwasaki.
+        kind: `blend`, every place a non-negative combination of materials; `monochrome`, every band a
+            sample; or `material`, the kind of Hikichi & Iwasaki.
         latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
         mapping: name of the mapping.
         optimizer: how the latents are refined; None is the kind's own, and monochrome has `l-bfgs` only.
@@ -56,6 +58,10 @@ class Settings:
         if self.optimizer not in optimizers:
             raise UsageError(
                 f"optimizer '{self.optimizer}' for kind {self.kind}, expected {' or '.join(optimizers)}"
+            )
+        if self.kind == "blend" and self.mapping != "cube-root":
+            raise UsageError(
+                f"mapping '{self.mapping}' for kind blend, expected cube-root: leave --mapping out"
             )
         if self.sample_bands < 2:
             raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")

@@ -1,0 +1,95 @@
+"""What a map of blends is laid out by: how different materials look, and how their blends look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.colour import ball_colours
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.difference import delta_e_2000
+from manifold.model.decoding import encoding_pairs
+from manifold.models.blending import Layout, blend_layout
+from manifold.records import Array, Progress, evenly_spaced
+
+_BANDS = 12  # in which materials are compared, evenly spaced
+_FLOOR = 1e-2  # 1/sr, added before logarithms: below, nothing is seen
+_UNIT = 20.0  # CIEDE2000 of the ball that lie a unit apart, before the map has its own unit
+_MEASURED_VALLEY = 0.08  # measured materials have no deeper one
+_VALLEY_APART = 300.0  # CIEDE2000 for which a valley of depth 1 in the blend of two counts
+_VALLEY_COST = 10.0
+_SHARES = (0.2, 0.5, 0.8)  # of the one material, at which blends of two are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """How N materials look.
+
+    Attributes:
+        ball: mean CIEDE2000 between their balls, shape (N, N).
+        shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
+        valley: depth of the deepest in-plane minimum near the mirror direction in blends of two, shape (N, N).
+    """
+
+    ball: Array
+    shape: Array
+    valley: Array
+
+    def subset(self, materials: Array) -> Looks:
+        """Those of some materials."""
+        rows = np.ix_(materials, materials)
+        return Looks(self.ball[rows], self.shape[rows], self.valley[rows])
+
+    def layout(self, latent_dim: int) -> Layout:
+        """Places of the materials in Q dimensions, in units of the kernel's length scale."""
+        excess = np.maximum(self.valley - _MEASURED_VALLEY, 0.0)
+        excess = excess * (1.0 - np.eye(len(excess)))
+        distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * excess) / _UNIT
+        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * excess, latent_dim)
+
+
+def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None) -> Looks:
+    """Compare materials by their balls, by their logarithms, and by the profiles of their blends in cube roots."""
+    bands = evenly_spaced(materials[0].bands.count, _BANDS).tolist()
+    ball, pairs = ball_colours.ball(), encoding_pairs()
+    wi, wo = profile_pairs()
+    colours, logs, profiles = [], [], []
+    for done, material in enumerate(materials, start=1):
+        brdf = material.select_bands(bands)
+        colours.append(ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands))
+        f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
+        logs.append((np.log(f + _FLOOR) * np.sqrt(pairs.cosines)[:, None]).ravel())
+        profiles.append(np.cbrt(np.maximum(brdf.eval(wi, wo), 0.0)))  # [incidences, directions, B]
+        if on_progress is not None:
+            on_progress(done, len(materials), "looks")
+    xyz = np.stack(colours)
+    white = srgb_to_xyz(np.ones(3))
+    difference = np.stack([delta_e_2000(xyz, one[None], white).mean(axis=1) for one in xyz])
+    shape = _distances(np.stack(logs))
+    upper = np.triu_indices(len(xyz), 1)
+    median = np.median(shape[upper])
+    if median > 0.0:
+        shape *= np.median(difference[upper]) / median
+    return Looks(0.5 * (difference + difference.T), shape, _valleys(np.stack(profiles)))
+
+
+def _valleys(profiles: Array) -> Array:
+    """Deepest valley in blends of every two materials with cube roots (N, I, D, B), shape (N, N)."""
+    N = len(profiles)
+    deepest = np.zeros((N, N))
+    for i in range(N):
+        for t in _SHARES:
+            f = (((1.0 - t) * profiles[i] + t * profiles[: i + 1]) ** 3).mean(axis=3)  # [i + 1, I, D]
+            deepest[i, : i + 1] = np.maximum(deepest[i, : i + 1], valley_depth(f).max(axis=1))
+    return np.maximum(deepest, deepest.T)
+
+
+def _distances(rows: Array) -> Array:
+    """Euclidean distances between rows (N, D), shape (N, N)."""
+    inner = rows @ rows.T
+    squared = np.diag(inner)[:, None] + np.diag(inner)[None] - 2.0 * inner
+    return np.sqrt(np.maximum(squared, 0.0))

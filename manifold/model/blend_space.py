@@ -1,0 +1,247 @@
+"""A map of blends: every place is a non-negative combination of the materials around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as Fields
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.optimize import minimize
+
+from manifold.errors import ShapeError
+from manifold.mapping import Mapping
+from manifold.metrics import relative_error
+from manifold.model.combination import Combination
+from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
+from manifold.models.blending import blend_weights
+from manifold.models.colour_paths import ColourPaths
+from manifold.models.decoder import Decoder
+from manifold.models.encoder import Encoder
+from manifold.models.kernels import Kernel, first_equal_row
+from manifold.records import Array
+
+_TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's place
+_EVALUATIONS = 150  # of each refinement
+_COORDINATES = 33  # of a path, tried in that search
+_FIRST_COORDINATE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class BlendSpace(LatentSpace):
+    """Materials as points; a place between them is a blend of whole materials, in their colours or in others.
+
+    Attributes:
+        X: places of the materials, in length scales, shape (N, Q).
+        paths: of every material from black to white, which chosen colours are taken from.
+        bands: which bands are the samples of the paths, increasing, shape (B_s,).
+        reflectances: of the materials at 8 degrees, specular included, shape (N, B).
+        kernel: covariance function; tells how far the data reach.
+    """
+
+    X: Array
+    paths: ColourPaths
+    bands: Array
+    reflectances: Array
+    kernel: Kernel
+    sample_bands: None = None
+    kind: ClassVar[str] = "blend"
+    takes_colours: ClassVar[bool] = True
+    is_nonnegative: ClassVar[bool] = True
+
+    def with_kernel(self, kernel: Kernel) -> BlendSpace:
+        """The same places under another kernel."""
+        return replace(self, kernel=kernel)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What a file has to hold, by name."""
+        p = self.paths
+        return {
+            "X": self.X, "bands": self.bands, "reflectances": self.reflectances, "dark": p.dark, "bright": p.bright,
+            "dark_coordinate": p.dark_coordinate, "bright_coordinate": p.bright_coordinate,
+            "sample_reflectances": p.reflectances,
+        }  # fmt: skip
+
+    @classmethod
+    def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
+        """The same space again.
+
+        Raises:
+            ValueError: the arrays do not fit each other, or the number of bands.
+        """
+        X, bands = stored["X"], stored["bands"].astype(np.int64)
+        N, n = len(X), len(X) * len(bands)
+        shapes = {
+            "reflectances": (N, n_bands), "dark": (N, n), "bright": (N, n), "dark_coordinate": (N,),
+            "bright_coordinate": (N,), "sample_reflectances": (n,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            require_shape(name, stored[name], shape)
+        if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
+            raise ValueError(f"dataset 'bands' holds {bands.tolist()}, expected increasing bands")
+        names = ("dark", "bright", "dark_coordinate", "bright_coordinate", "sample_reflectances")
+        paths = ColourPaths(*(stored[name] for name in names))
+        return cls(X, paths, bands, stored["reflectances"], kernel)
+
+    def numbers(self, n_bands: int) -> int:
+        """How many numbers describe a material: its place, and a coordinate and a gain per band."""
+        return self.X.shape[1] + 2 * n_bands
+
+    def sample_rows(self, materials: Array) -> Array:
+        """Indices of the latents of some materials: a material is one point."""
+        return materials
+
+    def latents_of(self, materials: Array) -> Array:
+        """Places of some materials, shape (n, Q)."""
+        return self.X[materials]
+
+    def own_latents(self, material: int) -> Array:
+        """The place of one material, shape (1, Q)."""
+        return self.X[material : material + 1]
+
+    def join(self, X: Array, colours: Array | None) -> Array:
+        """X as it is, shape (M, Q): how far the data reach does not depend on colours."""
+        return X
+
+    def weights(self, x: Array, colours: Array | None) -> Array:
+        """Weights of the materials at x (Q,), shape (N,); in chosen colours those of samples, shape (B, N B_s)."""
+        u = blend_weights(x[None], self.X, self.kernel.length_scale)[0]
+        colours = self.require_colours(colours)
+        if colours is None:
+            return u
+        coordinates, gains = colours if colours.ndim == 2 else (colours, 1.0)
+        return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
+
+    def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
+        """What a prediction at x (Q,) is made of: whole materials, or single bands in chosen colours."""
+        k = self.training_index(x, colours)
+        if k is not None:
+            return Combination(mapping, np.eye(len(self.X))[k])
+        return Combination(mapping, self.weights(x, colours), None if colours is None else self.bands)
+
+    def material_weights(self, X: Array, colours: Array | None) -> Array:
+        """Shares of the materials at places X (M, Q), whatever their colours, shape (M, N)."""
+        return blend_weights(X, self.X, self.kernel.length_scale)
+
+    def training_index(self, x: Array, colours: Array | None) -> int | None:
+        """The material whose place x (Q,) is, in its own colours."""
+        k = int(first_equal_row(x[None], self.X)[0])
+        is_own = colours is None or np.array_equal(colours, self.own_colours[k])
+        return k if k >= 0 and is_own else None
+
+    def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
+        """What a place x (Q,) in colours reflects under a measure (P,) of the decoder's outputs, shape (B,)."""
+        return (self.weights(x, colours) @ decoder.mapped) ** 3 @ measure
+
+    def colours_of(
+        self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
+    ) -> tuple[Array, Array]:
+        """Coordinates (B,) that give a place x (Q,) a reflectance (B,), and the reflectance that they do give, (B,)."""
+        u = blend_weights(x[None], self.X, self.kernel.length_scale)[0]
+        return self.paths.coordinates_of(u, reflectance, decoder.mapped, measure)
+
+    @property
+    def own_colours(self) -> Array:
+        """Coordinates of the materials' own reflectances, shape (N, B)."""
+        return np.cbrt(np.maximum(self.reflectances, 0.0))
+
+    def colour_table(self) -> tuple[Array, Array]:
+        """Coordinates and reflectances of the materials in all bands, shape (N, B) each."""
+        return self.own_colours, self.reflectances
+
+    def require_colours(self, colours: Array | None) -> Array | None:
+        """Coordinates (B,), or coordinates and gains (2, B), as float64.
+
+        Raises:
+            ShapeError: they are neither, or not finite.
+        """
+        if colours is None:
+            return None
+        colours = np.asarray(colours, dtype=np.float64)
+        n_bands = self.reflectances.shape[1]
+        if colours.shape not in ((n_bands,), (2, n_bands)) or not np.all(np.isfinite(colours)):
+            raise ShapeError(
+                f"colours have shape {colours.shape}, expected ({n_bands},) or (2, {n_bands}), finite"
+            )
+        return colours
+
+    def embedding_bands(self, n_bands: int) -> Array:
+        """Bands whose values find a place: the samples of the paths."""
+        return self.bands
+
+    def samples(self, mapped: Array, cosines: Array) -> Samples:
+        """Samples from mapped values (N, B_s, P): a row holds one band of a material."""
+        return Samples(mapped.reshape(-1, mapped.shape[2]), cosines)
+
+    def embed(self, encoder: Encoder, f: Array) -> Embedded:
+        """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
+        assert encoder.decoder is not None
+        samples, cosines = encoder.decoder.mapped, encoder.decoder.cosines
+        search = PlaceSearch(self, samples, cosines, np.cbrt(np.maximum(f, 0.0)))
+        x = search.place(self.bands)
+        colours = search.colours(x)
+        predicted = (self.weights(x, colours) @ samples) ** 3
+        return Embedded(x, colours, relative_error(f.T, predicted.T, cosines))
+
+
+class PlaceSearch:
+    """Finds the place, and per band the path coordinate and gain, at which a blend is nearest to a material.
+
+    Args:
+        space: the map.
+        samples: cube roots of its samples, shape (n, P).
+        cosines: of the direction pairs, shape (P,).
+        target: cube roots of the material in all bands, shape (B, P).
+    """
+
+    def __init__(self, space: BlendSpace, samples: Array, cosines: Array, target: Array) -> None:
+        self._space = space
+        weight = np.cbrt(cosines)  # that of the cube-root error
+        self._grid = np.linspace(_FIRST_COORDINATE, space.paths.last, _COORDINATES)
+        vertices = [space.paths.weights(unit, self._grid) for unit in np.eye(len(space.X))]
+        Z = np.stack([w @ samples for w in vertices]) * weight  # [N, K, P]
+        self._gram = np.einsum("nkp,mkp->knm", Z, Z, optimize=True)
+        self._cross = np.einsum("nkp,bp->nkb", Z, target * weight, optimize=True)
+        self._norm = np.sum((target * weight) ** 2, axis=1)
+
+    def place(self, bands: Array) -> Array:
+        """The place (Q,) with the least squared residual over some bands."""
+        X, l = self._space.X, self._space.kernel.length_scale
+
+        def residual(x: Array) -> float:
+            inner, squared = self._products(blend_weights(x[None], X, l)[0], bands)
+            return float(np.sum(self._norm[bands] - np.max(inner**2 / squared, axis=0)))
+
+        rng = np.random.default_rng(0)
+        count = min(3, len(X))
+        tried = [
+            rng.dirichlet(np.ones(count)) @ X[rng.choice(len(X), count, replace=False)]
+            for _ in range(_TRIED_PLACES)
+        ]
+        places = np.vstack([X, tried])
+        order = np.argsort([residual(x) for x in places], kind="stable")[:_REFINED_PLACES]
+        steps = np.vstack([np.zeros(X.shape[1]), 0.2 * l * np.eye(X.shape[1])])
+        ends = [
+            minimize(
+                residual,
+                places[k],
+                method="Nelder-Mead",
+                options={"initial_simplex": places[k] + steps, "maxfev": 150},
+            )
+            for k in order
+        ]
+        return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
+
+    def colours(self, x: Array) -> Array:
+        """Path coordinates and gains of all bands at a place x (Q,), shape (2, B)."""
+        u = blend_weights(x[None], self._space.X, self._space.kernel.length_scale)[0]
+        inner, squared = self._products(u, slice(None))
+        k = np.argmax(inner**2 / squared, axis=0)
+        gains = inner[k, np.arange(len(k))] / squared[k, 0]
+        return np.stack([self._grid[k], gains])
+
+    def _products(self, u: Array, bands: Array | slice) -> tuple[Array, Array]:
+        """Products of a blend at all coordinates with the target, (K, B), at least 0, and squared norms (K, 1)."""
+        inner = np.maximum(np.einsum("n,nkb->kb", u, self._cross[..., bands]), 0.0)
+        return inner, np.maximum(np.einsum("knm,n,m->k", self._gram, u, u), 1e-12)[:, None]

@@ -1,0 +1,184 @@
+"""Maps whose every place is a blend: weights are never negative, sum to 1, and are a unit vector at each sample.
+
+A Gaussian process interpolates with weights of alternating sign, which carve dark holes into highlights. A blend
+cannot: its values lie between those of the materials around, and it moves as smoothly as its weights do. What it needs
+is a layout in which materials that look alike, and whose blends look like materials, are neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import cdist
+
+from manifold.errors import ShapeError
+from manifold.records import Array
+
+_NEGLIGIBLE = 1e-6  # relative to the largest: weights below cannot be seen, and cost a material each
+_RANDOM_STARTS = 3
+_REFINED = 2  # starts that are refined with the blends in view
+_PLACES, _MOST_BLENDED = 1500, 4  # convex combinations at which blends are looked at, and of how many latents
+_STRENGTH = 3.0  # of implausible blends against stress
+_SEPARATION = 10.0  # of the least distances against stress
+_RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
+_ITERATIONS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Places of N samples.
+
+    Attributes:
+        X: shape (N, Q).
+        objective_start, objective: what was minimised, at the principal coordinates and at the end.
+    """
+
+    X: Array
+    objective_start: float
+    objective: float
+
+
+def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
+    """Weights u of the samples at places x, never negative and of sum 1, shape (M, N).
+
+    `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples.
+
+    Args:
+        x: places, shape (M, Q).
+        X: samples, shape (N, Q).
+        length_scale: l.
+    Source: Shepard 1968, with the squared exponential in place of his cut-off.
+    """
+    squared = cdist(x, X, "sqeuclidean") / length_scale**2
+    with np.errstate(divide="ignore"):
+        log = -0.5 * squared - np.log(squared)
+    is_sample = np.isposinf(log)
+    log = np.where(is_sample.any(axis=1, keepdims=True), np.where(is_sample, 0.0, -np.inf), log)
+    u = np.exp(log - log.max(axis=1, keepdims=True))
+    u = np.maximum(u - _NEGLIGIBLE, 0.0)  # continuous where a weight vanishes
+    return u / u.sum(axis=1, keepdims=True)
+
+
+def blend_layout(distance: Array, separation: Array, implausible: Array, n_components: int) -> Layout:
+    """Places of N samples, in length scales of `blend_weights`, centred.
+
+    Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus what places are nearer than
+    `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal
+    coordinates and a few random starts. The unit is then chosen so that a kernel of length scale 1 spans about
+    the side of a sample's share of the hull.
+
+    Args:
+        distance: what distances should be, shape (N, N), positive off the diagonal.
+        separation: the least that they should be, in the same unit, shape (N, N).
+        implausible: what a blend of two costs, at least 0, shape (N, N).
+        n_components: Q.
+    Raises:
+        ShapeError: the matrices are not (N, N), or not finite.
+    Source: Kruskal 1964 for the stress, Torgerson 1952 for the start.
+    """
+    N = len(distance)
+    for name, matrix in (("distance", distance), ("separation", separation), ("implausible", implausible)):
+        if matrix.shape != (N, N) or not np.all(np.isfinite(matrix)):
+            raise ShapeError(f"{name} has shape {matrix.shape}, expected ({N}, {N}) finite values")
+    objective = _LayoutObjective(distance, separation, implausible)
+    rng = np.random.default_rng(0)
+    spread = float(np.median(distance[objective.pairs]))
+    starts = [_principal_coordinates(distance, n_components)]
+    starts += [spread * rng.normal(size=(N, n_components)) for _ in range(_RANDOM_STARTS)]
+    jitter = 1e-3 * spread
+    ends = [objective.minimise(start + jitter * rng.normal(size=start.shape)) for start in starts]
+    best = sorted(ends, key=lambda end: end[0])[:_REFINED]
+    radius = _kernel_radius(best[0][1])
+    shares = _convex_combinations(N, rng)
+    value, X = min((objective.minimise(X, shares, radius) for _, X in best), key=lambda end: end[0])
+    X = X - X.mean(axis=0)
+    return Layout(X / _kernel_radius(X), objective.value(starts[0], shares, radius), value)
+
+
+class _LayoutObjective:
+    """Stress, separation, and, given blends to look at, how implausible these are, with gradients."""
+
+    def __init__(self, distance: Array, separation: Array, implausible: Array) -> None:
+        self.pairs = np.triu_indices(len(distance), 1)
+        floor = 1e-2 * np.median(distance[self.pairs])
+        self._wanted = np.maximum(distance[self.pairs], floor)
+        self._least, self._implausible = separation[self.pairs], implausible
+        weight = 1.0 / self._wanted
+        self._stress, self._hinge = weight / weight.sum(), _SEPARATION / len(weight)
+
+    def value(self, X: Array, shares: Array, radius: float) -> float:
+        """The value at places X (N, Q), with blends in view."""
+        return self._apart(X)[0] + _STRENGTH * self._blends(X, shares, radius)[0]
+
+    def minimise(self, start: Array, shares: Array | None = None, radius: float = 1.0) -> tuple[float, Array]:
+        """The value at the nearest minimum, and the places (N, Q) there."""
+
+        def flat(z: Array) -> tuple[float, Array]:
+            X = z.reshape(start.shape)
+            value, gradient = self._apart(X)
+            if shares is not None:
+                blend, slope = self._blends(X, shares, radius)
+                value, gradient = value + _STRENGTH * blend, gradient + _STRENGTH * slope
+            return value, gradient.ravel()
+
+        found = minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS})
+        return float(found.fun), found.x.reshape(start.shape)
+
+    def _apart(self, X: Array) -> tuple[float, Array]:
+        i, j = self.pairs
+        D = X[i] - X[j]
+        d = np.sqrt(np.sum(D * D, axis=1) + 1e-12)
+        off, near = d - self._wanted, np.maximum(self._least - d, 0.0)
+        value = np.sum(self._stress * off**2) + self._hinge * np.sum(near**2)
+        pull = (2.0 * (self._stress * off - self._hinge * near) / d)[:, None] * D
+        gradient = np.zeros_like(X)
+        np.add.at(gradient, i, pull)
+        np.add.at(gradient, j, -pull)
+        return float(value), gradient
+
+    def _blends(self, X: Array, shares: Array, radius: float) -> tuple[float, Array]:
+        """Mean of u^T V u at the places `shares @ X`, shares (K, N), and its gradient by X."""
+        D = (shares @ X)[:, None] - X[None]  # [K, N, Q]
+        squared = np.sum(D * D, axis=2) + 1e-6 * radius**2
+        log = -0.5 * squared / radius**2 - np.log(squared)
+        u = np.exp(log - log.max(axis=1, keepdims=True))
+        u /= u.sum(axis=1, keepdims=True)
+        Vu = u @ self._implausible
+        value = np.sum(u * Vu, axis=1)
+        d_log = 2.0 * u * (Vu - value[:, None]) / len(shares)
+        d_D = (-d_log * (1.0 / radius**2 + 2.0 / squared))[..., None] * D
+        return float(value.mean()), shares.T @ d_D.sum(axis=1) - d_D.sum(axis=0)
+
+
+def _principal_coordinates(distance: Array, n_components: int) -> Array:
+    """Classical scaling: places (N, Q) whose inner products are nearest to those that the distances imply."""
+    N = len(distance)
+    centring = np.eye(N) - 1.0 / N
+    values, vectors = np.linalg.eigh(-0.5 * centring @ distance**2 @ centring)
+    X = np.zeros((N, n_components))
+    Q = min(N, n_components)
+    X[:, :Q] = vectors[:, ::-1][:, :Q] * np.sqrt(np.maximum(values[::-1][:Q], 0.0))
+    return X
+
+
+def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
+    """Shares (K, N) of random places inside the hull, of at most four samples each."""
+    shares = np.zeros((_PLACES, N))
+    for row in shares:
+        count = int(rng.integers(2, min(_MOST_BLENDED, N) + 1))
+        row[rng.choice(N, count, replace=False)] = rng.dirichlet(np.ones(count))
+    return shares
+
+
+def _kernel_radius(X: Array) -> float:
+    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume."""
+    N, Q = X.shape
+    extent = np.ptp(X, axis=0)
+    try:
+        volume = float(ConvexHull(X).volume) if Q > 1 else float(extent[0])
+    except (QhullError, ValueError):  # too few samples, or all in a plane
+        volume = float(np.prod(np.maximum(extent, 1e-3 * extent.max())))
+    return max(_RADIUS * (volume / N) ** (1.0 / Q), 1e-9)

@@ -1,0 +1,183 @@
+"""Claims about maps whose places are blends: weights, layouts, colour paths, valleys, and the manifold made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_library import NAMES, small_library
+
+from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.colour import ball_colours
+from manifold.directions import from_spherical
+from manifold.errors import ShapeError, UsageError
+from manifold.library.store import Library
+from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
+from manifold.models.blending import _LayoutObjective, blend_layout, blend_weights
+from manifold.models.colour_paths import WHITE, fit_paths
+
+
+@given(st.integers(1, 8), st.integers(1, 3), st.integers(0, 10_000), st.floats(1e-3, 1e3))
+@settings(max_examples=60, deadline=None)
+def test_blend_weights_are_never_negative_and_sum_to_one(n, q, seed, spread):
+    rng = np.random.default_rng(seed)
+    X, x = spread * rng.normal(size=(n, q)), spread * rng.normal(size=(5, q))
+    u = blend_weights(x, X)
+    assert np.all(u >= 0.0)
+    np.testing.assert_allclose(u.sum(axis=1), 1.0, rtol=1e-12)  # rounding
+    np.testing.assert_array_equal(blend_weights(X[:1], X)[0, 0], 1.0)
+
+
+def test_blend_weights_come_flat_to_a_unit_vector(rng):
+    X = rng.normal(size=(6, 2))
+    for distance in (1e-2, 1e-4, 1e-6):
+        u = blend_weights(X[2:3] + distance * np.array([[0.6, 0.8]]), X)[0]
+        assert 1.0 - u[2] < 50.0 * distance**2  # quadratic: the slope is 0; nearest neighbours are 0.2 away
+
+
+def test_gradient_of_the_layout_agrees_with_central_differences(rng):
+    truth = rng.normal(size=(6, 2))
+    distance = np.linalg.norm(truth[:, None] - truth[None], axis=2)
+    implausible = np.abs(rng.normal(size=(6, 6)))
+    implausible = implausible + implausible.T
+    objective = _LayoutObjective(distance, 1.2 * distance, implausible)
+    shares = rng.dirichlet(np.ones(6), size=20)
+    X = truth + 0.3 * rng.normal(size=truth.shape)
+    blends = lambda x: objective._blends(x, shares, 0.7)[0]  # noqa: E731
+    apart = lambda x: objective._apart(x)[0]  # noqa: E731
+    for value, gradient in ((blends, objective._blends(X, shares, 0.7)[1]), (apart, objective._apart(X)[1])):
+        np.testing.assert_allclose(
+            gradient, reference.central_differences(value, X), rtol=1e-5, atol=1e-7
+        )  # h = 1e-5
+
+
+def test_a_layout_gives_distances_back_that_a_plane_can_have(rng):
+    truth = rng.normal(size=(12, 2))
+    distance = np.linalg.norm(truth[:, None] - truth[None], axis=2)
+    layout = blend_layout(distance, np.zeros_like(distance), np.zeros_like(distance), 2)
+    found = np.linalg.norm(layout.X[:, None] - layout.X[None], axis=2)
+    upper = np.triu_indices(12, 1)
+    ratio = found[upper] / distance[upper]
+    np.testing.assert_allclose(ratio, np.median(ratio), rtol=1e-3)  # ends of L-BFGS-B
+    assert layout.objective <= layout.objective_start + 1e-9
+
+
+def test_a_layout_keeps_apart_what_does_not_blend():
+    distance = np.ones((4, 4)) - np.eye(4)
+    implausible = np.zeros((4, 4))
+    implausible[0, 1] = implausible[1, 0] = 5.0
+    X = blend_layout(distance, np.zeros((4, 4)), implausible, 2).X
+    d = np.linalg.norm(X[:, None] - X[None], axis=2)
+    assert d[0, 1] > 1.2 * np.median(d[np.triu_indices(4, 1)])
+
+
+def test_a_layout_of_matrices_that_do_not_fit_is_refused():
+    with pytest.raises(ShapeError, match=r"separation has shape \(3, 3\), expected \(4, 4\)"):
+        blend_layout(np.ones((4, 4)), np.ones((3, 3)), np.ones((4, 4)), 2)
+
+
+def test_valleys_are_as_deep_as_they_are_made():
+    f = np.array([[1.0, 2.0, 1.0], [2.0, 1.5, 4.0], [3.0, 2.0, 1.0]])
+    np.testing.assert_allclose(valley_depth(f), [0.0, 0.25, 0.0])
+    wi, wo = profile_pairs()
+    mirrored = wi * np.array([-1.0, -1.0, 1.0])
+    angles = np.rad2deg(np.arccos(np.clip(np.sum(wo * mirrored, axis=2), -1.0, 1.0)))
+    assert angles.max() <= 20.0 + 1e-6
+
+
+def paths_of(rng, n_materials=3, n_bands=2):
+    cosines = rng.uniform(0.1, 1.0, size=40)
+    samples = np.cbrt(rng.uniform(0.02, 0.25, size=(n_materials * n_bands, 40)))
+    measure = np.full(40, np.pi / 40)
+    return fit_paths(samples, cosines, n_bands, (samples, measure), [(samples, measure)]), samples, measure
+
+
+def test_paths_are_never_negative_and_pass_through_the_measured_bands(rng):
+    paths, samples, measure = paths_of(rng)
+    grid = np.linspace(0.0, paths.last, 50)
+    u = np.array([0.2, 0.5, 0.3])
+    assert np.all(paths.weights(u, grid) >= 0.0)
+    own = np.cbrt(samples[2] ** 3 @ measure)
+    np.testing.assert_allclose(
+        paths.weights(np.eye(3)[1], np.array([own]))[0], np.eye(6)[2], atol=1e-9
+    )  # interpolation between vertices
+    assert np.all(paths.weights(u, np.zeros(1)) == 0.0)
+
+
+def test_a_chosen_reflectance_is_reached(rng):
+    paths, samples, measure = paths_of(rng)
+    asked = np.array([0.05, 0.3, 0.6])
+    at, reached = paths.coordinates_of(np.array([0.4, 0.3, 0.3]), asked, samples, measure)
+    np.testing.assert_allclose(reached, asked, atol=2e-3)  # two steps of Newton from a table of 65
+    np.testing.assert_allclose(
+        (paths.weights(np.array([0.4, 0.3, 0.3]), at) @ samples) ** 3 @ measure, reached
+    )
+    assert paths.last == pytest.approx(np.cbrt(WHITE), rel=0.05)  # NNLS meets the bright end within its span
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return Manifold.fit(Library.open(small_library(tmp_path_factory.mktemp("blend"))), Settings(kind="blend"))
+
+
+def test_no_place_has_negative_values_or_more_albedo_than_the_materials(model, rng):
+    wi = from_spherical(np.deg2rad([10.0, 45.0, 70.0]), np.zeros(3))
+    most = max(material.albedo(wi).max() for material in model.load_materials())
+    pairs = ball_colours.ball(6)
+    for _ in range(8):
+        x = rng.dirichlet(np.ones(len(model.names))) @ model.X
+        brdf = model.predict(x)
+        assert brdf.eval(pairs.wi, pairs.wo).min() >= 0.0
+        assert brdf.albedo(wi).max() <= most + 1e-6  # Jensen: the cube of a mean is at most the mean of cubes
+
+
+def test_a_material_is_exact_and_the_limit_of_its_surroundings(model):
+    ball = ball_colours.ball(6)
+    name = model.names[0]
+    own = ball.xyz(model.material(name).eval(ball.wi, ball.wo), model.bands)
+    step = np.array([0.6, 0.8])
+    for distance, most in ((0.0, 0.0), (1e-6, 0.05), (1e-4, 0.1), (1e-3, 0.5)):
+        f = model.predict(model.latent(name) + distance * step).eval(ball.wi, ball.wo)
+        assert ball_colours.delta_e(own, ball.xyz(f, model.bands)) <= most
+
+
+def test_between_two_materials_the_colour_is_between_theirs(model):
+    a, b = NAMES[0], NAMES[1]
+    wi = from_spherical(np.deg2rad(8.0), 0.0)
+    middle = model.interpolate(a, b, 0.5).albedo(wi)
+    ends = np.stack([model.material(name).albedo(wi) for name in model.names])
+    assert np.all(middle <= ends.max(axis=0) + 1e-6)
+    assert np.all(middle >= 0.1 * ends.min(axis=0))
+
+
+def test_a_chosen_colour_is_met_without_negative_values(model):
+    x, asked = model.X.mean(axis=0), np.array([0.1, 0.3, 0.5])
+    colours, reached = model.colours.of_reflectance(x, asked)
+    np.testing.assert_allclose(reached, asked, atol=0.02)
+    ball = ball_colours.ball(6)
+    assert model.predict(x, colours).eval(ball.wi, ball.wo).min() >= 0.0
+
+
+def test_a_material_in_its_own_colours_is_the_file(model):
+    name = model.names[2]
+    x = model.latent(name)
+    ball = ball_colours.ball(6)
+    np.testing.assert_array_equal(
+        model.predict(x, model.colours.like(x, name)).eval(ball.wi, ball.wo),
+        model.material(name).eval(ball.wi, ball.wo),
+    )
+
+
+def test_a_blend_is_saved_and_read_bit_for_bit(model, tmp_path):
+    model.save(tmp_path / "m.h5")
+    loaded = Manifold.load(tmp_path / "m.h5", Library.open(model.library.path))
+    for name, array in model.space.arrays.items():
+        np.testing.assert_array_equal(loaded.space.arrays[name], array)
+
+
+def test_other_mappings_are_refused():
+    with pytest.raises(UsageError, match="expected cube-root"):
+        Settings(kind="blend", mapping="log")

@@ -28,7 +28,7 @@ from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.identifiability import DETERMINED
 from manifold.fitting.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import rusinkiewicz_grid
+from manifold.metrics import RusinkiewiczGrid
 from manifold.rendering import backend
 from manifold.synthetic import corpus
 
@@ -114,7 +114,7 @@ def rough_or_smooth(n: int) -> dict[str, Any]:
         for theta, phi in SENSORS_DEG:
             wi.append(from_spherical(np.deg2rad(incidence), np.pi))
             wo.append(from_spherical(np.deg2rad(theta), np.deg2rad(phi)))
-    dense_wi, dense_wo, above = rusinkiewicz_grid()
+    dense_wi, dense_wo, above = RusinkiewiczGrid().directions()
     keep = np.flatnonzero(above & (np.minimum(dense_wi[:, 2], dense_wo[:, 2]) > 0.05))[::6]
     tables = {"20 geometries": (np.array(wi), np.array(wo)), "dense": (dense_wi[keep], dense_wo[keep])}
     out: dict[str, Any] = {}

@@ -19,7 +19,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands
-from manifold.synthetic.microfacet import GGX, Plastic
+from manifold.synthetic import GGX, Plastic
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -31,7 +31,7 @@ from manifold.models.criteria import Products, mapped_residual
 from manifold.models.encoder import Encoder
 from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
-from manifold.synthetic.microfacet import GGX, Plastic, RoughConductor
+from manifold.synthetic import GGX, Plastic, RoughConductor
 
 NODES = 128  # of a profile
 SIDE = 63  # of the common unit square; the 32 nodes of a file are among them

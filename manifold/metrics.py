@@ -265,11 +265,3 @@ NAMED_GRIDS = {
     "default": RusinkiewiczGrid(),
     "hikichi": RusinkiewiczGrid(90, 90, 180, squared_theta_h=False, offset=0.0),
 }
-
-
-def rusinkiewicz_grid(name: str = "default") -> tuple[Array, Array, Array]:
-    """Direction pairs of a named grid: wi (M, 3), wo (M, 3), above the horizon (M,).
-
-    `default` has 12,420 pairs, `hikichi` 1,458,000: walk those by `RusinkiewiczGrid.named("hikichi").blocks()`.
-    """
-    return RusinkiewiczGrid.named(name).directions()

@@ -18,7 +18,6 @@ from manifold.metrics import (
     from_rusinkiewicz,
     relative_error,
     rmse,
-    rusinkiewicz_grid,
     spectral_angle,
     to_rusinkiewicz,
 )
@@ -126,7 +125,7 @@ def test_named_grids_have_the_stated_nodes():
     np.testing.assert_allclose(theta_h, 2.0)
     np.testing.assert_allclose(theta_d, 1.0)
     np.testing.assert_allclose(phi_d, [0.0, 1.0], atol=1e-12)
-    wi, wo, above = rusinkiewicz_grid()
+    wi, wo, above = RusinkiewiczGrid().directions()
     assert wi.shape == wo.shape == (45 * 23 * 12, 3)
     assert 0.4 < above.mean() < 0.9
     assert np.array_equal(above, cosine_weight(wi, wo) > 0)

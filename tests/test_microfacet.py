@@ -12,20 +12,11 @@ from manifold.colour.metals import metal_ior
 from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands
-from manifold.synthetic.microfacet import (
-    GGX,
-    Lambert,
-    Layered,
-    MixedBRDF,
-    Plastic,
-    RoughConductor,
-    RoughDielectric,
-    Sheen,
-    ThinFilm,
-    fresnel_conductor,
-    fresnel_dielectric,
-    fresnel_thin_film,
-)
+from manifold.synthetic.analytic import Lambert, Sheen
+from manifold.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.layers import Layered, MixedBRDF
+from manifold.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)

@@ -23,7 +23,7 @@ from manifold.errors import (
 )
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse, rusinkiewicz_grid
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse
 from manifold.model import gram
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.settings import KINDS
@@ -50,7 +50,7 @@ def model(request, library):
 )
 def test_prediction_at_a_training_latent_is_the_measured_file(library, mapping, kind):
     model = Manifold.fit(library, Settings(kind=kind, mapping=mapping))
-    wi, wo, above = rusinkiewicz_grid()
+    wi, wo, above = RusinkiewiczGrid().directions()
     wi, wo = wi[above][::7], wo[above][::7]
     for name in model.names:
         measured = MeasuredBRDF(library.read(name)).eval(wi, wo)

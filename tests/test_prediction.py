@@ -20,7 +20,9 @@ from manifold.mapping import mapping_named
 from manifold.model.combination import Combination
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.records import Bands
-from manifold.synthetic.microfacet import GGX, Lambert, Plastic, RoughConductor
+from manifold.synthetic.analytic import Lambert
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.microfacet import Plastic, RoughConductor
 
 RGB = Bands(None)
 MATERIALS = [

@@ -23,7 +23,7 @@ from manifold.fitting.gauss_newton import GaussNewton, Minimum, listed, search
 from manifold.fitting.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import rusinkiewicz_grid
+from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Bands
 from manifold.rendering import backend
 
@@ -34,7 +34,7 @@ OLD_SENSORS_DEG = (
 
 def grid_pairs(step: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """Direction pairs all over the hemisphere, dense around the mirror direction."""
-    wi, wo, above = rusinkiewicz_grid()
+    wi, wo, above = RusinkiewiczGrid().directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) > 0.05))[::step]
     return wi[keep], wo[keep]
 

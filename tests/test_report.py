@@ -25,7 +25,6 @@ from manifold.metrics import (
     cosine_weight,
     relative_error,
     rmse,
-    rusinkiewicz_grid,
 )
 from manifold.model.manifold import Manifold, Settings
 from manifold.plots import figures, plot_latents
@@ -140,7 +139,7 @@ def test_knowing_more_helps(reports, kind):
 @pytest.mark.parametrize("key", ["gp_latents_kept", "oracle", "pca_6_cube_root"])
 def test_errors_agree_with_a_direct_computation(model, data, made, key):
     """Slow and obvious: all values of all materials, all pairs at once."""
-    wi, wo, above = rusinkiewicz_grid()
+    wi, wo, above = RusinkiewiczGrid().directions()
     n_pairs, wi, wo = len(wi), wi[above], wo[above]
     w = cosine_weight(wi, wo)
     f = np.stack([m.eval(wi, wo) for m in model.load_materials()])

@@ -14,7 +14,8 @@ from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasur
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
-from manifold.synthetic.microfacet import GGX, Plastic
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.microfacet import Plastic
 
 
 @pytest.fixture(scope="module")

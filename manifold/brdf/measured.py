@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from manifold.brdf import lookup
-from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.pairs import DirectionPairs, flat_samples
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions
 from manifold.errors import ShapeError, UsageError
@@ -188,18 +188,12 @@ class MeasuredBRDF:
             wi: incident unit vectors (..., 3).
             u: uniform variates in [0, 1), shape (..., 2), that broadcast against wi.
         Raises:
-            ShapeError: as in `eval`, or u is not (..., 2).
+            ShapeError: as in `eval`, or u is not (..., 2) in [0, 1].
         """
         return self._sample(wi, u, True)
 
     def _sample(self, wi: Array, u: Array, use_luminance: bool) -> tuple[Array, Array]:
-        wi = require_directions(wi, "wi")
-        u = np.asarray(u, dtype=np.float64)
-        if u.ndim == 0 or u.shape[-1] != 2:
-            raise ShapeError(f"u has shape {u.shape}, expected (..., 2)")
-        shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
-        flat_wi = np.ascontiguousarray(np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3))
-        flat_u = np.ascontiguousarray(np.broadcast_to(u, (*shape, 2)).reshape(-1, 2))
+        flat_wi, flat_u, shape = flat_samples(wi, u)
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
         lookup.sample_directions(

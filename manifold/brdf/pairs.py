@@ -73,6 +73,24 @@ def _locate_all(wi, wo, isotropic, reduction, out):
             out[k, 4] = 0.0
 
 
+def flat_samples(wi: Array, u: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Directions (..., 3) and uniform variates (..., 2) as contiguous (K, 3) and (K, 2), and what they broadcast to.
+
+    Raises:
+        ShapeError: wi is not made of unit vectors, u is not (..., 2) in [0, 1], or they do not broadcast.
+    """
+    wi, u = require_directions(wi, "wi"), np.asarray(u, dtype=np.float64)
+    if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
+        raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
+    try:
+        shape = np.broadcast_shapes(wi.shape[:-1], u.shape[:-1])
+    except ValueError as error:
+        raise ShapeError(f"wi has shape {wi.shape} and u {u.shape}; they do not broadcast") from error
+    # Copies, because a view is read-only, and read-only arrays are another type to compile for.
+    flat_wi, flat_u = (np.broadcast_to(a, (*shape, a.shape[-1])).copy() for a in (wi, u))
+    return flat_wi.reshape(-1, 3), flat_u.reshape(-1, 2), shape
+
+
 class DirectionPairs:
     """K pairs of directions, checked and flat.
 

@@ -13,7 +13,7 @@ from manifold.brdf.warp import Warp
 from manifold.colour.conversion import to_srgb
 from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
-from manifold.metrics import RusinkiewiczGrid, rusinkiewicz_grid
+from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array, Bands, BsdfFile
 
 MIN_PAIRS = 4
@@ -163,7 +163,7 @@ def from_brdf(brdf: BRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: in
         grid: direction pairs; the default grid of `metrics` if None.
         max_pairs: how many of them, at most.
     """
-    wi, wo, above = rusinkiewicz_grid() if grid is None else grid.directions()
+    wi, wo, above = (grid or RusinkiewiczGrid()).directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
     if len(keep) > max_pairs:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:max_pairs])

@@ -229,10 +229,5 @@ def _store(library: Library, source: _Source, staged: Path, replace: bool) -> Ou
 
 def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Hashing, copying and writing release the interpreter's lock, so threads are enough."""
-    workers = min(8, os.cpu_count() or 1)
-    with ThreadPoolExecutor(workers) as pool:
-        futures = [pool.submit(function, item) for item in items]
-        try:
-            return [future.result() for future in futures]
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        return list(pool.map(function, items))  # which leaves out what has not begun when one fails

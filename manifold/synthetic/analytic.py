@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from manifold.brdf.pairs import DirectionPairs, flat_samples
 from manifold.directions import from_spherical, hemisphere_quadrature, require_directions
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands
@@ -53,8 +54,8 @@ class AnalyticBRDF(ABC):
         Raises:
             ShapeError: a direction is not a unit vector (..., 3), or the shapes do not broadcast.
         """
-        wi, wo, shape = _pairs(wi, wo)
-        return _scatter(self._eval, shape, self.bands.count, wi, wo)
+        pairs = DirectionPairs(wi, wo)
+        return _scatter(self._eval, pairs.shape, self.bands.count, pairs.wi, pairs.wo)
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B). Raises: as `eval`."""
@@ -74,12 +75,7 @@ class AnalyticBRDF(ABC):
         Raises:
             ShapeError: `wi` is not made of unit vectors, or u is not (..., 2) in [0, 1].
         """
-        wi, u = require_directions(wi, "wi"), np.asarray(u, float)
-        if u.ndim == 0 or u.shape[-1] != 2 or not np.all((u >= 0.0) & (u <= 1.0)):
-            raise ShapeError(f"u has shape {u.shape}, expected (..., 2) with values in [0, 1]")
-        shape = _broadcast(wi, u)
-        wi = np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3)
-        u = np.broadcast_to(u, (*shape, 2)).reshape(-1, 2)
+        wi, u, shape = flat_samples(wi, u)
         wo = np.zeros_like(wi)
         wo[:, 2] = -1.0
         up = wi[:, 2] > 0.0
@@ -89,8 +85,9 @@ class AnalyticBRDF(ABC):
 
     def pdf(self, wi: Array, wo: Array) -> Array:
         """Density of `sample` in 1/sr of solid angle, shape (...). Raises: as `eval`."""
-        wi, wo, shape = _pairs(wi, wo)
-        return _scatter(lambda a, b: self._pdf(a, b)[:, None], shape, 1, wi, wo)[..., 0]
+        pairs = DirectionPairs(wi, wo)
+        pdf = _scatter(lambda a, b: self._pdf(a, b)[:, None], pairs.shape, 1, pairs.wi, pairs.wo)
+        return pdf[..., 0]
 
     def albedo(self, wi: Array) -> Array:
         """Directional albedo, the integral of f cos(theta_o) over wo, shape (..., B); 0 below the horizon.
@@ -226,25 +223,6 @@ def uniform_hemisphere(u: Array) -> Array:
     z, phi = 1.0 - u[:, 1], 2.0 * np.pi * u[:, 0]
     r = np.sqrt(1.0 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
-
-
-def _broadcast(a: Array, b: Array) -> tuple[int, ...]:
-    """The common leading shape of two arrays whose last axis is a vector."""
-    try:
-        return np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
-    except ValueError:
-        raise ShapeError(f"shapes {a.shape} and {b.shape} do not broadcast against each other") from None
-
-
-def _pairs(wi: Array, wo: Array) -> tuple[Array, Array, tuple[int, ...]]:
-    """Checked pairs of directions, flat (n, 3) each, and the shape they came in."""
-    wi, wo = require_directions(wi, "wi"), require_directions(wo, "wo")
-    shape = _broadcast(wi, wo)
-    return (
-        np.broadcast_to(wi, (*shape, 3)).reshape(-1, 3),
-        np.broadcast_to(wo, (*shape, 3)).reshape(-1, 3),
-        shape,
-    )
 
 
 def _scatter(

@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numba import njit, prange
 
-from manifold.directions import hemisphere_quadrature
+from manifold.directions import half_vector, hemisphere_quadrature, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.parallel import in_turn
 from manifold.records import Array
@@ -143,8 +143,7 @@ class GGX:
 
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
         """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
-        h = wi + wo
-        d = self.D(h / np.linalg.norm(h, axis=-1, keepdims=True))
+        d = self.D(half_vector(wi, wo))
         # G2 / (4 cos_i cos_o) with the cosines cancelled, so grazing directions lose no digits.
         return d / (2.0 * (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi)))
 
@@ -153,14 +152,12 @@ class GGX:
 
         Source: Dupuy & Benyoub 2023, listing 3.
         """
-        w = wi @ self._inverse.T
-        w = w / np.linalg.norm(w, axis=-1, keepdims=True)
+        w = normalize(wi @ self._inverse.T)
         phi = 2.0 * np.pi * u[..., 0]
         z = (1.0 - u[..., 1]) * (1.0 + w[..., 2]) - w[..., 2]
         r = np.sqrt(np.clip(1.0 - z * z, 0.0, 1.0))
         h = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1) + w
-        m = h @ self._inverse  # M^-T h, row vectors
-        return m / np.linalg.norm(m, axis=-1, keepdims=True)
+        return normalize(h @ self._inverse)  # M^-T h, row vectors
 
     def pdf_visible(self, wi: Array, wm: Array) -> Array:
         """Density in 1/sr of the normals visible from `wi`: G1(wi) max(<wi, wm>, 0) D(wm) / cos_i."""
@@ -171,8 +168,7 @@ class GGX:
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
         """Density in 1/sr of the directions that visible normals mirror `wi` to, shape (...)."""
-        h = wi + wo
-        d = self.D(h / np.linalg.norm(h, axis=-1, keepdims=True))
+        d = self.D(half_vector(wi, wo))
         return d / (2.0 * (self.stretched_length(wi) + wi[..., 2]))
 
     def albedo_table(self, reflectance: Array) -> AlbedoTable:

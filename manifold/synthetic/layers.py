@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
+from manifold.brdf.measured import BRDF
 from manifold.directions import hemisphere_quadrature
 from manifold.errors import UsageError
-from manifold.records import Array, Bands
+from manifold.records import Array
 from manifold.synthetic.analytic import AnalyticBRDF, choose_lobe, set_field
 
 
-class Component(Protocol):
-    """What `MixedBRDF` and `Layered` need of their parts: the protocol of all BRDFs."""
+class _Compound(AnalyticBRDF):
+    """Sampled by choosing one of several BRDFs."""
 
     @property
-    def bands(self) -> Bands: ...
+    @abstractmethod
+    def _parts(self) -> Sequence[BRDF]: ...
+
     @property
-    def is_isotropic(self) -> bool: ...
-    def eval(self, wi: Array, wo: Array) -> Array: ...
-    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]: ...
-    def pdf(self, wi: Array, wo: Array) -> Array: ...
-    def albedo(self, wi: Array) -> Array: ...
+    @abstractmethod
+    def _lobes(self) -> Array:
+        """Probability of each part."""
+
+    @property
+    def is_isotropic(self) -> bool:
+        return all(brdf.is_isotropic for brdf in self._parts)
+
+    def _sample(self, wi: Array, u: Array) -> Array:
+        lobe, u = choose_lobe(self._lobes, u)
+        wo = np.empty_like(wi)
+        for i, brdf in enumerate(self._parts):
+            wo[lobe == i] = brdf.sample(wi[lobe == i], u[lobe == i])[0]
+        return wo
+
+    def _pdf(self, wi: Array, wo: Array) -> Array:
+        return np.sum(
+            [p * brdf.pdf(wi, wo) for p, brdf in zip(self._lobes, self._parts, strict=True)], axis=0
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class MixedBRDF(AnalyticBRDF):
+class MixedBRDF(_Compound):
     """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side.
 
     Attributes:
@@ -39,7 +56,7 @@ class MixedBRDF(AnalyticBRDF):
         BandMismatchError: the components have different bands.
     """
 
-    components: Sequence[tuple[float, Component]]
+    components: Sequence[tuple[float, BRDF]]
 
     def __post_init__(self) -> None:
         parts = tuple((float(w), brdf) for w, brdf in self.components)
@@ -55,8 +72,8 @@ class MixedBRDF(AnalyticBRDF):
         set_field(self, "bands", parts[0][1].bands)
 
     @property
-    def is_isotropic(self) -> bool:
-        return all(brdf.is_isotropic for _, brdf in self.components)
+    def _parts(self) -> Sequence[BRDF]:
+        return [brdf for _, brdf in self.components]
 
     @cached_property
     def _lobes(self) -> Array:
@@ -69,19 +86,6 @@ class MixedBRDF(AnalyticBRDF):
             f += weight * brdf.eval(wi, wo)
         return f
 
-    def _sample(self, wi: Array, u: Array) -> Array:
-        lobe, u = choose_lobe(self._lobes, u)
-        wo = np.empty_like(wi)
-        for i, (_, brdf) in enumerate(self.components):
-            wo[lobe == i] = brdf.sample(wi[lobe == i], u[lobe == i])[0]
-        return wo
-
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        return sum(
-            (p * brdf.pdf(wi, wo) for p, (_, brdf) in zip(self._lobes, self.components, strict=True)),
-            np.zeros(wi.shape[0]),
-        )
-
     def _albedo(self, wi: Array) -> Array:
         albedo = np.zeros((wi.shape[0], self.bands.count))
         for weight, brdf in self.components:
@@ -90,7 +94,7 @@ class MixedBRDF(AnalyticBRDF):
 
 
 @dataclass(frozen=True, eq=False)
-class Layered(AnalyticBRDF):
+class Layered(_Compound):
     """One BRDF over another: a coat over metallic paint, sheen over felt.
 
     f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, E being the albedo of the top: what the top does not reflect
@@ -104,23 +108,22 @@ class Layered(AnalyticBRDF):
     Source: the albedo scaling of Kulla & Conty 2017, made symmetric.
     """
 
-    top: Component
-    base: Component
+    top: BRDF
+    base: BRDF
 
     def __post_init__(self) -> None:
         self.top.bands.require_same(self.base.bands, "base of the layers", "resample one of them")
         set_field(self, "bands", self.top.bands)
 
     @property
-    def is_isotropic(self) -> bool:
-        return self.top.is_isotropic and self.base.is_isotropic
+    def _parts(self) -> Sequence[BRDF]:
+        return self.top, self.base
 
     @cached_property
     def _lobes(self) -> Array:
         nodes, weights = hemisphere_quadrature(6, 8)
         top, base = (
-            float((weights * nodes[:, 2]) @ brdf.albedo(nodes).mean(axis=-1)) / np.pi
-            for brdf in (self.top, self.base)
+            float((weights * nodes[:, 2]) @ brdf.albedo(nodes).mean(axis=-1)) / np.pi for brdf in self._parts
         )
         passed = base * (1.0 - top) ** 2
         p = min(max(top / max(top + passed, 1e-9), 0.1), 0.9)
@@ -134,16 +137,6 @@ class Layered(AnalyticBRDF):
         f *= self.base.eval(wi, wo)
         f += self.top.eval(wi, wo)
         return f
-
-    def _sample(self, wi: Array, u: Array) -> Array:
-        lobe, u = choose_lobe(self._lobes, u)
-        wo = np.empty_like(wi)
-        for i, brdf in enumerate((self.top, self.base)):
-            wo[lobe == i] = brdf.sample(wi[lobe == i], u[lobe == i])[0]
-        return wo
-
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        return self._lobes[0] * self.top.pdf(wi, wo) + self._lobes[1] * self.base.pdf(wi, wo)
 
     def _albedo(self, wi: Array) -> Array:
         # By the base's own sampling, one direction at a time to bound memory. The numbers are an additive

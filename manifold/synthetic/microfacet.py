@@ -3,8 +3,7 @@
 Every class follows the protocol that all BRDFs of this package share: `bands`, `is_isotropic`, `eval`,
 `eval_cos`, `sample`, `pdf`, `albedo`. Directions point away from the surface, are unit vectors (..., 3) and
 broadcast against each other; a direction at or below the horizon gives 0. All models are reciprocal and
-reflect at most what arrives. The other analytic models (`analytic`, `layers`, `ggx`, `fresnel`) can be
-imported from here too.
+reflect at most what arrives.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from manifold.errors import UsageError
 from manifold.records import Array, Bands
 from manifold.synthetic.analytic import (
     AnalyticBRDF,
-    Lambert,
-    Sheen,
     choose_lobe,
     cosine_hemisphere,
     per_band,
@@ -28,22 +25,6 @@ from manifold.synthetic.analytic import (
 )
 from manifold.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
 from manifold.synthetic.ggx import GGX, AlbedoTable, facet_cosines
-from manifold.synthetic.layers import Layered, MixedBRDF
-
-__all__ = [
-    "GGX",
-    "Lambert",
-    "Layered",
-    "MixedBRDF",
-    "Plastic",
-    "RoughConductor",
-    "RoughDielectric",
-    "Sheen",
-    "ThinFilm",
-    "fresnel_conductor",
-    "fresnel_dielectric",
-    "fresnel_thin_film",
-]
 
 
 class _RoughReflector(AnalyticBRDF):

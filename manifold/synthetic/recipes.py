@@ -14,17 +14,10 @@ from manifold.brdf.measured import BRDF
 from manifold.colour.metals import metal_ior
 from manifold.colour.reflectances import diffuse_reflectance
 from manifold.records import Array, Bands
-from manifold.synthetic.microfacet import (
-    GGX,
-    Lambert,
-    Layered,
-    MixedBRDF,
-    Plastic,
-    RoughConductor,
-    RoughDielectric,
-    Sheen,
-    ThinFilm,
-)
+from manifold.synthetic.analytic import Lambert, Sheen
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.layers import Layered, MixedBRDF
+from manifold.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
 
 Recipe = Callable[[Bands], BRDF]
 
@@ -123,7 +116,7 @@ def _metal(name: str, ggx: GGX) -> Recipe:
 
 def isotropic_recipes() -> dict[str, Recipe]:
     """The 51 isotropic recipes by name, family first."""
-    recipes = {
+    return {
         "felt_green": _felt("ohta/green", 0.25),
         "felt_orange": _felt("ohta/orange", 0.30),
         "felt_pink": _felt("ohta/moderate red", 0.35, 1.3),
@@ -176,7 +169,6 @@ def isotropic_recipes() -> dict[str, Recipe]:
         "metal_gold": _metal("Au", GGX.isotropic(0.12)),
         "metal_tungsten": _metal("W", GGX.isotropic(0.45)),
     }
-    return recipes
 
 
 def _weave(spectrum_warp: str, spectrum_weft: str, narrow: float, wide: float) -> Recipe:
@@ -199,7 +191,7 @@ def _foil(spectrum: str, along: float, across: float) -> Recipe:
 def anisotropic_recipes() -> dict[str, Recipe]:
     """The 11 anisotropic recipes by name, family first; all look the same after half a turn."""
     skew = np.array([[6.0, 4.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]])
-    recipes = {
+    return {
         "brushed_aluminium": _metal("Al", GGX.anisotropic(0.08, 0.30)),
         "brushed_copper": _metal("Cu", GGX.anisotropic(0.12, 0.40)),
         "brushed_chromium": _metal("Cr", GGX.anisotropic(0.06, 0.20, np.pi / 6)),
@@ -212,4 +204,3 @@ def anisotropic_recipes() -> dict[str, Recipe]:
         "weave_gray": _weave("ohta/neutral 3.5 (1.05 D)", "ohta/neutral 5 (.70 D)", 0.25, 0.60),
         "weave_green": _weave("pmc/Summer Grass", "ohta/yellow", 0.20, 0.55),
     }
-    return recipes

@@ -30,7 +30,8 @@ from manifold.model.manifold import Manifold, Settings
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Bands, BsdfFile
-from manifold.synthetic.microfacet import GGX, Plastic
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.microfacet import Plastic
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)

@@ -21,7 +21,8 @@ from manifold.fitting.identifiability import DETERMINED
 from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.records import Array, Bands
-from manifold.synthetic.microfacet import GGX, RoughConductor
+from manifold.synthetic.ggx import GGX
+from manifold.synthetic.microfacet import RoughConductor
 
 Pairs = tuple[Array, Array]
 

@@ -21,7 +21,7 @@ from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import cosine_weight, rusinkiewicz_grid, to_rusinkiewicz
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, to_rusinkiewicz
 from manifold.synthetic.corpus import rgl_bands
 from manifold.synthetic.neural import NeuralBRDF, read_neural_fits, write_neural
 
@@ -204,7 +204,7 @@ def test_what_is_no_neural_fit_is_refused_in_one_line(tmp_path, rng):
 def test_published_fits_agree_with_the_files_they_were_trained_on():
     """Relative error, median and 90th percentile: 0.120 / 0.381 linear, 0.063 / 0.098 of cube roots (20 materials)."""
     fits = read_neural_fits(published_folder())
-    wi, wo, above = rusinkiewicz_grid()
+    wi, wo, above = RusinkiewiczGrid().directions()
     wi, wo = wi[above], wo[above]
     weight = cosine_weight(wi, wo)[:, None]
     linear, cube_root = [], []

@@ -35,7 +35,7 @@ class JitterWarning(UserWarning):
 
 
 class FlatModelWarning(UserWarning):
-    """A fitted process tells samples apart by less than half of what does: it predicts their mean, or nearly."""
+    """A fitted process explains less than half of the variance between samples: it predicts their mean, or nearly."""
 
 
 class IsolatedLatentsWarning(UserWarning):
@@ -155,7 +155,7 @@ class GPWeights:
         return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
 
     def explained(self, S: Array) -> float:
-        """Share of the variance between the training samples that the smooth mean gives back at their latents.
+        """Share of the variance between the training samples that the smooth mean explains at their latents.
 
         The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
         diagonal less 1; 1 interpolates, 0 is the mean everywhere.
@@ -178,9 +178,9 @@ class GPWeights:
         share = self.explained(S)
         if share < LEAST_EXPLAINED:
             warnings.warn(
-                f"the fit gives back {share:.0%} of what tells the samples apart (N = {self.n_samples}, length scale "
-                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), expected {LEAST_EXPLAINED:.0%}; "
-                "lower the length scale, the prior or mu",
+                f"the fit explains {100.0 * share:.0f} % of the variance between samples "
+                f"(N = {self.n_samples}, length scale {self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), "
+                f"expected at least {100.0 * LEAST_EXPLAINED:.0f} %; lower the length scale, the prior or mu",
                 FlatModelWarning,
                 stacklevel=3,
             )

@@ -539,6 +539,19 @@ def test_the_package_installs_no_global_module_named_cli(tmp_path):
     assert out.stdout.strip() == "None"
 
 
+def test_python_runs_the_package_as_the_command(tmp_path):
+    from manifold import __version__
+
+    done = subprocess.run(
+        [sys.executable, "-m", "manifold", "--version"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=True,
+    )
+    assert done.stdout == f"manifold {__version__}\n"
+
+
 def test_every_folder_is_installed():
     settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
     folders = {path.parent.relative_to(REPOSITORY) for path in (REPOSITORY / "manifold").rglob("*.py")}

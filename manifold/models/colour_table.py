@@ -11,7 +11,7 @@ from manifold.records import Array
 
 _NODES = 257  # colours that are decoded
 _MARGIN = 0.25  # of the training colours' range, on either side
-_COST_OF_DOUBT = 0.1  # an albedo missed by this much is as bad as a prediction that knows nothing
+_COST_OF_DOUBT = 0.1  # an albedo missed by this much is as bad as a prediction with the variance of the prior
 
 
 class ColourTable:

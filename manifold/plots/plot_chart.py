@@ -127,9 +127,7 @@ def _legend(made: Chart) -> list[Line2D]:
     return [
         *handles,
         Line2D([], [], color="0.25", marker="s", markerfacecolor="0.6", label="Pareto front, named"),
-        Line2D(
-            [], [], color="0.6", linestyle="", marker="s", markerfacecolor="white", label="beaten by others"
-        ),
+        Line2D([], [], color="0.6", linestyle="", marker="s", markerfacecolor="white", label="on no front"),
     ]
 
 

@@ -1,0 +1,58 @@
+"""What the documents name is there."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+import pytest
+from conftest import REPOSITORY
+
+DOCUMENTS = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+FOLDERS = ("manifold", "cli", "tests", "benchmarks", "tools", "docs")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_paths_and_modules_in_documents_exist(document):
+    text = document.read_text(encoding="utf-8")
+    paths = re.findall(rf"`((?:{'|'.join(FOLDERS)})/[\w./-]*)`", text)
+    links = re.findall(r"\]\((?!https?:)([^)#]+)\)", text)
+    missing = [path for path in paths if not (REPOSITORY / path).exists()]
+    missing += [link for link in links if not (document.parent / link).exists()]
+    assert not missing
+    for name in re.findall(r"`(manifold(?:\.\w+)+)`", text):
+        module, _, last = name.rpartition(".")
+        assert hasattr(importlib.import_module(module), last) or importlib.import_module(name), name
+
+
+def test_every_command_is_in_the_readme():
+    from manifold.cli.main import app
+
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `manifold (\w+)", readme, flags=re.MULTILINE)
+    assert sorted(set(listed)) == sorted(command.name for command in app.registered_commands)
+
+
+@pytest.mark.parametrize(
+    "package", sorted((REPOSITORY / "manifold").glob("*/__init__.py")), ids=lambda p: p.parent.name
+)
+def test_every_folder_is_in_the_readme(package):
+    assert f"`{package.parent.name}/`" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+WORDS_TO_AVOID = (
+    "knows nothing", "change places", "times the light it gets", "has no place", "tells the samples apart",
+    "the samples do not show", "is left over", "from one look to", "and leave.", "beaten in every", "seed's eq",
+    "caution",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WORDS_TO_AVOID)
+def test_private_words_are_gone(words):
+    """Messages say what a textbook would; the left column of the house style's table is not used."""
+    files = [
+        REPOSITORY / "README.md",
+        *(REPOSITORY / "manifold").rglob("*.py"),
+        *(REPOSITORY / "cli").glob("*.py"),
+    ]
+    assert [str(path) for path in files if words in path.read_text(encoding="utf-8")] == []

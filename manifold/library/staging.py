@@ -111,7 +111,8 @@ def _glob_literal(text: str) -> str:
 def _write_lock(library: Path) -> Iterator[None]:
     """One writer per library. The kernel drops the lock when its holder dies, however it dies."""
     path = library.parent / f".{library.name}.lock"
-    lock = FileLock(path, blocking=False)
+    # A moment's patience: who opens the file just before its holder unlinks it has to open the new one.
+    lock = FileLock(path, timeout=0.1, poll_interval=0.02)
     try:
         lock.acquire()
     except Timeout:

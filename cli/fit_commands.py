@@ -56,7 +56,7 @@ def fit(
         list[Path] | None, typer.Argument(help=".bsdf files, or folders, searched at every depth.", metavar="FILE")
     ] = None,
     latent: Annotated[
-        str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y")
+        str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
     ] = None,
     like: LikeOption = None,
     reflectance: ReflectanceOption = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -204,7 +205,10 @@ def parse_latent_dim(text: str) -> int:
 def predict(
     latent: Annotated[
         str,
-        typer.Option(help="Where on the map: numbers with commas between, no spaces.", metavar="X,Y"),
+        typer.Option(
+            help="Where on the map: numbers with commas between, no spaces; or a material's name.",
+            metavar="X,Y|NAME",
+        ),
     ],
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
@@ -258,7 +262,7 @@ def predict(
 def show_prediction(results: terminal.Results, made: Prediction) -> None:
     """Print what is known of a prediction."""
     physical = made.plausibility
-    rows: dict[str, object] = {"latent": ",".join(f"{v:.4g}" for v in made.latent)}
+    rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
     if made.colour is not None:
         rows["colour"] = made.colour
     rows |= {
@@ -288,7 +292,7 @@ def locate(
     with terminal.progress("Reading materials") as step:
         found = located.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
-        "latent": ",".join(f"{v:.4g}" for v in found.latent),
+        "latent": ",".join(found.coordinates),
         "reconstruction error": f"{found.relative_error:.3g} (relative)",
         "uncertainty": f"{found.std:.3f} (posterior over prior standard deviation)",
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
@@ -299,16 +303,20 @@ def locate(
     results.document(found.to_json())
 
 
-def parse_latent(text: str, option: str = "--latent") -> list[float]:
-    """Numbers separated by commas.
+def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
+    """Numbers separated by commas, or the name of a material.
 
     Raises:
-        UsageError: one of them is no finite number.
+        UsageError: it is neither, or a number is not finite.
     """
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise UsageError(f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2") from None
+        if re.fullmatch(r"[^\s,]*[^\W\d][^\s,]*", text):
+            return text
+        raise UsageError(
+            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name"
+        ) from None
     if not all(map(math.isfinite, values)):
         raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
     return values

@@ -54,7 +54,7 @@ def register(app: typer.Typer) -> None:
 
 
 def latent_map(
-    mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y")] = None,
+    mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y|NAME")] = None,
     like: LikeOption = None,
     reflectance: ReflectanceOption = None,
     srgb: SrgbOption = None,
@@ -121,7 +121,7 @@ def slices(
         typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="[NAME ...]"),
     ] = None,
     latent: Annotated[
-        list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y")
+        list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME")
     ] = None,
     like: LikeOption = None,
     reflectance: ReflectanceOption = None,

@@ -64,7 +64,7 @@ def render(
     ] = None,
     latent: Annotated[
         str | None,
-        typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y"),
+        typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y|NAME"),
     ] = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
@@ -96,7 +96,9 @@ def render(
 
     results = terminal.Results(json)
     if file is None and latent is None:
-        raise UsageError("found neither a file nor --latent; name a .bsdf file, or say --latent X,Y")
+        raise UsageError(
+            "found neither a file nor --latent; name a .bsdf file, or say --latent X,Y or --latent NAME"
+        )
     if file is not None and latent is not None:
         raise UsageError(f"found both {file} and --latent; give one of them")
     colour = ColourChoice(like, reflectance, srgb)

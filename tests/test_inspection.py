@@ -59,7 +59,7 @@ def test_a_model_lists_its_latents(folder):
     (table,) = found.tables
     assert table.columns == ("material", "x1", "x2")
     for row, name, x in zip(table.rows, model.names, model.X, strict=True):
-        assert row == (name, *(f"{v:.3f}" for v in x))
+        assert row == (name, *model.space.printed(x))
         assert found.document["latents"][name] == x.tolist()
 
 

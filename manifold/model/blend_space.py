@@ -84,6 +84,10 @@ class BlendSpace(LatentSpace):
         paths = ColourPaths(*(stored[name] for name in names))
         return cls(X, paths, bands, stored["reflectances"], kernel)
 
+    def printed(self, x: Array) -> tuple[str, ...]:
+        """Coordinates of a place (Q,): nothing jumps, so three decimals give its prediction back."""
+        return tuple(f"{v:.3f}" for v in x)
+
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material: its place, and a coordinate and a gain per band."""
         return self.X.shape[1] + 2 * n_bands

@@ -97,6 +97,10 @@ class LatentSpace(ABC):
             ValueError: the arrays do not fit each other, or the number of bands.
         """
 
+    def printed(self, x: Array) -> tuple[str, ...]:
+        """Coordinates of a latent (Q,) in digits that give its prediction back."""
+        return tuple(repr(float(v)) for v in x)
+
     @abstractmethod
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material of so many bands."""

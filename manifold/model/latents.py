@@ -9,6 +9,9 @@ import numpy as np
 from manifold.errors import LatentError
 from manifold.records import Array
 
+Place = Array | Sequence[float] | str
+"""A latent (Q,), or the name of a material that lies there."""
+
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 
 

@@ -22,7 +22,8 @@ class Located:
     Attributes:
         path: the file.
         latent: shape (Q,).
-        colours: colour coordinate of every band, of a monochrome manifold.
+        coordinates: the same, in digits that give the prediction there back.
+        colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents carry them.
         relative_error: of the reconstruction there.
         std: posterior standard deviation there, as a fraction of the prior's.
         nearest: the three nearest materials with their distances.
@@ -31,7 +32,8 @@ class Located:
 
     path: Path
     latent: tuple[float, ...]
-    colours: tuple[float, ...] | None
+    coordinates: tuple[str, ...]
+    colours: list[Any] | None
     relative_error: float
     std: float
     nearest: tuple[tuple[str, float], ...]
@@ -57,11 +59,11 @@ def locate(
     loaded = Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = loaded.embed(brdf)
-    colours = None if found.colours is None else tuple(float(c) for c in found.colours)
     return Located(
         path=path,
         latent=tuple(float(v) for v in found.latent),
-        colours=colours,
+        coordinates=loaded.space.printed(found.latent),
+        colours=None if found.colours is None else found.colours.tolist(),
         relative_error=found.relative_error,
         std=float(loaded.std(found.latent, found.colours)),
         nearest=tuple(loaded.nearest(found.latent, 3)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ from manifold.model.combination import Combination
 from manifold.model.decoding import encoder_at, encoding_pairs
 from manifold.model.fitting import fit_space
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.latents import require_latent, require_latents
+from manifold.model.latents import Place, require_latent, require_latents
 from manifold.model.materials import MaterialCache
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
@@ -186,9 +186,14 @@ class Manifold:
         """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         return (1.0 - t) * self.latent(a) + t * self.latent(b)
 
-    def require_latent(self, x: Array | Sequence[float]) -> Array:
-        """A latent as float64 (Q,), or a LatentError that says how many coordinates were expected."""
-        return require_latent(x, self.settings.latent_dim)
+    def require_latent(self, x: Place) -> Array:
+        """A latent as float64 (Q,), also that of a material by its name.
+
+        Raises:
+            LatentError: there are not Q finite coordinates.
+            UsageError: the model has no such material.
+        """
+        return self.latent(x) if isinstance(x, str) else require_latent(x, self.settings.latent_dim)
 
     def _at(self, x: Array, function: Callable[[Array], Array]) -> Array:
         x = require_latents(x, self.settings.latent_dim)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
@@ -36,6 +36,7 @@ class Prediction:
 
     Attributes:
         latent: where it lies, shape (Q,).
+        coordinates: the same, in digits that give the prediction back.
         path: the written file.
         colour: where the colour comes from, in words; None where the latent carries it.
         reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
@@ -52,6 +53,7 @@ class Prediction:
     """
 
     latent: tuple[float, ...]
+    coordinates: tuple[str, ...]
     path: Path
     colour: str | None
     reflectance_missed: float
@@ -75,7 +77,7 @@ class Prediction:
 
 def predict(
     model: Manifold | Path,
-    latent: Array | Sequence[float],
+    latent: Place,
     output: Path,
     *,
     library: Path | None = None,
@@ -89,7 +91,7 @@ def predict(
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates.
+        latent: Q coordinates, or the name of a material.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
@@ -129,6 +131,7 @@ def predict(
     is_extrapolation = bool(model.is_extrapolation(x, chosen.colours))
     return Prediction(
         latent=tuple(float(v) for v in x),
+        coordinates=model.space.printed(x),
         path=output,
         colour=chosen.words,
         reflectance_missed=chosen.missed,
@@ -151,6 +154,6 @@ def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> 
     """What a predicted file says about itself."""
     synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
-    at = ", ".join(f"{v:.4g}" for v in x)
+    at = ", ".join(model.space.printed(x))
     how = (f", coloured {colour}" if colour else "") + ", projected to be physical" * physical
     return f"{PREDICTED} ({at}){how} from {origin} by manifold {__version__}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from manifold.brdf.plausibility import plausibility
 from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_balls, plot_latents
 from manifold.records import Array, Progress
@@ -25,7 +25,7 @@ def latent_map(
     output: Path,
     *,
     library: Path | None = None,
-    marked: Array | Sequence[float] | None = None,
+    marked: Place | None = None,
     colour: ColourChoice = NEAREST,
     on_progress: Progress | None = None,
 ) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ def latent_map(
         model: path of a model.
         output: the picture.
         library: where the model's library is now, if not where the model remembers it.
-        marked: latent of a prediction to show, (Q,).
+        marked: latent of a prediction to show, (Q,), or the name of a material.
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
     Returns:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +12,9 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.model import predicted_file
 from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.latents import Place
 from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
-from manifold.records import Array
 from manifold.rendering import image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
 from manifold.workflows.renders import RIM, file_source
@@ -73,7 +72,7 @@ def picture_of_fit(
 
 
 def picture_of_prediction_fit(
-    fit: Path, model: Path, latent: Array | Sequence[float], output: Path, *,
+    fit: Path, model: Path, latent: Place, output: Path, *,
     library: Path | None = None, colour: ColourChoice = NEAREST,
 ) -> FitPicture:  # fmt: skip
     """The same for a fit of the prediction at a latent, through a file that is written for it."""

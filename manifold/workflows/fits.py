@@ -23,8 +23,9 @@ from manifold.fitting.processes import in_processes
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import require_material_name
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
-from manifold.records import Array, Progress
+from manifold.records import Progress
 from manifold.rendering import backend
 
 _KILLED = (
@@ -188,7 +189,7 @@ def fit_files(
 
 
 def fit_prediction(
-    model: Path, latent: Array | Sequence[float], output: Path | None, settings: FitSettings, *,
+    model: Path, latent: Place, output: Path | None, settings: FitSettings, *,
     library: Path | None = None, colour: ColourChoice = NEAREST, on_progress: Progress | None = None,
 ) -> FitOutcome:  # fmt: skip
     """Fit the material that a model predicts at a latent; arguments as in `predicted_file.predict` and `fit_files`.

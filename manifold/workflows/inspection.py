@@ -197,7 +197,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     }
     table = Table(
         ("material", *(f"x{k + 1}" for k in range(s.latent_dim))),
-        tuple((name, *(f"{v:.3f}" for v in row)) for name, row in zip(model.names, model.X, strict=True)),
+        tuple((name, *model.space.printed(row)) for name, row in zip(model.names, model.X, strict=True)),
     )
     document = {
         "path": str(path),

@@ -11,17 +11,17 @@ from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_slices
 from manifold.plots.plot_slices import Source
-from manifold.records import Array
 
 KINDS = ("angles", "image", "spectra")
 
 
 def sources(
     names: Sequence[str],
-    latents: Sequence[Array | Sequence[float]],
+    latents: Sequence[Place],
     model: Path,
     library: Path | None = None,
     colour: ColourChoice = NEAREST,
@@ -30,7 +30,7 @@ def sources(
 
     Args:
         names: paths that end in `.bsdf`, fits that end in `.json`, or names of materials.
-        latents: (Q,) each.
+        latents: (Q,) each, or names of materials.
         model: opened only where a name or a latent needs it.
         library: where the model's library is now, if not where the model remembers it.
         colour: of the latents, on a monochrome manifold.
@@ -50,7 +50,8 @@ def sources(
     for latent in latents:
         loaded = loaded or Manifold.load(model, library)
         x = loaded.require_latent(latent)
-        label = "predicted at " + ", ".join(f"{v:.3g}" for v in x)
+        at = latent if isinstance(latent, str) else ", ".join(f"{v:.3g}" for v in x)
+        label = f"predicted at {at}"
         found.append(Source(label, loaded.predict(x, choose_colour(loaded, x, colour).colours)))
     if not found:
         raise UsageError(

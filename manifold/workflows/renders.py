@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model import predicted_file
 from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model.latents import Place
 from manifold.plots import figures, plot_comparison
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
@@ -129,7 +130,7 @@ def file_source(path: Path) -> Source:
 @contextmanager
 def latent_source(
     model: Path,
-    latent: Sequence[float],
+    latent: Place,
     *,
     library: Path | None = None,
     colour: ColourChoice = NEAREST,
@@ -141,7 +142,9 @@ def latent_source(
     Raises:
         UsageError: `direct` without LLVM; and what `predicted_file.predict` raises.
     """
-    name = "latent " + ", ".join(f"{v:.4g}" for v in latent)
+    name = (
+        f"latent {latent}" if isinstance(latent, str) else "latent " + ", ".join(f"{v:.4g}" for v in latent)
+    )
     if direct:
         if not backend.choose().is_llvm:
             raise UsageError(
@@ -150,11 +153,11 @@ def latent_source(
         from manifold.rendering.plugin.bsdf import load_model
 
         loaded = load_model(model, library)
-        loaded.require_latent(latent)
+        x = loaded.require_latent(latent)
         material = {
             "type": "manifold",
             "model": str(model),
-            "latent": ",".join(repr(float(v)) for v in latent),
+            "latent": ",".join(repr(float(v)) for v in x),
         }
         material |= {key: str(value) for key, value in vars(colour).items() if value is not None}
         if library is not None:

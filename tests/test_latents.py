@@ -1,0 +1,69 @@
+"""Latents as people give them: by coordinates as they are printed, and by the names of materials."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_library import NAMES, small_library
+
+from manifold.cli.model_commands import parse_latent
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.library.store import Library
+from manifold.model.located import locate
+from manifold.model.manifold import Manifold
+from manifold.model.predicted_file import predict
+from manifold.model.settings import KINDS, Settings
+from manifold.workflows import pictures
+from manifold.workflows.inspection import inspect
+
+MOST = 0.5  # CIEDE2000: half of what is noticed side by side
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def model(request, tmp_path_factory):
+    """The path of a model of each kind, its library beside it."""
+    folder = tmp_path_factory.mktemp(request.param)
+    library = Library.open(small_library(folder))
+    Manifold.fit(library, Settings(kind=request.param)).save(folder / "model.h5")
+    return folder / "model.h5"
+
+
+def distance(a, b):
+    """Mean CIEDE2000 between the balls of two BRDFs."""
+    ball = ball_colours.ball(6)
+    return ball_colours.delta_e(*(ball.xyz(f.eval(ball.wi, ball.wo), f.bands) for f in (a, b)))
+
+
+def test_the_coordinates_that_info_prints_give_the_materials_back(model):
+    loaded = Manifold.load(model)
+    (table,) = inspect(model).tables
+    for name, *coordinates in table.rows:
+        brdf = loaded.predict(loaded.require_latent(parse_latent(",".join(coordinates))))
+        assert distance(brdf, loaded.material(name)) <= MOST
+
+
+def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(model, tmp_path):
+    loaded = Manifold.load(model)
+    file = model.parent / "files" / f"{NAMES[2]}_rgb.bsdf"
+    located = locate(model, file)
+    x = loaded.X.mean(axis=0) + 0.012345678
+    made = predict(loaded, x, tmp_path / "middle.bsdf", resolution=8)
+    for latent, coordinates in ((located.latent, located.coordinates), (x, made.coordinates)):
+        printed = parse_latent(",".join(coordinates))
+        assert distance(loaded.predict(printed), loaded.predict(np.array(latent))) <= MOST
+
+
+def test_a_material_is_a_latent_by_its_name(model):
+    loaded, name = Manifold.load(model), NAMES[1]
+    np.testing.assert_array_equal(loaded.require_latent(name), loaded.latent(name))
+    (source,) = pictures.sources([], [parse_latent(name)], model)
+    assert distance(source.brdf, loaded.material(name)) == 0.0
+    with pytest.raises(UsageError, match="near are syn_felt_green"):
+        loaded.require_latent("syn_felt_gren")
+
+
+@pytest.mark.parametrize("text", ["a,b", "1,x", "", "0.1;0.2", "a b", "-"])
+def test_what_is_neither_numbers_nor_a_name_is_refused(text):
+    with pytest.raises(UsageError, match="expected numbers separated by commas, like -0.3,1.2, or a material"):
+        parse_latent(text)

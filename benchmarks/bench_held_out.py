@@ -148,14 +148,14 @@ def load(folder: Path, cache: Path | None) -> Data:
     """Values of the files of a folder, remembered in an .npz."""
     if cache is not None and cache.exists():
         kept = np.load(cache)
-        return Data(kept["f"], kept["cosines"], kept["bands"], int(kept["n_bands"]))
+        return Data(kept["f"], kept["wi"], kept["wo"], kept["bands"], int(kept["n_bands"]))
     paths = sorted(folder.glob("*.bsdf"))
     if len(paths) < 4:
         raise SystemExit(f"{folder}: found {len(paths)} .bsdf files, expected at least 4")
     materials = [MeasuredBRDF(read_bsdf(path)) for path in paths]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     if cache is not None:
-        np.savez(cache, f=data.f, cosines=data.cosines, bands=data.bands, n_bands=data.n_bands)
+        np.savez(cache, f=data.f, wi=data.wi, wo=data.wo, bands=data.bands, n_bands=data.n_bands)
     return data
 
 

@@ -20,7 +20,7 @@ from manifold.experiments.evaluation.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
 from manifold.mapping import MAPPINGS, mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
+from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error, rmse
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.settings import Settings
 from manifold.models.per_band import MonochromeGPLVM
@@ -131,7 +131,7 @@ def test_models_are_fitted_without_the_left_out_material(data, key, monkeypatch)
     other = data.f.copy()
     other[2] = 3.0 * data.f[4][::-1]
     for f in (data.f, other):
-        METHODS[key].predict(Data(f, data.cosines), 2)
+        METHODS[key].predict(Data(f, data.wi, data.wo), 2)
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-12)
 
 
@@ -216,7 +216,7 @@ def test_a_comparison_is_the_sum_of_what_methods_predict(data):
 
 def _blocks(data, count):
     pairs = np.array_split(np.arange(len(data.cosines)), count)
-    return [Values(data.f[:, rows], data.cosines[rows]) for rows in pairs]
+    return [Values(data.f[:, rows], data.wi[rows], data.wo[rows]) for rows in pairs]
 
 
 def test_every_material_is_left_out_once(data):
@@ -247,7 +247,7 @@ def test_folds_predict_as_their_own_fits_do(data):
 
 
 def test_the_error_of_a_fit_says_what_it_learned_from(data):
-    alike = Data(np.concatenate([data.f[:1], np.repeat(data.f[1:2], 5, axis=0)]), data.cosines)
+    alike = Data(np.concatenate([data.f[:1], np.repeat(data.f[1:2], 5, axis=0)]), data.wi, data.wo)
     with pytest.raises(ShapeError, match=r"learning from 5 of 6 materials: .*; import more that differ"):
         cross_validate(alike, fit_gplvm(2), leave_out(6))
 
@@ -302,9 +302,8 @@ def test_monochrome_methods_predict_every_band(many_bands, key):
     combination = METHODS[key].leave_out(data, 1)
     assert combination.weights.shape[0] == 60
     wi, wo, above = GRID.directions()
-    values = Values(
-        np.stack([m.eval(wi[above], wo[above]) for m in many_bands]), cosine_weight(wi, wo)[above]
-    )
+    wi, wo = wi[above], wo[above]
+    values = Values(np.stack([m.eval(wi, wo) for m in many_bands]), wi, wo)
     predicted = combination.evaluate(values)
     assert predicted.shape == values.f.shape[1:]
     # Better than the nearest of the others, in all bands as in those learned from.

@@ -17,8 +17,10 @@ from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
-from manifold.model.combination import Combination
+from manifold.model.combination import Combination, Values
 from manifold.model.prediction import ClippedBRDF, PredictedBRDF
+from manifold.models.dictionary import Dictionary
+from manifold.models.lobes import Lobes
 from manifold.records import Bands
 from manifold.synthetic.analytic import Lambert
 from manifold.synthetic.ggx import GGX
@@ -216,3 +218,63 @@ def test_materials_of_different_bands_are_refused():
     other = Lambert(np.array([0.5]), Bands((500.0, 600.0)))
     with pytest.raises(BandMismatchError):
         PredictedBRDF([MATERIALS[0], other], Combination(mapping_named("identity"), np.array([0.5, 0.5])))
+
+
+# -- samples and lobes -------------------------------------------------------------------------------------
+
+
+def of_atoms(rng, dictionary, *, sparsity=0.9):
+    """Weights (B, n') >= 0 of the atoms of three materials in three bands and of lobes, most of them zero."""
+    weights = rng.random((3, dictionary.size(9))) * (rng.random(dictionary.size(9)) > sparsity)
+    weights[:, [1, -5]] = 0.3  # at least one sample and one lobe
+    return 0.3 * weights / weights.sum(axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(
+    "dictionary", [Dictionary(), Dictionary((1.0, 0.6, 1.5), Lobes((0.1, 0.3), (2.0,)))], ids=["A", "B"]
+)
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_atoms_are_combined_as_tabulated_values_are(measured_materials, dictionary, wrapped, rng):
+    materials = [measured_materials[k] for k in (0, 1, 3)]  # the last has negative values
+    weights = of_atoms(rng, dictionary)
+    combination = Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+    wi, wo = directions(rng, 3000)
+    values = Values(np.stack([m.eval(wi, wo) for m in materials]), wi, wo)
+    expected = weights @ dictionary.atoms(
+        np.cbrt(np.moveaxis(values.f, 2, 1).reshape(9, -1)), dictionary.lobes.cube_roots(wi, wo)
+    )
+    tabulated = combination.evaluate(values)
+    np.testing.assert_allclose(tabulated, expected.T**3, rtol=1e-9)
+    predicted = PredictedBRDF([Wrapped(m) for m in materials] if wrapped else materials, combination)
+    np.testing.assert_allclose(predicted.eval(wi, wo), tabulated, rtol=1e-9)
+    assert tabulated.min() >= 0.0
+    assert not np.any(predicted.eval(wi, wo * [1, 1, -1]))
+
+
+def test_a_prediction_of_lobes_alone_needs_no_material(rng):
+    dictionary = Dictionary(lobes=Lobes((0.2,), (2.0,)))
+    weights = np.zeros((3, dictionary.size(9)))
+    weights[:, -7] = 0.8  # the Lambertian
+    predicted = PredictedBRDF(
+        MATERIALS, Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+    )
+    wi, wo = directions(rng, 20)
+    np.testing.assert_allclose(predicted.eval(wi, wo), 0.8**3 / np.pi)
+
+
+@pytest.mark.parametrize("theta_deg", [0.0, 45.0, 75.0])
+def test_samples_of_lobes_follow_their_pdf(theta_deg, rng):
+    dictionary = Dictionary(lobes=Lobes((0.1, 0.4), (1.5, 2.0, 3.0)))
+    weights = of_atoms(rng, dictionary, sparsity=0.5)
+    predicted = PredictedBRDF(
+        MATERIALS, Combination(mapping_named("cube-root"), weights, np.arange(3), dictionary=dictionary)
+    )
+    assert chi_square_p_value(predicted, from_spherical(np.deg2rad(theta_deg), 1.0), rng) > 1e-4
+
+
+def test_weights_that_do_not_fit_the_atoms_are_refused():
+    combination = Combination(
+        mapping_named("cube-root"), np.ones((3, 9)), np.arange(3), dictionary=Dictionary()
+    )
+    with pytest.raises(ShapeError, match=r"expected \(3, 154\)"):
+        PredictedBRDF(MATERIALS, combination)

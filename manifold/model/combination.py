@@ -7,13 +7,16 @@ measured values, block by block, on grids of any size.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from manifold.errors import ShapeError
 from manifold.mapping import Mapping
+from manifold.metrics import cosine_weight
+from manifold.models.dictionary import Dictionary
+from manifold.models.lobes import Lobes
 from manifold.records import Array
 
 
@@ -23,13 +26,20 @@ class Values:
 
     Attributes:
         f: in 1/sr, shape (N, P, B).
-        cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
+        wi, wo: unit vectors (P, 3).
     """
 
     f: Array
-    cosines: Array
+    wi: Array
+    wo: Array
     _mapped: dict[str, Array] = field(default_factory=dict, repr=False, kw_only=True)
     _samples: dict[tuple[str, tuple[int, ...]], Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _lobes: dict[Lobes, Array] = field(default_factory=dict, repr=False, kw_only=True)
+
+    @cached_property
+    def cosines(self) -> Array:
+        """cos(theta_i) cos(theta_o) per direction pair, shape (P,)."""
+        return cosine_weight(self.wi, self.wo)
 
     def mapped(self, mapping: Mapping) -> Array:
         """T(f) of all materials, shape (N, P, B); remembered."""
@@ -54,6 +64,12 @@ class Values:
             self._samples[key] = mapping.forward(flat, cosines)[..., 0]
         return self._samples[key]
 
+    def lobe_roots(self, lobes: Lobes) -> Array:
+        """Cube roots of analytic lobes, shape (n_l, P); remembered."""
+        if lobes not in self._lobes:
+            self._lobes[lobes] = lobes.cube_roots(self.wi, self.wo)
+        return self._lobes[lobes]
+
 
 @dataclass(frozen=True, eq=False)
 class Combination:
@@ -62,11 +78,13 @@ class Combination:
     Attributes:
         mapping: T.
         weights: of the materials, alike in all bands, shape (N,); or of monochrome samples, band by band, shape
-            (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material n.
+            (B, N * B_s), where sample n * B_s + s is band `sample_bands[s]` of material n; or of the atoms that a
+            dictionary makes of these samples, (B, n').
         sample_bands: which bands are samples, shape (B_s,); None where whole materials are.
         is_clipped: whether negative values are cut to 0.
         variance: of the mapped values, as the method itself believes it: a number, or one per band (B,); None
             where the method has no such belief.
+        dictionary: of atoms; None where the samples are what is combined.
     """
 
     mapping: Mapping
@@ -74,6 +92,7 @@ class Combination:
     sample_bands: Array | None = None
     is_clipped: bool = True
     variance: float | Array | None = None
+    dictionary: Dictionary | None = None
 
     @property
     def source(self) -> int | None:
@@ -98,13 +117,17 @@ class Combination:
             )
         variance = self.variance[bands] if isinstance(self.variance, np.ndarray) else self.variance
         position = np.searchsorted(bands, self.sample_bands)
-        return Combination(self.mapping, self.weights[bands], position, self.is_clipped, variance)
+        return replace(self, weights=self.weights[bands], sample_bands=position, variance=variance)
 
     def mapped(self, values: Values) -> Array:
         """T of the prediction, shape (P, B)."""
         if self.sample_bands is None:
             return np.tensordot(self.weights, values.mapped(self.mapping), axes=1)
-        return (self.weights @ values.mapped_samples(self.mapping, self.sample_bands)).T
+        samples = values.mapped_samples(self.mapping, self.sample_bands)
+        if self.dictionary is None:
+            return (self.weights @ samples).T
+        lobe_roots = values.lobe_roots(self.dictionary.lobes)
+        return self.dictionary.combine(self.weights, samples, lobe_roots).T
 
     def evaluate(self, values: Values) -> Array:
         """The prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""

@@ -16,6 +16,7 @@ from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity
 from manifold.metrics import cosine_weight
 from manifold.model.combination import Combination
+from manifold.model.lobe_sampling import LobeSampling
 from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands
 from manifold.synthetic.analytic import choose_lobe
@@ -32,9 +33,9 @@ def _block_size(n_pairs: int) -> int:
 class PredictedBRDF:
     """A weighted sum of measured BRDFs in a mapped domain, `T^-1(sum_i v_i T(f_i))`, evaluated only where asked.
 
-    Weights are those of whole materials, alike in all bands, or of single bands of materials, each predicted band
-    with weights of its own (`Combination`). With a unit vector as weights it *is* the measured material, bit for bit,
-    whatever the mapping.
+    Weights are those of whole materials, alike in all bands, or of single bands of materials and of analytic lobes,
+    each predicted band with weights of its own (`Combination`). With a unit vector as weights of whole materials it
+    *is* the measured one, bit for bit, whatever the mapping.
 
     Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/design/held-out.md.
     """
@@ -54,26 +55,43 @@ class PredictedBRDF:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
         self._bands = materials[0].bands if bands is None else bands
         self._mapping = combination.mapping
+        self._dictionary = combination.dictionary
+        self._is_per_band = combination.sample_bands is not None
         weights = np.asarray(combination.weights, dtype=np.float64)
         expected: tuple[int, ...] = (len(materials),)
-        if combination.sample_bands is not None:
-            expected = (self._bands.count, len(materials) * materials[0].bands.count)
+        if self._is_per_band:
+            n_samples = len(materials) * materials[0].bands.count
+            n_atoms = n_samples if self._dictionary is None else self._dictionary.size(n_samples)
+            expected = (self._bands.count, n_atoms)
         if weights.shape != expected or not np.all(np.isfinite(weights)) or not np.any(weights):
             raise ShapeError(
                 f"weights have shape {weights.shape}, expected {expected}, finite and not all zero"
             )
-        self._is_per_band = combination.sample_bands is not None
         if self._is_per_band:
-            self._materials = list(materials)
-            self._weights = np.ascontiguousarray(weights.T)  # [N B_s, B]
-            shares = np.abs(weights).reshape(self._bands.count, len(materials), -1).sum(axis=(0, 2))
+            self._materials, self._weights = list(materials), weights  # [B, N B_s], or [B, n']
+            shares, lobes = self._sampled_parts(np.abs(weights).sum(axis=0))
         else:
             used = np.flatnonzero(weights)
             self._materials = [materials[int(k)] for k in used]
             self._weights = weights[used]
-            shares = np.abs(self._weights)
-        # Sampling needs a density that covers every material with a weight, not the exact shape of the sum.
+            shares, lobes = np.abs(self._weights), []
+        # Sampling needs a density that covers every part with a weight, not the exact shape of the sum.
         self._sampling_weights = shares / shares.sum()
+        self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
+
+    def _sampled_parts(self, totals: Array) -> tuple[Array, list[LobeSampling]]:
+        """Sampling weights of materials and lobes, from those of samples or atoms; drops lobes without weight."""
+        N, dictionary = len(self._materials), self._dictionary
+        if dictionary is None:
+            return totals.reshape(N, -1).sum(axis=1), []
+        first = totals.size - len(dictionary.lobes)
+        of_lobes = totals[first:]
+        self._lobes = np.flatnonzero(of_lobes)
+        self._weights = np.delete(self._weights, first + np.flatnonzero(of_lobes == 0.0), axis=1)
+        shares = totals[:first].reshape(len(dictionary.exponents), N, -1).sum(axis=(0, 2))
+        if self._lobes.size == 0:
+            return shares, []
+        return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
     @property
     def bands(self) -> Bands:
@@ -116,9 +134,9 @@ class PredictedBRDF:
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...): the materials' densities, mixed by |v_i|."""
-        shares = zip(self._sampling_weights, self._materials, strict=True)
-        return np.sum([share * material.pdf(wi, wo) for share, material in shares], axis=0)
+        """Density of `sample` in 1/sr, shape (...): those of materials and lobes, mixed by |v_i|."""
+        shares = zip(self._sampling_weights, self._samplers, strict=True)
+        return np.sum([share * sampler.pdf(wi, wo) for share, sampler in shares if share > 0.0], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.
@@ -139,10 +157,10 @@ class PredictedBRDF:
         wo = np.zeros_like(wi)
         wo[:, 2] = 1.0
         usable = np.zeros(len(wi), dtype=bool)
-        for k, material in enumerate(self._materials):
+        for k, sampler in enumerate(self._samplers):
             mine = lobe == k
             if np.any(mine):
-                wo[mine], pdf = material.sample(wi[mine], u[mine])
+                wo[mine], pdf = sampler.sample(wi[mine], u[mine])
                 usable[mine] = pdf > 0
         density = np.where(usable, self.pdf(wi, wo), 0.0)
         return wo.reshape(*shape, 3), density.reshape(shape)
@@ -166,10 +184,15 @@ class PredictedBRDF:
         cosines = cosine_weight(pairs.wi, pairs.wo)
         if self._is_per_band:
             mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
-            for material, values in zip(self._materials, mapped, strict=True):
-                self._add_mapped(material, 1.0, pairs, cosines, values)
-            samples = np.moveaxis(mapped, 0, 1).reshape(len(pairs), -1)  # [K, N B_s]
-            np.matmul(samples, self._weights, out=out)
+            for share, material, values in zip(self._sampling_weights, self._materials, mapped, strict=False):
+                if share > 0.0:
+                    self._add_mapped(material, 1.0, pairs, cosines, values)
+            samples = np.moveaxis(mapped, 1, 2).reshape(-1, len(pairs))  # [N B_s, K]
+            if self._dictionary is None:
+                np.matmul(samples.T, self._weights.T, out=out)
+            else:
+                lobe_roots = self._dictionary.lobes.cube_roots(pairs.wi, pairs.wo, self._lobes)
+                out[...] = self._dictionary.combine(self._weights, samples, lobe_roots).T
         else:
             out[...] = 0.0
             for weight, material in zip(self._weights, self._materials, strict=True):

@@ -10,7 +10,6 @@ import numpy as np
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
-from manifold.metrics import cosine_weight
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array, Bands
 
@@ -22,7 +21,7 @@ def values_at(materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Value
     f = np.empty((len(materials), len(pairs), materials[0].bands.count))
     for k, material in enumerate(materials):
         material.eval_into(pairs, f[k])
-    return Values(f, cosine_weight(pairs.wi, pairs.wo))
+    return Values(f, pairs.wi, pairs.wo)
 
 
 def some_of(bands: Bands, chosen: Array) -> Bands:

@@ -32,7 +32,7 @@ class PredictionErrors:
     def add(self, values: Values) -> None:
         """Count a block of measured values; what their mapping costs counts for every method."""
         start = time.perf_counter()
-        predicted = evaluate(self._combinations, Values(values.f, values.cosines), clip=False)
+        predicted = evaluate(self._combinations, Values(values.f, values.wi, values.wo), clip=False)
         self.seconds += time.perf_counter() - start
         self._negative += int(np.count_nonzero(predicted < 0))
         self._count += predicted.size

@@ -15,7 +15,7 @@ from manifold.experiments.evaluation.ball_errors import values_at
 from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.library.store import Library
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array, Progress
@@ -99,7 +99,8 @@ def tabulated_blocks(data: Data) -> Iterator[Values]:
     """What methods have learned from, block by block."""
     size = _block_pairs(data.n_materials, len(data.bands))
     for start in range(0, data.f.shape[1], size):
-        yield Values(data.f[:, start : start + size], data.cosines[start : start + size])
+        some = slice(start, start + size)
+        yield Values(data.f[:, some], data.wi[some], data.wo[some])
 
 
 def measured_blocks(
@@ -110,7 +111,7 @@ def measured_blocks(
     size = _block_pairs(len(materials), len(bands))
     total = -(-grid.n_pairs // size)
     for done, (wi, wo, f) in enumerate(gram.value_blocks(selected, grid, size), start=1):
-        yield Values(f, cosine_weight(wi, wo))
+        yield Values(f, wi, wo)
         if on_progress is not None:
             on_progress(done, total, "direction pairs")
 

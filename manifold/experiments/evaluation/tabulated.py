@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.models.decoder import PAIR_STRIDE, EncodingPairs
@@ -24,7 +24,7 @@ class Data(Values):
 
     Attributes:
         f: in 1/sr, shape (N, P, B').
-        cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
+        wi, wo: unit vectors (P, 3).
         bands: which of all bands the values are in, increasing, shape (B',); by default all.
         n_bands: B.
         full_values: material i at every `stride`th direction pair in all bands, shape (P / stride, B).
@@ -71,13 +71,14 @@ class Data(Values):
         blocks = []
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
         for wi, wo, f in gram.value_blocks(selected, grid):
-            blocks.append((cosine_weight(wi, wo), f))
+            blocks.append((f, wi, wo))
             if on_block is not None:
                 on_block(len(blocks), total)
         pairs = EncodingPairs.of_grid(grid, stride)
         return cls(
-            np.concatenate([f for _, f in blocks], axis=1),
-            np.concatenate([c for c, _ in blocks]),
+            np.concatenate([f for f, _, _ in blocks], axis=1),
+            np.concatenate([wi for _, wi, _ in blocks]),
+            np.concatenate([wo for _, _, wo in blocks]),
             bands,
             n_bands,
             lambda i: materials[i].eval(pairs.wi, pairs.wo),
@@ -86,7 +87,7 @@ class Data(Values):
 
     def unmapped(self) -> Data:
         """The same without what methods share, values in a mapped domain and their products: each pays its own."""
-        return Data(self.f, self.cosines, self.bands, self.n_bands, self.full_values, self.stride)
+        return Data(self.f, self.wi, self.wo, self.bands, self.n_bands, self.full_values, self.stride)
 
     @property
     def n_materials(self) -> int:

@@ -12,8 +12,9 @@ from manifold.brdf.valleys import profile_pairs, valley_depth
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.model.decoding import encoding_pairs
+from manifold.model.decoding import encoding_pairs, integrating_sphere
 from manifold.models.blending import Layout, blend_layout
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Progress, evenly_spaced
 
 _BANDS = 12  # in which materials are compared, evenly spaced
@@ -22,6 +23,7 @@ _UNIT = 20.0  # CIEDE2000 of the ball that lie a unit apart, before the map has 
 _MEASURED_VALLEY = 0.08  # measured materials have no deeper one
 _VALLEY_APART = 300.0  # CIEDE2000 for which a valley of depth 1 in the blend of two counts
 _VALLEY_COST = 10.0
+_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _SHARES = (0.2, 0.5, 0.8)  # of the one material, at which blends of two are looked at
 
 
@@ -93,3 +95,14 @@ def _distances(rows: Array) -> Array:
     inner = rows @ rows.T
     squared = np.diag(inner)[:, None] + np.diag(inner)[None] - 2.0 * inner
     return np.sqrt(np.maximum(squared, 0.0))
+
+
+def roots_at(materials: Sequence[MeasuredBRDF], pairs: EncodingPairs) -> Array:
+    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
+    return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])
+
+
+def albedo_samples(materials: Sequence[MeasuredBRDF]) -> list[tuple[Array, Array]]:
+    """Cube roots at the direction pairs of integrating spheres at several incidences, with their measures."""
+    spheres = [integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG]
+    return [(roots_at(materials, pairs), measure) for pairs, measure in spheres]

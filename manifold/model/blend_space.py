@@ -12,11 +12,12 @@ from scipy.optimize import minimize
 from manifold.errors import ShapeError
 from manifold.mapping import Mapping
 from manifold.metrics import relative_error
+from manifold.model.appearance import appearance_pairs
 from manifold.model.combination import Combination
 from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
 from manifold.models.blending import blend_weights
 from manifold.models.colour_paths import ColourPaths
-from manifold.models.decoder import Decoder
+from manifold.models.decoder import Decoder, EncodingPairs
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
@@ -178,15 +179,19 @@ class BlendSpace(LatentSpace):
         """Samples from mapped values (N, B_s, P): a row holds one band of a material."""
         return Samples(mapped.reshape(-1, mapped.shape[2]), cosines)
 
+    def embedding_pairs(self) -> EncodingPairs:
+        """Direction pairs of the encoding grid and of a ball's light."""
+        return appearance_pairs().pairs
+
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
         assert encoder.decoder is not None
-        samples, cosines = encoder.decoder.mapped, encoder.decoder.cosines
-        search = PlaceSearch(self, samples, cosines, np.cbrt(np.maximum(f, 0.0)))
-        x = search.place(self.bands)
-        colours = search.colours(x)
-        predicted = (self.weights(x, colours) @ samples) ** 3
-        return Embedded(x, colours, relative_error(f.T, predicted.T, cosines))
+        samples, n_grid = encoder.decoder.mapped, appearance_pairs().n_grid
+        search = PlaceSearch(self, samples, appearance_pairs().weight(samples))
+        x, colours = search.find(np.cbrt(np.maximum(f, 0.0)), self.bands)
+        predicted = (self.weights(x, colours) @ samples[:, :n_grid]) ** 3
+        cosines = encoder.decoder.cosines[:n_grid]
+        return Embedded(x, colours, relative_error(f[:, :n_grid].T, predicted.T, cosines))
 
 
 class PlaceSearch:
@@ -195,57 +200,56 @@ class PlaceSearch:
     Args:
         space: the map.
         samples: cube roots of its samples, shape (n, P).
-        cosines: of the direction pairs, shape (P,).
-        target: cube roots of the material in all bands, shape (B, P).
+        weight: of each direction pair in what is minimised, before squaring, shape (P,).
     """
 
-    def __init__(self, space: BlendSpace, samples: Array, cosines: Array, target: Array) -> None:
-        self._space = space
-        weight = np.cbrt(cosines)  # that of the cube-root error
+    def __init__(self, space: BlendSpace, samples: Array, weight: Array) -> None:
+        self._X, self._l, self._weight = space.X, space.kernel.length_scale, weight
         self._grid = np.linspace(_FIRST_COORDINATE, space.paths.last, _COORDINATES)
-        vertices = [space.paths.weights(unit, self._grid) for unit in np.eye(len(space.X))]
-        Z = np.stack([w @ samples for w in vertices]) * weight  # [N, K, P]
-        self._gram = np.einsum("nkp,mkp->knm", Z, Z, optimize=True)
-        self._cross = np.einsum("nkp,bp->nkb", Z, target * weight, optimize=True)
-        self._norm = np.sum((target * weight) ** 2, axis=1)
+        vertices = np.stack([space.paths.weights(unit, self._grid) for unit in np.eye(len(space.X))])
+        self._decoded = vertices @ (samples * weight)  # [N, K, P]
+        self._gram = np.einsum("nkp,mkp->knm", self._decoded, self._decoded, optimize=True)
 
-    def place(self, bands: Array) -> Array:
-        """The place (Q,) with the least squared residual over some bands."""
-        X, l = self._space.X, self._space.kernel.length_scale
+    def find(self, target: Array, bands: Array) -> tuple[Array, Array]:
+        """Place (Q,), and path coordinates and gains of all bands, (2, B).
+
+        Args:
+            target: cube roots of the material in all bands, shape (B, P).
+            bands: of these, which serve to find the place.
+        """
+        weighted = target * self._weight
+        cross = np.einsum("nkp,bp->nkb", self._decoded, weighted, optimize=True)
+        x = self._place(cross[..., bands], np.sum(weighted[bands] ** 2, axis=1))
+        inner, squared = self._products(x, cross)
+        k = np.argmax(inner**2 / squared, axis=0)
+        return x, np.stack([self._grid[k], inner[k, np.arange(len(k))] / squared[k, 0]])
+
+    def _place(self, cross: Array, norm: Array) -> Array:
+        """The place (Q,) with the least squared residual."""
+        X = self._X
 
         def residual(x: Array) -> float:
-            inner, squared = self._products(blend_weights(x[None], X, l)[0], bands)
-            return float(np.sum(self._norm[bands] - np.max(inner**2 / squared, axis=0)))
+            inner, squared = self._products(x, cross)
+            return float(np.sum(norm - np.max(inner**2 / squared, axis=0)))
 
         rng = np.random.default_rng(0)
         count = min(3, len(X))
-        tried = [
-            rng.dirichlet(np.ones(count)) @ X[rng.choice(len(X), count, replace=False)]
-            for _ in range(_TRIED_PLACES)
-        ]
-        places = np.vstack([X, tried])
+        chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
+        places = np.vstack([X, [rng.dirichlet(np.ones(count)) @ X[k] for k in chosen]])
         order = np.argsort([residual(x) for x in places], kind="stable")[:_REFINED_PLACES]
-        steps = np.vstack([np.zeros(X.shape[1]), 0.2 * l * np.eye(X.shape[1])])
+        steps = np.vstack([np.zeros(X.shape[1]), 0.2 * self._l * np.eye(X.shape[1])])
         ends = [
             minimize(
-                residual,
-                places[k],
-                method="Nelder-Mead",
-                options={"initial_simplex": places[k] + steps, "maxfev": 150},
+                residual, x, method="Nelder-Mead", options={"initial_simplex": x + steps, "maxfev": _EVALUATIONS}
             )
-            for k in order
-        ]
+            for x in places[order]
+        ]  # fmt: skip
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
-    def colours(self, x: Array) -> Array:
-        """Path coordinates and gains of all bands at a place x (Q,), shape (2, B)."""
-        u = blend_weights(x[None], self._space.X, self._space.kernel.length_scale)[0]
-        inner, squared = self._products(u, slice(None))
-        k = np.argmax(inner**2 / squared, axis=0)
-        gains = inner[k, np.arange(len(k))] / squared[k, 0]
-        return np.stack([self._grid[k], gains])
-
-    def _products(self, u: Array, bands: Array | slice) -> tuple[Array, Array]:
+    def _products(self, x: Array, cross: Array) -> tuple[Array, Array]:
         """Products of a blend at all coordinates with the target, (K, B), at least 0, and squared norms (K, 1)."""
-        inner = np.maximum(np.einsum("n,nkb->kb", u, self._cross[..., bands]), 0.0)
-        return inner, np.maximum(np.einsum("knm,n,m->k", self._gram, u, u), 1e-12)[:, None]
+        u = blend_weights(x[None], self._X, self._l)[0]
+        used = np.flatnonzero(u)
+        inner = np.maximum(np.tensordot(u[used], cross[used], axes=1), 0.0)
+        squared = np.einsum("knm,n,m->k", self._gram[:, used][:, :, used], u[used], u[used])
+        return inner, np.maximum(squared, 1e-12)[:, None]

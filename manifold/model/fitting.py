@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.gplvm import GPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
-from manifold.model.blend_fitting import looks_of
+from manifold.model.blend_fitting import albedo_samples, looks_of, roots_at
 from manifold.model.blend_space import BlendSpace
 from manifold.model.curve_space import CurveSpace
 from manifold.model.decoding import encoder_at, encoding_pairs, integrating_sphere
@@ -22,11 +20,8 @@ from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.colour_paths import fit_paths
-from manifold.models.decoder import EncodingPairs
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
-
-_ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 
 Statistics = dict[str, float]
 """Objective at start and end of a fit."""
@@ -102,19 +97,15 @@ def _fit_blends(
     layout = looks_of(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
     samples = [brdf.select_bands(bands.tolist()) for brdf in brdfs]
+    pairs = encoding_pairs()
     sphere, measure = integrating_sphere()
     paths = fit_paths(
-        _roots(samples, encoding_pairs()), encoding_pairs().cosines, len(bands), (_roots(samples, sphere), measure),
-        [(_roots(samples, pairs), weight) for pairs, weight in map(integrating_sphere, _ALBEDO_INCIDENCES_DEG)],
+        roots_at(samples, pairs), pairs.cosines, len(bands), (roots_at(samples, sphere), measure),
+        albedo_samples(samples),
     )  # fmt: skip
     reflectances = np.stack([measure @ brdf.eval(sphere.wi, sphere.wo) for brdf in brdfs])
     space = BlendSpace(layout.X, paths, bands, reflectances, s.covariance())
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}
-
-
-def _roots(samples: Sequence[MeasuredBRDF], pairs: EncodingPairs) -> Array:
-    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B_s, P)."""
-    return np.concatenate([np.cbrt(np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)).T for brdf in samples])
 
 
 _FITS = {"blend": _fit_blends, "material": _fit_materials, "monochrome": _fit_curves}

@@ -17,9 +17,10 @@ import numpy as np
 
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
+from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
 from manifold.models.colour_table import ColourTable
-from manifold.models.decoder import Decoder
+from manifold.models.decoder import Decoder, EncodingPairs
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
@@ -153,6 +154,10 @@ class LatentSpace(ABC):
     @abstractmethod
     def samples(self, mapped: Array, cosines: Array) -> Samples:
         """Training samples from mapped values (N, B_e, P) in the embedding bands, and cosines (P,)."""
+
+    def embedding_pairs(self) -> EncodingPairs:
+        """Direction pairs at which a new material is compared with what the space predicts."""
+        return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
 
     @abstractmethod
     def embed(self, encoder: Encoder, f: Array) -> Embedded:

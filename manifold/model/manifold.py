@@ -15,7 +15,7 @@ from manifold.gpr import GPWeights
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
-from manifold.model.decoding import encoder_at, encoding_pairs
+from manifold.model.decoding import encoder_at
 from manifold.model.fitting import fit_space
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import Place, require_latent, require_latents
@@ -266,7 +266,7 @@ class Manifold:
             BandMismatchError: it has other bands.
         """
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
-        pairs = encoding_pairs()
+        pairs = self.space.embedding_pairs()
         encoder = encoder_at(pairs, self.space, self.materials, self.settings)
         return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
 

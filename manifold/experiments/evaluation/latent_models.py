@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from manifold.experiments.evaluation.blends import fit_blend
 from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
@@ -109,4 +110,8 @@ def _fit_bands(s: Settings, criterion: str, tolerance: float) -> Fit:
     )  # fmt: skip
 
 
-_FITS = {"material": _fit_whole, "monochrome": _fit_bands}
+def _fit_blends(s: Settings, criterion: str, tolerance: float) -> Fit:
+    return fit_blend(s.latent_dim, s.sample_bands)
+
+
+_FITS = {"blend": _fit_blends, "material": _fit_whole, "monochrome": _fit_bands}

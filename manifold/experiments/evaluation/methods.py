@@ -6,6 +6,7 @@ A new method is one more entry.
 from __future__ import annotations
 
 from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_oracle, fit_pca
+from manifold.experiments.evaluation.blends import fit_blend
 from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
     fit_gplvm,
@@ -42,6 +43,22 @@ def gplvm_methods() -> list[Method]:
         _monochrome("monochrome_2_1", "monochrome, 2 + 1 per band", 2, 1),
         _monochrome("monochrome_3_1", "monochrome, 3 + 1 per band", 3, 1),
         _monochrome("monochrome_0_2", "monochrome, 2 per band", 0, 2),
+        Method(
+            "blend_2",
+            "blend, 2 + 2 per band",
+            lambda B: 2 + 2 * B,
+            fit_blend(2),
+            sample_bands=SAMPLE_BANDS,
+            fits_model=True,
+        ),
+        Method(
+            "blend_3",
+            "blend, 3 + 2 per band",
+            lambda B: 3 + 2 * B,
+            fit_blend(3),
+            sample_bands=SAMPLE_BANDS,
+            fits_model=True,
+        ),
     ]
 
 

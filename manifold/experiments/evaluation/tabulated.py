@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +30,15 @@ class Data(Values):
         n_bands: B.
         full_values: material i at every `stride`th direction pair in all bands, shape (P / stride, B).
         stride: one in so many direction pairs serves to find a latent by decoded values.
+        materials: that were evaluated, for methods that look at other direction pairs too.
     """
 
     bands: Array = field(default=None)  # type: ignore[arg-type]
     n_bands: int = 0
     full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
     stride: int = PAIR_STRIDE
+    materials: Sequence[MeasuredBRDF] = field(default=(), repr=False)
+    _made: dict[Hashable, Any] = field(default_factory=dict, repr=False, kw_only=True)
     _grams: dict[tuple[str, float, tuple[int, ...] | None], Array] = field(
         default_factory=dict, repr=False, kw_only=True
     )
@@ -83,11 +87,20 @@ class Data(Values):
             n_bands,
             lambda i: materials[i].eval(pairs.wi, pairs.wo),
             stride,
+            materials,
         )
+
+    def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """What `make` returned when the key was first asked for."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     def unmapped(self) -> Data:
         """The same without what methods share, values in a mapped domain and their products: each pays its own."""
-        return Data(self.f, self.wi, self.wo, self.bands, self.n_bands, self.full_values, self.stride)
+        return Data(
+            self.f, self.wi, self.wo, self.bands, self.n_bands, self.full_values, self.stride, self.materials
+        )
 
     @property
     def n_materials(self) -> int:

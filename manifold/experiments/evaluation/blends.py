@@ -1,0 +1,82 @@
+"""Maps of blends as a method: laid out by some materials, they encode any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from manifold.experiments.evaluation.method import Encode, Fit
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.mapping import CubeRoot
+from manifold.model.appearance import appearance_pairs
+from manifold.model.blend_fitting import Looks, albedo_samples, looks_of, roots_at
+from manifold.model.blend_space import BlendSpace, PlaceSearch
+from manifold.model.combination import Combination
+from manifold.model.decoding import integrating_sphere
+from manifold.models.colour_paths import fit_paths
+from manifold.models.kernels import SquaredExponential
+from manifold.records import Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """What every fit takes some rows of: looks, and cube roots of the samples and of all bands.
+
+    Attributes:
+        looks: of the materials.
+        bands: which bands are samples, among all.
+        sphere, albedo: samples inside integrating spheres, with their measures; see `fit_paths`.
+        roots: samples at the appearance pairs, shape (N B_s, P).
+    """
+
+    looks: Looks
+    bands: Array
+    sphere: tuple[Array, Array]
+    albedo: list[tuple[Array, Array]]
+    roots: Array
+
+    @classmethod
+    def of(cls, data: Data, sample_bands: int) -> _Tables:
+        """Evaluate the materials behind tabulated values."""
+        bands = data.available_bands(sample_bands)
+        samples = [material.select_bands(bands.tolist()) for material in data.materials]
+        pairs, measure = integrating_sphere()
+        return cls(
+            looks_of(data.materials), bands, (roots_at(samples, pairs), measure), albedo_samples(samples),
+            roots_at(samples, appearance_pairs().pairs),
+        )  # fmt: skip
+
+
+def fit_blend(latent_dim: int, sample_bands: int = 5) -> Fit:
+    """The map of blends: the place, and a path coordinate and a gain per band, by cube roots of values and of a ball's.
+
+    Args:
+        latent_dim: Q; fewer where there are not enough materials.
+        sample_bands: bands per material that colour paths are made of.
+    """
+
+    def fit(data: Data, training: Array) -> Encode:
+        tables: _Tables = data.once(("blend", sample_bands), lambda: _Tables.of(data, sample_bands))
+        B, appearance = len(tables.bands), appearance_pairs()
+        rows = (training[:, None] * B + np.arange(B)).reshape(-1)
+        roots, n_grid = tables.roots[rows], appearance.n_grid
+        paths = fit_paths(
+            roots[:, :n_grid], appearance.pairs.cosines[:n_grid], B, (tables.sphere[0][rows], tables.sphere[1]),
+            [(values[rows], measure) for values, measure in tables.albedo],
+        )  # fmt: skip
+        X = tables.looks.subset(training).layout(min(latent_dim, len(training) - 1)).X
+        unused = np.zeros((len(training), data.n_bands))
+        space = BlendSpace(X, paths, tables.bands, unused, SquaredExponential())
+        search = PlaceSearch(space, roots, appearance.weight(roots))
+
+        def encode(i: int) -> Combination:
+            target = roots_at([data.materials[i]], appearance.pairs)
+            x, colours = search.find(target, tables.bands)
+            spread = np.zeros((data.n_bands, data.n_materials * B))
+            spread[:, rows] = space.weights(x, colours)
+            return Combination(CubeRoot(), spread, tables.bands)
+
+        return encode
+
+    return fit

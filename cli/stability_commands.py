@@ -35,8 +35,9 @@ def stability(
 ) -> None:
     """Try a catalogue of failure modes on built-in plastics whose truth is known: minutes in all.
 
-    Unsaid: the largest error about which nothing was said; above its limit it is silently wrong, a defect of this
-    program, and the exit status is 1. Fine, warned and refused are in order of severity.
+    Undetected: the largest error about which nothing was said; above its limit it is silently wrong. A false alarm is a
+    warning or a refusal where the inputs are harmless. Both are defects of this program: then the exit status is 1.
+    Fine, warned and refused are in order of severity.
     """
     from manifold.experiments.stability import advice_page
     from manifold.experiments.stability.catalogue import MODES
@@ -48,5 +49,5 @@ def stability(
     results.table(advice_page.COLUMNS, advice_page.table(made))
     results.text(advice_page.summary(made) + "\n")
     results.document(made.to_json(MODES))
-    if made.wrong:
+    if made.wrong or made.false_alarms:
         raise typer.Exit(1)

@@ -97,7 +97,7 @@ def adam(
             return dr.mean(weight * dr.square(mi.luminance(difference)))
         return dr.mean(weight * dr.mean(dr.square(difference)))
 
-    converged = _stage(mi, dr, scene, keys, shared, lambda: loss(True), options)
+    converged = not shared or _stage(mi, dr, scene, keys, shared, lambda: loss(True), options)
     for o in colours:
         scene[keys[o.name]] = mi.Color3f(0.5)
     scene.update()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +70,8 @@ def is_as_good(cost: float, best: float, variance: float, n_parameters: int) -> 
     return cost - best <= variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
 
 
-def cost_after_a_step(layout: Layout, p: Array, residual: Array, J: Array) -> float:
-    """Sum of squared residuals that one Gauss-Newton step promises, no longer than a tenth of any range.
+def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
+    """The step (K,) of one Gauss-Newton iteration, no longer than a tenth of any range, and the cost it promises.
 
     Args:
         layout: of the K values.
@@ -81,8 +82,20 @@ def cost_after_a_step(layout: Layout, p: Array, residual: Array, J: Array) -> fl
     span = layout.maximum - layout.minimum
     room = np.array([layout.minimum - p, layout.maximum - p]) / span
     low, high = np.clip(room, -_STEP, _STEP)
-    bounds = (low - 1e-9, high + 1e-9)  # a value at an end needs some room too
-    return 2.0 * float(lsq_linear(J * span, -residual, bounds).cost)
+    found = lsq_linear(
+        J * span, -residual, (low - 1e-9, high + 1e-9)
+    )  # a value at an end needs some room too
+    return found.x * span, 2.0 * float(found.cost)
+
+
+def is_different(
+    layout: Layout, p: Array, other: Array, statements: Sequence[ParameterIdentifiability]
+) -> bool:
+    """Whether other values (K,) differ from p in one that the samples determine at all, beyond error and tolerance."""
+    error = np.array([s.standard_error for s in statements])
+    is_seen = np.array([s.state != UNSEEN for s in statements])
+    apart = np.abs(other - p) > 2.0 * np.maximum(error, layout.tolerance)
+    return bool(np.any(apart & is_seen))
 
 
 def identify_parameters(

@@ -236,7 +236,10 @@ def _result(
     as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
     statements = identifiability.identify_parameters(layout, best.p, J, variance, others)
-    is_minimum = is_as_good(best.cost, identifiability.cost_after_a_step(layout, best.p, residual, J))
+    n_different = sum(identifiability.is_different(layout, best.p, p, statements) for p in others)
+    step, cost = identifiability.gauss_newton_step(layout, best.p, residual, J)
+    most = int(np.argmax(np.abs(step) / layout.tolerance))
+    is_minimum = is_as_good(best.cost, cost) or np.abs(step[most]) <= layout.tolerance[most]
     norm = fit_metrics.norm(rgb, metric)
     diffuse = np.sqrt(fit_metrics.best_diffuse(rgb, metric)[1]) / norm
     values = layout.split(best.p)
@@ -254,8 +257,12 @@ def _result(
         ),
         statements=statements,
         notes=tuple(
-            _notes(family, values, statements, len(others), residuals[metric.name], float(diffuse))
-            + [f"no minimum of the {metric.name} residual: gauss-newton would improve it"] * (not is_minimum)
+            _notes(family, values, statements, n_different, residuals[metric.name], float(diffuse))
+            + [
+                f"not a minimum of the {metric.name} residual: a Gauss-Newton step moves "
+                f"{layout.labels[most]} by {step[most]:+.3f}; use --method gauss-newton"
+            ]
+            * (not is_minimum)
         ),
         n_pairs=len(samples),
         variant=backend.mitsuba(colour="rgb").variant(),

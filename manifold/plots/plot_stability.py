@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
+from manifold.experiments.stability.advice_page import FALSE_ALARM
 from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 from manifold.plots.figures import new_figure
 
@@ -19,7 +20,7 @@ _PANEL = (3.5, 2.75)  # inches
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _MARKERS = {FINE: "o", WARNED: "^", REFUSED: "X", WRONG: "P"}
-_WRONG_COLOUR = "#d55e00"
+_DEFECT_COLOUR = "#d55e00"
 _LEAST = 1e-3  # of the limit: smaller errors are drawn here
 
 
@@ -35,7 +36,7 @@ def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
     figure.supylabel("error over its limit", fontsize=11)
-    figure.legend(handles=_key(), loc="outside upper center", ncols=5, fontsize=10, frameon=False)
+    figure.legend(handles=_key(made), loc="outside upper center", ncols=6, fontsize=10, frameon=False)
     return figure
 
 
@@ -43,15 +44,17 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     places = np.arange(len(mode.severities))  # in steps: many severities are no numbers to scale
     for k, row in enumerate(rows):
         colour, dash = _COLOURS[k % len(_COLOURS)], _DASHES[k % len(_DASHES)]
-        heights = np.array([_height(one.error, mode.threshold) for one in row.tried])
+        heights = np.array([_height(one.error, row.limit) for one in row.results])
         shift = 0.06 * (k - 0.5 * (len(rows) - 1))  # lines that coincide stay apart
         axes.plot(places + shift, heights, color=colour, linestyle=dash, linewidth=1.4, label=row.method)
-        for place, height, one in zip(places + shift, heights, row.tried, strict=True):
+        for place, height, one in zip(places + shift, heights, row.results, strict=True):
             at = height if np.isfinite(height) else 1.0  # what was refused has no error
-            is_wrong, is_warned = one.outcome == WRONG, one.outcome == WARNED
+            is_false_alarm = row.is_false_alarm and one is row.results[0]
+            is_defect, is_warned = one.outcome == WRONG or is_false_alarm, one.outcome == WARNED
             axes.plot(
-                place, at, _MARKERS[one.outcome], color=_WRONG_COLOUR if is_wrong else colour,
-                markersize=10 if is_wrong else 6.5, markeredgecolor=colour if is_warned else "black",
+                place, at, _MARKERS[one.outcome], color=_DEFECT_COLOUR if is_defect else colour,
+                markersize=10 if is_defect else 6.5,
+                markeredgecolor=_DEFECT_COLOUR if is_false_alarm else colour if is_warned else "black",
                 markeredgewidth=1.5 if is_warned else 0.6, markerfacecolor="white" if is_warned else None, zorder=3,
             )  # fmt: skip
     axes.axhline(1.0, color="black", linewidth=1.0)
@@ -63,7 +66,7 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     axes.set_xlim(-0.4, len(places) - 0.6)
     axes.set_xticks(places, [f"{s:.3g}" for s in mode.severities], fontsize=8)
     axes.tick_params(axis="y", labelsize=8)
-    axes.set_title(f"{mode.key}\nlimit {mode.threshold:g}", fontsize=9.5)
+    axes.set_title(f"{mode.key}\nlimit {mode.limit.value:g}", fontsize=9.5)
     axes.set_xlabel(_broken(mode.severity), fontsize=8.5)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.legend(
@@ -71,13 +74,13 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     )
 
 
-def _height(error: float | None, threshold: float) -> float:
+def _height(error: float | None, limit: float) -> float:
     """Error over its limit, within what is drawn; NaN where there is no error. Of a limit of 0, all or nothing."""
     if error is None:
         return float("nan")
-    if threshold == 0.0:
+    if limit == 0.0:
         return _LEAST if error == 0.0 else 1.0 / _LEAST
-    return float(np.clip(error / threshold, _LEAST, 1.0 / _LEAST)) if np.isfinite(error) else 1.0 / _LEAST
+    return float(np.clip(error / limit, _LEAST, 1.0 / _LEAST)) if np.isfinite(error) else 1.0 / _LEAST
 
 
 def _broken(text: str) -> str:
@@ -85,14 +88,23 @@ def _broken(text: str) -> str:
     return text if len(text) <= 46 else text[:44] + ".."
 
 
-def _key() -> list[Line2D]:
-    """What the markers stand for."""
+def _key(made: Stability) -> list[Line2D]:
+    """What the markers stand for, and how many trials there are of each."""
+    outcomes = [one.outcome for row in made.rows for one in row.results]
     handles = [
-        Line2D(
-            [], [], linestyle="none", marker=marker, markersize=8, markeredgecolor="black",
-            markerfacecolor="white" if outcome == WARNED else _WRONG_COLOUR if outcome == WRONG else "0.6",
-            label=outcome,
+        _handle(
+            marker, "black", "white" if outcome == WARNED else _DEFECT_COLOUR if outcome == WRONG else "0.6",
+            f"{outcome} ({outcomes.count(outcome)})",
         )
         for outcome, marker in _MARKERS.items()
     ]  # fmt: skip
-    return [*handles, Line2D([], [], color="black", linewidth=1.0, label="limit")]
+    false_alarm = _handle(
+        _MARKERS[WARNED], _DEFECT_COLOUR, "white", f"{FALSE_ALARM} ({len(made.false_alarms)})"
+    )
+    return [*handles, false_alarm, Line2D([], [], color="black", linewidth=1.0, label="limit")]
+
+
+def _handle(marker: str, edge: str, face: str, label: str) -> Line2D:
+    return Line2D(
+        [], [], linestyle="none", marker=marker, markersize=8, markeredgecolor=edge, markerfacecolor=face, label=label
+    )  # fmt: skip

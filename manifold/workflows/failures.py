@@ -8,7 +8,7 @@ from pathlib import Path
 from manifold import atomic
 from manifold.experiments.stability import advice_page
 from manifold.experiments.stability.catalogue import MODES
-from manifold.experiments.stability.trials import Stability, chosen, try_modes
+from manifold.experiments.stability.trials import Stability, run_modes, select_modes
 from manifold.plots import figures, plot_stability
 from manifold.records import Progress
 
@@ -29,12 +29,12 @@ def stability(
     Raises:
         UsageError: a name is unknown, or a file cannot be written.
     """
-    modes = chosen(MODES, only)
+    modes = select_modes(MODES, only)
     if picture is not None:
         figures.require_writable(picture)
     if page is not None:
         atomic.require_writable(page)
-    made = try_modes(modes, on_progress)
+    made = run_modes(modes, on_progress)
     if picture is not None:
         figures.save(plot_stability.panels(made, modes), picture)
     if page is not None:

@@ -1,4 +1,4 @@
 from .catalogue import MODES
-from .trials import Stability, try_modes
+from .trials import Stability, run_modes
 
-__all__ = ["MODES", "Stability", "try_modes"]
+__all__ = ["MODES", "Stability", "run_modes"]

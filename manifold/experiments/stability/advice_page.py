@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import tempfile
 from collections.abc import Sequence
 
 from manifold.experiments.stability.trials import OUTCOMES, WRONG, Mode, Row, Stability
 
-COLUMNS = ("failure mode", "method", "unsaid", "limit", "outcome")
-_MODE_WIDTH, _METHOD_WIDTH = 23, 16
+COLUMNS = ("failure mode", "method", "undetected", "limit", "outcome")
+_MODE_WIDTH, _METHOD_WIDTH = 21, 15
+FALSE_ALARM = "false alarm"
 
 
 def table(made: Stability) -> list[list[str]]:
@@ -23,8 +25,8 @@ def table(made: Stability) -> list[list[str]]:
             [
                 _short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
                 _short(row.method, _METHOD_WIDTH),
-                _number(row.unsaid_error),
-                f"{row.threshold:g}",
+                _number(row.undetected_error),
+                f"{row.limit:g}",
                 outcomes(row),
             ]
         )
@@ -33,18 +35,23 @@ def table(made: Stability) -> list[list[str]]:
 
 
 def outcomes(row: Row) -> str:
-    """What happened from harmless to severe, each outcome once: *fine, warned*; the one that counts where wrong."""
+    """What happened from harmless to severe, each outcome once: *fine, warned*; the defect where there is one."""
     if row.is_wrong:
         return WRONG
-    return ", ".join(dict.fromkeys(one.outcome for one in row.tried))
+    if row.is_false_alarm:
+        return FALSE_ALARM
+    return ", ".join(dict.fromkeys(one.outcome for one in row.results))
 
 
 def summary(made: Stability) -> str:
     """How many trials ended how, in one line."""
-    trials = [one.outcome for row in made.rows for one in row.tried]
+    trials = [one.outcome for row in made.rows for one in row.results]
     modes = len({row.mode for row in made.rows})
     counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)
-    return f"{modes} failure modes, {len(trials)} trials: {counts}"
+    return (
+        f"{modes} failure modes, {len(trials)} trials: {counts}; {len(made.false_alarms)} false alarms in "
+        f"{len(made.rows)} rows, {made.early_warnings} early warnings"
+    )
 
 
 def markdown(made: Stability, modes: Sequence[Mode]) -> str:
@@ -57,8 +64,9 @@ def markdown(made: Stability, modes: Sequence[Mode]) -> str:
         "",
         "Every failure mode is made worse step by step. A trial is *fine* where its number stays below the limit, "
         "*warned* where the package spoke up of its own accord, *refused* where it ended with a clear error, and "
-        "*silently wrong* where neither happened: a defect, which fails the tests. "
-        "*Unsaid* is the largest number about which nothing was said.",
+        "*silently wrong* where neither happened. A warning or a refusal at the first severity, which is harmless, is "
+        "a *false alarm*. Both are defects, which fail the tests. A warning below the limit at a later severity is an "
+        "*early warning*. *Undetected* is the largest number about which nothing was said.",
         "",
         "![Error against severity of every failure mode](images/stability.png)",
         "",
@@ -75,27 +83,29 @@ def _chapter(mode: Mode, rows: Sequence[Row]) -> list[str]:
     lines = [
         f"## {mode.key}",
         "",
-        f"{_sentence(mode.concerns)} Number: {mode.number}; limit {mode.threshold:g}. "
-        f"Severity: {mode.severity} ({', '.join(f'{s:g}' for s in mode.severities)}).",
+        f"{_sentence(mode.concerns)} Severity: {mode.severity} ({', '.join(f'{s:g}' for s in mode.severities)}).",
+        "",
+        f"Number: {mode.limit.quantity}; limit {mode.limit.value:g}: {_cell(mode.limit.reason)}.",
         "",
         f"**What to do.** {_sentence(mode.advice)}",
         "",
-        "| method | unsaid | what happened | what is said |",
+        "| method | undetected | what happened | what is said |",
         "|---|---|---|---|",
     ]
     for row in rows:
-        said = next((one.said for one in row.tried if one.said), "")
-        lines.append(f"| {row.method} | {_number(row.unsaid_error)} | {_by_severity(row)} | {_cell(said)} |")
+        message = next((one.message for one in row.results if one.message), "")
+        lines.append(
+            f"| {row.method} | {_number(row.undetected_error)} | {_by_severity(row)} | {_cell(message)} |"
+        )
     return [*lines, ""]
 
 
 def _by_severity(row: Row) -> str:
     """Outcomes with the severity that each begins at: *fine; warned from 0.1*."""
-    parts: list[str] = []
-    for before, one in zip((None, *row.tried), row.tried, strict=False):
-        if before is None:
-            parts.append(one.outcome)
-        elif before.outcome != one.outcome:
+    first = row.results[0].outcome
+    parts = [f"{first} ({FALSE_ALARM})" if row.is_false_alarm else first]
+    for before, one in itertools.pairwise(row.results):
+        if before.outcome != one.outcome:
             parts.append(f"{one.outcome} from {one.severity:g}")
     return "; ".join(parts)
 

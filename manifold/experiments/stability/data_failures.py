@@ -13,8 +13,9 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
-from manifold.experiments.stability.bench import ALPHAS, COLOURS, MIDDLE, Bench, named, plastic, predict
-from manifold.experiments.stability.trials import Found, Mode
+from manifold.experiments.stability.limits import SAME_RESULT
+from manifold.experiments.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, named, plastic, predict
+from manifold.experiments.stability.trials import Limit, Measurement, Mode
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.metrics import relative_error
@@ -23,11 +24,11 @@ from manifold.model.located import locate
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile
 
-# A file of the usual resolution is itself some 9 % off between its nodes: a change of that size is no worse than the
-# choice of another instrument.
-_AS_A_FILE = 0.1
-# A tenth of the light is a step of 2 (at mid grey) to 4 (at white) in CIELAB lightness: seen beside the truth only.
-_LIGHT = 0.1
+_AS_A_FILE = Limit(
+    "relative difference to the result of whole files (of the roughness for the fit)",
+    0.1,
+    "a file of the usual resolution is itself some 9 % off between its nodes: no worse than another instrument",
+)
 
 _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
 
@@ -71,79 +72,78 @@ def _masked(file: BsdfFile, share: float) -> BsdfFile:
     return _times(_marked(file, lost, (3, 1)), lost, 0.5)
 
 
-def middle_of_family(bench: Bench) -> list[BsdfFile]:
+def middle_of_family(bed: TestBed) -> list[BsdfFile]:
     """The six members of the family whose roughness is not an extreme one."""
     return [
-        bench.file(alpha, COLOURS[k], named(alpha, k)) for alpha in ALPHAS[1:3] for k in range(len(COLOURS))
+        bed.file(alpha, COLOURS[k], named(alpha, k)) for alpha in ALPHAS[1:3] for k in range(len(COLOURS))
     ]
 
 
-def _whole(bench: Bench) -> Manifold:
+def _whole(bed: TestBed) -> Manifold:
     """The manifold of the six."""
-    return bench.once("six", lambda: bench.fit(middle_of_family(bench), "material"))
+    return bed.once("six", lambda: bed.fit(middle_of_family(bed), "material"))
 
 
-def _spoilt(bench: Bench, spoil: Spoil, severity: float) -> Manifold:
+def _spoilt(bed: TestBed, spoil: Spoil, severity: float) -> Manifold:
     """The manifold of the six, every file spoilt."""
     key = ("six", spoil.__name__, severity)
-    return bench.once(
-        key, lambda: bench.fit([spoil(file, severity) for file in middle_of_family(bench)], "material")
+    return bed.once(
+        key, lambda: bed.fit([spoil(file, severity) for file in middle_of_family(bed)], "material")
     )
 
 
-def _predicted(spoil: Spoil, t: float) -> Callable[[Bench, float], Found]:
+def _predicted(spoil: Spoil, t: float) -> Callable[[TestBed, float], Measurement]:
     """On the line between two materials of a library of spoilt files, beside the same of whole files."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        model = _spoilt(bench, spoil, severity)
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        model = _spoilt(bed, spoil, severity)
         x = model.between(*_PAIR, t)
         with tempfile.TemporaryDirectory() as folder:
             made = predicted_file.predict(
                 model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6
             )
-        whole = _whole(bench).interpolate(*_PAIR, t)
-        return Found(bench.error(model.predict(x), whole), made.diagnostics)
+        whole = _whole(bed).interpolate(*_PAIR, t)
+        return Measurement(bed.error(model.predict(x), whole), made.diagnostics)
 
     return trial
 
 
-def _embedded(spoil: Spoil) -> Callable[[Bench, float], Found]:
+def _embedded(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
     """A spoilt file embedded in a whole library, beside the same file whole."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        model, file = _whole(bench), bench.file(MIDDLE)
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        model, file = _whole(bed), bed.file(MIDDLE)
         with tempfile.TemporaryDirectory() as folder:
             model.save(Path(folder, "model.h5"))
             write_bsdf(Path(folder, "spoilt_rgb.bsdf"), spoil(file, severity))
             found = locate(Path(folder, "model.h5"), Path(folder, "spoilt_rgb.bsdf"))
-        whole = bench.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
+        whole = bed.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
         there = model.predict(np.array(found.latent))
-        return Found(bench.error(there, model.predict(whole)), found.diagnostics)
+        return Measurement(bed.error(there, model.predict(whole)), found.diagnostics)
 
     return trial
 
 
-def _fitted(spoil: Spoil) -> Callable[[Bench, float], Found]:
+def _fitted(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
     """Roughness of a Principled BSDF fitted to a spoilt file, beside the same file whole, as a ratio less 1."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        file = bench.file(MIDDLE)
-        whole = bench.once("fitted", lambda: fit_bsdf(file))
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        file = bed.file(MIDDLE)
+        whole = bed.once("fitted", lambda: fit_bsdf(file))
         found = fit_bsdf(spoil(file, severity))
         ratio = float(np.asarray(found.values["roughness"]) / np.asarray(whole.values["roughness"]))
-        return Found(abs(ratio - 1.0))
+        return Measurement(abs(ratio - 1.0))
 
     return trial
 
 
-def _unmeasured(key: str, concerns: str, severity: str, spoil: Spoil, advice: str) -> Mode:
+def _unmeasured(key: str, concerns: str, spoil: Spoil, advice: str) -> Mode:
     return Mode(
         key=key,
         concerns=concerns,
-        severity=severity,
+        severity="share of the measured cells",
         severities=(0.0, 0.1, 0.3),
-        number="relative difference to the result of whole files (of the roughness for the fit)",
-        threshold=_AS_A_FILE,
+        limit=_AS_A_FILE,
         methods={
             "prediction between materials": _predicted(spoil, 0.5),
             "prediction at a material": _predicted(spoil, 0.0),
@@ -162,15 +162,15 @@ def _albedo_error(found: BRDF, truth: BRDF, theta_i: float) -> float:
     return float(np.max(np.abs(measure @ found.eval_cos(wi, wo) / is_light - 1.0)))
 
 
-def _grazing_file(bench: Bench, degrees: float) -> Found:
-    return Found(_albedo_error(MeasuredBRDF(bench.file(MIDDLE)), plastic(MIDDLE), np.deg2rad(degrees)))
+def _grazing_file(bed: TestBed, degrees: float) -> Measurement:
+    return Measurement(_albedo_error(MeasuredBRDF(bed.file(MIDDLE)), plastic(MIDDLE), np.deg2rad(degrees)))
 
 
-def _grazing_prediction(bench: Bench, degrees: float) -> Found:
-    model = _whole(bench)
+def _grazing_prediction(bed: TestBed, degrees: float) -> Measurement:
+    model = _whole(bed)
     truth = plastic(MIDDLE, COLOURS[1])
-    there, said = predict(model, model.between(*_PAIR, 0.5))
-    return Found(_albedo_error(there, truth, np.deg2rad(degrees)), said)
+    there, messages = predict(model, model.between(*_PAIR, 0.5))
+    return Measurement(_albedo_error(there, truth, np.deg2rad(degrees)), messages)
 
 
 def _lobe_error(found: BRDF, truth: BRDF) -> float:
@@ -183,8 +183,8 @@ def _lobe_error(found: BRDF, truth: BRDF) -> float:
     return max(errors)
 
 
-def _sharp_file(bench: Bench, alpha: float) -> Found:
-    return Found(_lobe_error(MeasuredBRDF(bench.file(alpha)), plastic(alpha)))
+def _sharp_file(bed: TestBed, alpha: float) -> Measurement:
+    return Measurement(_lobe_error(MeasuredBRDF(bed.file(alpha)), plastic(alpha)))
 
 
 def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
@@ -195,13 +195,13 @@ def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
     return goniometer.measure(plastic(float(alpha), COLOURS[int(colour)]), file.name, resolution=int(nodes))
 
 
-def _misread_mask(bench: Bench, share: float) -> Found:
+def _misread_mask(bed: TestBed, share: float) -> Measurement:
     """Files of both meanings of the bits: the largest share of cells that are read the wrong way round."""
-    file = bench.file(MIDDLE)
+    file = bed.file(MIDDLE)
     lost = lost_cells(file, share)
     known = file.measured_mask & ~lost
     misread = [np.mean(_marked(file, lost, version).measured_mask != known) for version in ((3, 1), (3, 2))]
-    return Found(float(max(misread)))
+    return Measurement(float(max(misread)))
 
 
 def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
@@ -215,14 +215,12 @@ MODES: tuple[Mode, ...] = (
     _unmeasured(
         "exact_zeros",
         "cells that were lost and hold zeros, though they count as measured",
-        "share of the measured cells",
         _zeroed,
         "Look at `manifold info FILE` before importing; measure again what has large unmeasured areas.",
     ),
     _unmeasured(
         "masked_cells",
         "cells that are marked as not measured and hold half of their value",
-        "share of the measured cells",
         _masked,
         "Keep the mask of the instrument in the file: marked cells are closed from their rims.",
     ),
@@ -231,8 +229,12 @@ MODES: tuple[Mode, ...] = (
         concerns="incidence near the horizon, where files interpolate towards 90 degrees",
         severity="incidence in degrees",
         severities=(60.0, 75.0, 80.0, 85.0, 87.0),
-        number="relative error of the directional albedo",
-        threshold=_LIGHT,
+        limit=Limit(
+            "relative error of the directional albedo",
+            0.1,
+            "a tenth of the light is a step of 2 (at mid grey) to 4 (at white) in CIELAB lightness: seen beside the "
+            "truth only",
+        ),
         methods={"file": _grazing_file, "prediction": _grazing_prediction},
         advice="Beyond 87 degrees trust silhouettes less, or measure more elevations.",
     ),
@@ -241,9 +243,11 @@ MODES: tuple[Mode, ...] = (
         concerns="nearly mirror-like materials on an outgoing grid of 32 x 32",
         severity="GGX roughness alpha",
         severities=(0.2, 0.05, 0.02, 0.01),
-        number="relative error over the lobe, the worst of 0, 30 and 60 degrees",
-        # A lobe that is off by less keeps the shape of its highlight; polished metals differ by more from each other.
-        threshold=0.2,
+        limit=Limit(
+            "relative error over the lobe, the worst of 0, 30 and 60 degrees",
+            0.2,
+            "chosen after the results were known: the highlight keeps its shape, and polished metals differ by more",
+        ),
         methods={"file": _sharp_file},
         advice="Files carry lobes down to alpha 0.01; take more incident elevations where highlights are compared.",
     ),
@@ -252,8 +256,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a library half of whose files have a coarser outgoing grid",
         severity="nodes per axis of the coarse files",
         severities=(32.0, 16.0),
-        number="relative difference to the result of a library of 32 nodes",
-        threshold=_AS_A_FILE,
+        limit=replace(_AS_A_FILE, quantity="relative difference to the result of a library of 32 nodes"),
         methods={
             "prediction between materials": _predicted(_coarse, 0.5),
             "prediction at a material": _predicted(_coarse, 0.0),
@@ -265,8 +268,11 @@ MODES: tuple[Mode, ...] = (
         concerns="files of pipelines whose bits of `valid` mean measured, or not measured",
         severity="share of the measured cells that are marked as lost",
         severities=(0.0, 0.15, 0.3),
-        number="share of the cells that are read the wrong way round",
-        threshold=0.01,  # as many cells as real files disagree in anyway
+        limit=Limit(
+            "share of the cells that are read the wrong way round",
+            0.01,
+            "real files disagree in as many anyway",
+        ),
         methods={"mask": _misread_mask},
         advice="Leave the version of a file as its pipeline wrote it; files of all versions share a library.",
     ),
@@ -275,8 +281,10 @@ MODES: tuple[Mode, ...] = (
         concerns="values of fewer bits than single precision has (13 fewer are half precision)",
         severity="bits of the mantissa that are lost",
         severities=(1.0, 13.0),
-        number="relative difference to the result of all bits (of the roughness for the fit)",
-        threshold=0.01,  # instruments repeat themselves no better
+        limit=replace(
+            SAME_RESULT,
+            quantity="relative difference to the result of all bits (of the roughness for the fit)",
+        ),
         methods={
             "prediction between materials": _predicted(_rounded, 0.5),
             "embedding a file": _embedded(_rounded),

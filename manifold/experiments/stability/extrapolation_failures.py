@@ -7,82 +7,48 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.directions import from_spherical
-from manifold.experiments.stability.bench import ALPHAS, Bench, named, predict
-from manifold.experiments.stability.model_failures import HALF_OF_NEAREST, held_out, worst
-from manifold.experiments.stability.trials import Found, Mode, Trial
-from manifold.metrics import relative_error
+from manifold.experiments.stability.limits import BALL, HALF_OF_NEAREST
+from manifold.experiments.stability.model_failures import held_out
+from manifold.experiments.stability.testbed import ALPHAS, TestBed, named, predict
+from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array
 
-HALF_OF_VALUE = 0.5  # f depends on which end is the light by as much: more than measured materials show
-WHITE = 1.05  # measured materials reach a little above 1 too
-FEW = 0.01  # one value in a hundred
 _RAYS = 6
-_INCIDENCES_DEG = (10.0, 45.0, 70.0)  # other ones than predictions are judged by
-_DISTANCES = (0.0, 0.5, 1.0, 2.0)
-_DISTANCE = "length scales outside"
 
-_NEGATIVE, _ALBEDO, _NON_RECIPROCAL = range(3)
+Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...]]]]
+"""Predictions at a distance outside the materials, with their diagnostics."""
 
 
-def _measure(brdf: PredictedBRDF, bench: Bench) -> Array:
-    """Share of negative values, largest albedo, and relative difference of f(wi, wo) and f(wo, wi): (3,)."""
-    wi, wo = bench.pairs.wi, bench.pairs.wo
-    f, swapped = brdf.eval(wi, wo), brdf.eval(wo, wi)
-    albedo = brdf.albedo(from_spherical(np.deg2rad(_INCIDENCES_DEG), 0.0), 24)
-    apart = relative_error(f, swapped, bench.pairs.cosines)
-    return np.array([np.mean(f < 0), albedo.max(), apart])
+def _from_outermost(kind: str, mapping: str = "cube-root") -> Places:
+    """From the outermost material in each of several directions further in that direction."""
 
-
-Places = Callable[[Bench, float], Iterator[tuple[PredictedBRDF, tuple[str, ...]]]]
-"""Predictions at a distance outside the materials, with what was said about each."""
-
-
-def _on_rays(kind: str, mapping: str = "cube-root") -> Places:
-    """On rays from the centre of the materials."""
-
-    def places(bench: Bench, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
-        model = bench.model(kind, mapping)
+    def places(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
+        model = bed.model(kind, mapping)
         angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
         for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
-            yield predict(
-                model, ray * (float(np.max(model.X @ ray)) + distance * model.space.kernel.length_scale)
-            )
+            outermost = model.X[np.argmax(model.X @ ray)]
+            yield predict(model, outermost + distance * model.space.kernel.length_scale * ray)
 
     return places
 
 
-def _brighter(bench: Bench, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
+def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """At materials' own structures, in colours moved up."""
-    model = bench.model("monochrome")
+    model = bed.model("monochrome")
     for x, colours in zip(model.X[::3], model.space.colour_table()[0][::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 
-_OUTSIDE: dict[str, Places] = {
-    "material": _on_rays("material"),
-    "raw values": _on_rays("material", "identity"),
-    "monochrome": _on_rays("monochrome"),
-    "brighter": _brighter,
-}
+def _outside(places: Places) -> Trial:
+    """How far predictions are from any plastic: whatever is negative, too bright or not reciprocal is none."""
 
-
-def _outside(name: str, index: int) -> Trial:
-    """The worst prediction at a distance, by one of three measures; all are measured at once."""
-
-    def trial(bench: Bench, distance: float) -> Found:
-        seen = bench.once(
-            ("outside", name, distance),
-            lambda: [(_measure(brdf, bench), said) for brdf, said in _OUTSIDE[name](bench, distance)],
-        )
-        return worst(Found(float(measured[index]), said) for measured, said in seen)
+    def trial(bed: TestBed, distance: float) -> list[Measurement]:
+        return [
+            Measurement(bed.ball_difference_to_plastics(brdf), messages)
+            for brdf, messages in places(bed, distance)
+        ]
 
     return trial
-
-
-def _by(index: int) -> dict[str, Trial]:
-    return {name: _outside(name, index) for name in _OUTSIDE}
 
 
 def _across(ratio: float) -> tuple[str, str, float]:
@@ -92,44 +58,41 @@ def _across(ratio: float) -> tuple[str, str, float]:
     return named(smooth, 1), named(rough, 1), float(np.sqrt(smooth * rough))
 
 
-def _on_the_way(walk: Callable[[Bench, str, str, float], BRDF]) -> Trial:
+def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF]) -> Trial:
     """The best of nine places on the way from one material to another, beside the plastic halfway."""
 
-    def trial(bench: Bench, ratio: float) -> Found:
+    def trial(bed: TestBed, ratio: float) -> Measurement:
         a, b, middle = _across(ratio)
-        truth = held_out(bench, middle)
-        ends = [MeasuredBRDF(file) for file in bench.family if file.name in (a, b)]
-        nearest = min(bench.error(end, truth) for end in ends)
-        found = min(bench.error(walk(bench, a, b, float(t)), truth) for t in np.linspace(0.1, 0.9, 9))
-        return Found(found / nearest)
+        truth = held_out(bed, middle)
+        ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
+        nearest = min(bed.error(end, truth) for end in ends)
+        found = min(bed.error(walk(bed, a, b, float(t)), truth) for t in np.linspace(0.1, 0.9, 9))
+        return Measurement(found / nearest)
 
     return trial
 
 
 MODES: tuple[Mode, ...] = (
     Mode(
-        "negative_values", "predictions outside the materials", _DISTANCE, _DISTANCES,
-        "share of negative values", FEW, _by(_NEGATIVE),
-        "Stay between the materials, or let --physical cut the values.",
-    ),
-    Mode(
-        "energy_gain", "predictions outside the materials", _DISTANCE, _DISTANCES,
-        "largest albedo", WHITE, _by(_ALBEDO),
-        "Stay between the materials, or let --physical scale the prediction down.",
-    ),
-    Mode(
-        "non_reciprocity", "predictions outside the materials", _DISTANCE, _DISTANCES,
-        "difference of f(wi, wo) and f(wo, wi), relative", HALF_OF_VALUE, _by(_NON_RECIPROCAL),
-        "Stay between the materials; --physical makes a prediction reciprocal.",
+        "outside_materials", "predictions outside the materials", "length scales from the outermost material",
+        (0.0, 0.25, 0.5, 1.0, 2.0),
+        Limit("CIEDE2000 of the ball beside the nearest plastic's", BALL.value, BALL.reason),
+        {
+            "material": _outside(_from_outermost("material")),
+            "raw values": _outside(_from_outermost("material", "identity")),
+            "monochrome": _outside(_from_outermost("monochrome")),
+            "brighter": _outside(_brighter),
+        },
+        "Stay between the materials, or let --physical cut negative values, scale the albedo and make f reciprocal.",
     ),
     Mode(
         "across_classes", "walk between a smooth and a rough material", "ratio of roughness",
         (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
-        "error beside the plastic halfway, in that of the nearer end", HALF_OF_NEAREST,
+        HALF_OF_NEAREST,
         {
-            "GP, material": _on_the_way(lambda bench, a, b, t: bench.model("material").interpolate(a, b, t)),
-            "GP, monochrome": _on_the_way(lambda bench, a, b, t: bench.model("monochrome").interpolate(a, b, t)),
-            "linear": _on_the_way(lambda bench, a, b, t: bench.model("material").blend(a, b, t)),
+            "GP, material": _on_the_way(lambda bed, a, b, t: bed.model("material").interpolate(a, b, t)),
+            "GP, monochrome": _on_the_way(lambda bed, a, b, t: bed.model("monochrome").interpolate(a, b, t)),
+            "linear": _on_the_way(lambda bed, a, b, t: bed.model("material").blend(a, b, t)),
         },
         "Use `interpolate`; a linear mix of lobes far apart in width shows both of them, not one between.",
     ),

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf.measured import BRDF
+from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
-from manifold.experiments.stability.bench import Bench
-from manifold.experiments.stability.trials import Found, Mode, Trial
-from manifold.fitting.adam_and_swarm import AdamOptions
+from manifold.experiments.stability.testbed import TestBed
+from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled
 from manifold.fitting.fit_samples import FitSamples, from_brdf
@@ -27,12 +27,15 @@ from manifold.synthetic.microfacet import RoughConductor
 Pairs = tuple[Array, Array]
 
 _RGB = Bands(None)
-# The parameters reach half of the measured materials no nearer than this (docs/design/principled.md).
-_AS_MEASURED = 0.1
-_PERCEPTIBLE = 0.1  # of roughness: highlights as unlike as satin and matt
-
-# Adam's rate and window are its own; its stages are cut short so that the catalogue takes minutes, and say so.
-_OPTIONS = {"adam": AdamOptions(max_epochs=150)}
+_STEEP = 0.05  # cosine of directions that count
+_AS_MEASURED = Limit(
+    "relative error of the fitted BSDF over all directions",
+    0.1,
+    "the parameters reach half of the measured materials no nearer",
+)
+_HALF_OF_VALUES = Limit(
+    "relative error of the values, not of their cube roots", 0.5, "as much is wrong as is right"
+)
 
 _TRUTH: dict[str, Any] = {
     "base_color": [0.4, 0.3, 0.2], "metallic": 0.3, "roughness": 0.25, "specular": 0.8, "clearcoat": 0.6,
@@ -48,12 +51,21 @@ _SENSORS_DEG = (
 )  # fmt: skip
 
 
+def _pairs(grid: RusinkiewiczGrid) -> Pairs:
+    """Direction pairs all over the hemisphere, dense around the mirror direction."""
+    wi, wo, above = grid.directions()
+    keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > _STEEP)
+    return wi[keep], wo[keep]
+
+
 @cache
 def _dense() -> Pairs:
-    """Direction pairs all over the hemisphere, dense around the mirror direction."""
-    wi, wo, above = RusinkiewiczGrid(16, 10, 8).directions()
-    keep = above & (np.minimum(wi[:, 2], wo[:, 2]) > 0.05)
-    return wi[keep], wo[keep]
+    return _pairs(RusinkiewiczGrid(16, 10, 8))
+
+
+@cache
+def _denser() -> Pairs:
+    return _pairs(RusinkiewiczGrid(24, 15, 10))
 
 
 def _old_instrument() -> Pairs:
@@ -81,21 +93,19 @@ def _error(found: FitResult, values: Mapping[str, Any]) -> float:
     return relative_error(truth, _values(found.family, found.values, _dense()), np.sqrt(_dense()[0][:, 2]))
 
 
-def _said(found: FitResult, *kinds: str) -> tuple[str, ...]:
-    """What the package says of a fit: notes of some kinds, that it did not converge, and what it is not sure of."""
-    said = [note for note in found.notes if any(kind in note for kind in kinds)]
-    said += ["not converged"] * (not found.minima[0].converged)
-    return (*said, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
+def _messages(found: FitResult, *kinds: str) -> tuple[str, ...]:
+    """Notes of a fit of some kinds, that it did not converge, and every value that it is not sure of."""
+    notes = [note for note in found.notes if any(kind in note for kind in kinds)]
+    notes += ["not converged"] * (not found.minima[0].converged)
+    return (*notes, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
 
 
 def _minima(method: str) -> Trial:
-    def trial(bench: Bench, n_free: float) -> Found:
+    def trial(bed: TestBed, n_free: float) -> Measurement:
         names = PRINCIPLED_DEFAULT[: int(n_free)]
         truth = {name: _TRUTH[name] for name in names}
-        found = fit_bsdf(
-            _samples(truth, _dense()), principled(names), method=method, options=_OPTIONS.get(method)
-        )
-        return Found(_error(found, truth), _said(found, "ambiguous", "diffuse", "no minimum"))
+        found = fit_bsdf(_samples(truth, _dense()), principled(names), method=method)
+        return Measurement(_error(found, truth), _messages(found, "ambiguous", "diffuse", "not a minimum"))
 
     return trial
 
@@ -103,48 +113,50 @@ def _minima(method: str) -> Trial:
 def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
     """Error of the roughness from the directions of an old instrument, or from many."""
 
-    def trial(bench: Bench, n_pairs: float) -> Found:
-        pairs = _old_instrument() if n_pairs <= 20 else _dense()
-        found = fit_bsdf(
-            _samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05, options=_OPTIONS.get(method)
-        )
+    def trial(bed: TestBed, n_pairs: float) -> Measurement:
+        pairs = next(p for p in (_old_instrument(), _dense(), _denser()) if len(p[0]) == n_pairs)
+        found = fit_bsdf(_samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05)
         error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
-        said = [note for note in found.notes if "ambiguous" in note]
-        said += [
-            f"{s.name}: {s}" for s in found.statements if s.name == "roughness" and s.state != DETERMINED
-        ]
-        return Found(error, tuple(said))
+        unsure = [s for s in found.statements if s.name == "roughness" and s.state != DETERMINED]
+        notes = [note for note in found.notes if "ambiguous" in note]
+        return Measurement(error, (*notes, *(f"{s.name}: {s}" for s in unsure)))
 
     return trial
 
 
-def _few(bench: Bench, n_pairs: float) -> Found:
+def _few(bed: TestBed, n_pairs: float) -> Measurement:
     rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
-    found = fit_bsdf(_samples(_TRUTH, (_dense()[0][rows], _dense()[1][rows])))
-    return Found(_error(found, _TRUTH), _said(found, "ambiguous", "not determined"))
+    return _fit_to(_dense()[0][rows], _dense()[1][rows])
 
 
-def _one_incidence(bench: Bench, n_pairs: float) -> Found:
-    rng = np.random.default_rng(5)
-    wo = from_spherical(
-        np.arccos(rng.uniform(0.1, 1.0, int(n_pairs))), rng.uniform(0, 2 * np.pi, int(n_pairs))
-    )
-    wi = np.broadcast_to(from_spherical(np.deg2rad(45.0), 0.0), wo.shape)
+def _incidences(bed: TestBed, count: float) -> Measurement:
+    """All around the mirror direction of a few incidences; a single one is at 45 degrees."""
+    wi, wo = [], []
+    for degrees in np.linspace(10.0, 80.0, int(count)) if count > 1 else [45.0]:
+        incident = from_spherical(np.deg2rad(degrees), 0.0)
+        outgoing, _ = mirrored_quadrature(incident, 64, 16)
+        wo.append(outgoing[outgoing[:, 2] > _STEEP])
+        wi.append(np.broadcast_to(incident, wo[-1].shape))
+    return _fit_to(np.concatenate(wi), np.concatenate(wo))
+
+
+def _fit_to(wi: Array, wo: Array) -> Measurement:
+    """A fit to some direction pairs, judged at all."""
     found = fit_bsdf(_samples(_TRUTH, (wi, wo)))
-    return Found(_error(found, _TRUTH), _said(found, "ambiguous", "not determined"))
+    return Measurement(_error(found, _TRUTH), _messages(found, "ambiguous", "not determined"))
 
 
 def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
     """What a fit leaves over of a material that its parameters do not reach."""
 
-    def trial(bench: Bench, severity: float) -> Found:
+    def trial(bed: TestBed, severity: float) -> Measurement:
         found = fit_bsdf(from_brdf(brdf(severity)))
         ends = [
             s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
         ]
-        said = [note for note in found.notes if "diffuse" in note or "does not fit" in note]
-        said += [note for note in found.notes if "end of the range" in note and ends]
-        return Found(found.residuals[found.metric], tuple(said))
+        kinds = ("diffuse", "does not fit", *(["end of the range"] * bool(ends)))
+        notes = [note for note in found.notes if any(kind in note for kind in kinds)]
+        return Measurement(found.residuals["linear"], tuple(notes))
 
     return trial
 
@@ -165,21 +177,16 @@ def brushed(ratio: float) -> BRDF:
 def _colour(method: str) -> Trial:
     """Distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
 
-    def trial(bench: Bench, width: float) -> Found:
+    def trial(bed: TestBed, width: float) -> Measurement:
         nm = np.linspace(400.0, 700.0, 31)
         bands = Bands(tuple(nm))
         green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))
         values = {"base_color": green, "roughness": 0.6}
         family = principled(values)
         f = _values(family, values, _dense(), 31) / _dense()[1][:, 2:]
-        found = fit_bsdf(
-            FitSamples.from_arrays(*_dense(), f, bands=bands),
-            family,
-            method=method,
-            options=_OPTIONS.get(method),
-        )
+        found = fit_bsdf(FitSamples.from_arrays(*_dense(), f, bands=bands), family, method=method)
         error = np.abs(np.array(found.values["base_color"]) - to_srgb(green, bands)).max()
-        return Found(float(error), _said(found, "Rec. 709", "no minimum"))
+        return Measurement(float(error), _messages(found, "Rec. 709", "not a minimum"))
 
     return trial
 
@@ -189,9 +196,8 @@ MODES: tuple[Mode, ...] = (
         key="local_minima",
         concerns="fits of samples whose truth the parameters reach exactly",
         severity="free parameters",
-        severities=(3.0, 7.0),
-        number="relative error of the fitted BSDF over all directions",
-        threshold=_AS_MEASURED,
+        severities=(1.0, 3.0, 7.0),
+        limit=_AS_MEASURED,
         methods={method: _minima(method) for method in METHODS},
         advice="Use gauss-newton, which begins at several places and lists every minimum that it finds.",
     ),
@@ -199,34 +205,39 @@ MODES: tuple[Mode, ...] = (
         key="rough_or_smooth",
         concerns="rough black and smooth grey, seen with noise from the directions of an old instrument",
         severity="direction pairs",
-        severities=(float(len(_dense()[0])), 20.0),
-        number="error of the roughness",
-        threshold=_PERCEPTIBLE,
+        severities=tuple(float(len(pairs[0])) for pairs in (_denser(), _dense(), _old_instrument())),
+        limit=Limit("error of the roughness", 0.1, "highlights as unlike as those of satin and matt paint"),
         methods={
             "gauss-newton, rough black": _roughness("gauss-newton", _ROUGH_BLACK),
             "gauss-newton, smooth grey": _roughness("gauss-newton", _SMOOTH_GREY),
-            "adam, rough black": _roughness("adam", _ROUGH_BLACK),
             "swarm, rough black": _roughness("swarm", _ROUGH_BLACK),
         },
         advice="Measure near the mirror direction and at grazing angles; else choose among what is listed.",
     ),
     Mode(
         key="few_directions",
-        concerns="fits to a few direction pairs, or to those of one incidence",
+        concerns="fits to a few direction pairs all over the hemisphere",
         severity="direction pairs",
         severities=(400.0, 10.0, 1.0),
-        number="relative error of the fitted BSDF over all directions",
-        threshold=_AS_MEASURED,
-        methods={"all over the hemisphere": _few, "one incidence": _one_incidence},
+        limit=_AS_MEASURED,
+        methods={"gauss-newton": _few},
         advice="Read the identifiability of each parameter; fix those that the data do not determine.",
+    ),
+    Mode(
+        key="few_incidences",
+        concerns="fits to many outgoing directions of a few incidences",
+        severity="incidences",
+        severities=(8.0, 2.0, 1.0),
+        limit=_AS_MEASURED,
+        methods={"gauss-newton": _incidences},
+        advice="Measure at two incidences or more; one does not determine clearcoat and sheen.",
     ),
     Mode(
         key="mirror_fit",
         concerns="fits to metals smoother than the smoothest parameter",
         severity="GGX roughness alpha",
         severities=(0.1, 0.001, 0.0001),
-        number="relative residual of the fit",
-        threshold=_AS_MEASURED,
+        limit=_HALF_OF_VALUES,
         methods={"gauss-newton": _unreached(_mirror)},
         advice="Use a mirror, Mitsuba's `conductor`, for what is smoother than alpha 0.001.",
     ),
@@ -235,8 +246,7 @@ MODES: tuple[Mode, ...] = (
         concerns="fits of isotropic parameters to brushed metals",
         severity="ratio of the two roughnesses",
         severities=(1.0, 5.0, 10.0),
-        number="relative residual of the fit",
-        threshold=_AS_MEASURED,
+        limit=_HALF_OF_VALUES,
         methods={"gauss-newton": _unreached(brushed)},
         advice="Free `anisotropic` too (`--free`), or keep the measured file.",
     ),
@@ -245,8 +255,9 @@ MODES: tuple[Mode, ...] = (
         concerns="colours that linear sRGB has only with negative values",
         severity="width of the band of reflectance in nm",
         severities=(100.0, 15.0),
-        number="distance of the fitted colour, in linear sRGB",
-        threshold=0.02,  # a little more than the tolerance of a colour
+        limit=Limit(
+            "distance of the fitted colour, in linear sRGB", 0.02, "twice the tolerance of a colour parameter"
+        ),
         methods={method: _colour(method) for method in METHODS},
         advice="Render in spectral mode, where the fit keeps the reflectance of every band.",
     ),

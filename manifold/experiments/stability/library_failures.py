@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from manifold.errors import FileFormatError
-from manifold.experiments.stability.bench import ALPHAS, BANDS, MIDDLE, Bench, named
 from manifold.experiments.stability.data_failures import middle_of_family
-from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.experiments.stability.limits import NONE_TAKEN, SAME_RESULT
+from manifold.experiments.stability.testbed import ALPHAS, BANDS, MIDDLE, TestBed, named
+from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -25,10 +26,6 @@ from manifold.model.located import locate
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile
 
-# Instruments repeat themselves no better: damage that changes a result by less is not worth a word.
-_REPEATED = 0.01
-_NONE = 0.0  # for counts of what must not happen at all
-
 _FIRST, _SECOND = named(ALPHAS[1], 1), named(ALPHAS[2], 1)
 _FILE = "held_out_spec.bsdf"
 
@@ -37,50 +34,48 @@ Damage = Callable[[Path, float], None]
 
 
 @contextmanager
-def _copy(bench: Bench) -> Iterator[Path]:
+def _copy(bed: TestBed) -> Iterator[Path]:
     """A folder to be damaged: `library.zarr`, `model.h5` fitted to it, and a file that neither knows."""
 
     def make() -> Path:
-        model = bench.fit(middle_of_family(bench), "material")
+        model = bed.fit(middle_of_family(bed), "material")
         folder = model.library.path.parent
         model.save(folder / "model.h5")
         for path in folder.glob("*.bsdf"):
             path.unlink()
-        write_bsdf(folder / _FILE, bench.file(MIDDLE))
+        write_bsdf(folder / _FILE, bed.file(MIDDLE))
         return folder
 
     with tempfile.TemporaryDirectory() as name:
-        yield Path(shutil.copytree(bench.once("storage", make), name, dirs_exist_ok=True))
+        yield Path(shutil.copytree(bed.once("storage", make), name, dirs_exist_ok=True))
 
 
-def _values(bench: Bench, folder: Path) -> Array:
+def _values(bed: TestBed, folder: Path) -> Array:
     """What the model of a folder predicts half way between two materials."""
     return (
-        Manifold.load(folder / "model.h5")
-        .interpolate(_FIRST, _SECOND, 0.5)
-        .eval(bench.pairs.wi, bench.pairs.wo)
+        Manifold.load(folder / "model.h5").interpolate(_FIRST, _SECOND, 0.5).eval(bed.pairs.wi, bed.pairs.wo)
     )
 
 
 def _predicted(damage: Damage) -> Trial:
     """A prediction of a damaged folder beside that of the whole one."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        with _copy(bench) as folder:
-            whole = _values(bench, folder)
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        with _copy(bed) as folder:
+            whole = _values(bed, folder)
             damage(folder, severity)
-            found = _values(bench, folder)
-        return Found(relative_error(whole, found))
+            found = _values(bed, folder)
+        return Measurement(relative_error(whole, found))
 
     return trial
 
 
-def _verified(bench: Bench, bits: float) -> Found:
+def _verified(bed: TestBed, bits: float) -> Measurement:
     """Damaged materials that `manifold info --verify` does not name."""
-    with _copy(bench) as folder:
+    with _copy(bed) as folder:
         _flip_values(folder, bits)
-        said = Library.open(folder / "library.zarr").verify()
-    return Found(float(bits > 0) - len(said), tuple(said))
+        messages = Library.open(folder / "library.zarr").verify()
+    return Measurement(float(bits > 0) - len(messages), tuple(messages))
 
 
 def _flip_values(folder: Path, bits: float) -> None:
@@ -153,11 +148,11 @@ def _import(folder: Path) -> None:
 def _imported(damage: Damage) -> Trial:
     """Damaged files that an import takes."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        with _copy(bench) as folder:
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        with _copy(bed) as folder:
             damage(folder, severity)
             _import(folder)
-        return Found(float(severity > 0))
+        return Measurement(float(severity > 0))
 
     return trial
 
@@ -165,11 +160,11 @@ def _imported(damage: Damage) -> Trial:
 def _located(damage: Damage) -> Trial:
     """Damaged files that are given a place on a manifold."""
 
-    def trial(bench: Bench, severity: float) -> Found:
-        with _copy(bench) as folder:
+    def trial(bed: TestBed, severity: float) -> Measurement:
+        with _copy(bed) as folder:
             damage(folder, severity)
             found = locate(folder / "model.h5", folder / _FILE)
-        return Found(float(severity > 0), found.diagnostics)
+        return Measurement(float(severity > 0), found.diagnostics)
 
     return trial
 
@@ -203,20 +198,20 @@ def _in_other_bands(file: BsdfFile, count: float) -> BsdfFile:
     return replace(file, wavelengths_nm=wavelengths)
 
 
-def _imported_bands(bench: Bench, count: float) -> Found:
+def _imported_bands(bed: TestBed, count: float) -> Measurement:
     """Bands that an import takes for others."""
-    with _copy(bench) as folder:
-        write_bsdf(folder / _FILE, _in_other_bands(bench.file(MIDDLE), count))
+    with _copy(bed) as folder:
+        write_bsdf(folder / _FILE, _in_other_bands(bed.file(MIDDLE), count))
         _import(folder)
-    return Found(count)
+    return Measurement(count)
 
 
-def _located_bands(bench: Bench, count: float) -> Found:
+def _located_bands(bed: TestBed, count: float) -> Measurement:
     """Bands that an embedding takes for others."""
-    with _copy(bench) as folder:
-        write_bsdf(folder / _FILE, _in_other_bands(bench.file(MIDDLE), count))
+    with _copy(bed) as folder:
+        write_bsdf(folder / _FILE, _in_other_bands(bed.file(MIDDLE), count))
         found = locate(folder / "model.h5", folder / _FILE)
-    return Found(count, found.diagnostics)
+    return Measurement(count, found.diagnostics)
 
 
 MODES: tuple[Mode, ...] = (
@@ -225,8 +220,10 @@ MODES: tuple[Mode, ...] = (
         concerns="a material of a library whose stored values were changed on the disk",
         severity="bits turned over",
         severities=(0.0, 1.0, 100.0),
-        number="relative difference of the prediction; damaged materials that verification does not name",
-        threshold=_REPEATED,
+        limit=replace(
+            SAME_RESULT,
+            quantity="relative difference of the prediction; damaged materials that verification does not name",
+        ),
         methods={"prediction": _predicted(_flip_values), "verification": _verified},
         advice="Delete the material that is named and import its file again; `manifold info --verify` finds all.",
     ),
@@ -235,8 +232,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a material of a library whose stored values were cut off, or lost (1)",
         severity="share of the bytes",
         severities=(0.0, 1e-4, 0.5, 1.0),
-        number="relative difference of the prediction",
-        threshold=_REPEATED,
+        limit=SAME_RESULT,
         methods={"prediction": _predicted(_cut_values)},
         advice="Delete the material that is named and import its file again.",
     ),
@@ -245,8 +241,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a .bsdf file that was not copied to its end",
         severity="share of the bytes that is missing",
         severities=(0.0, 1e-4, 0.5, 0.999),
-        number="damaged files taken",
-        threshold=_NONE,
+        limit=NONE_TAKEN,
         methods={"import": _imported(_cut_file), "embedding a file": _located(_cut_file)},
         advice="Fetch the file again; the other files of the same import are in the library.",
     ),
@@ -255,8 +250,7 @@ MODES: tuple[Mode, ...] = (
         concerns="values in a file that are no numbers",
         severity="values",
         severities=(0.0, 1.0, 1000.0),
-        number="damaged files taken",
-        threshold=_NONE,
+        limit=NONE_TAKEN,
         methods={"import": _imported(_spoil_file), "embedding a file": _located(_spoil_file)},
         advice="Mark what was not measured in `valid` and write zeros there.",
     ),
@@ -265,8 +259,7 @@ MODES: tuple[Mode, ...] = (
         concerns="materials of a library exchanged, or removed, after a model was fitted to it",
         severity="materials",
         severities=(0.0, 1.0, 3.0),
-        number="relative difference of the prediction",
-        threshold=_REPEATED,
+        limit=SAME_RESULT,
         methods={"exchanged": _predicted(_exchange), "removed": _predicted(_remove)},
         advice="Embed again after every change of a library.",
     ),
@@ -275,8 +268,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a model file that was not copied to its end",
         severity="share of the bytes that is missing",
         severities=(0.0, 1e-4, 0.5, 0.999),
-        number="relative difference of the prediction",
-        threshold=_REPEATED,
+        limit=SAME_RESULT,
         methods={"prediction": _predicted(_cut_model)},
         advice="Embed again; a model takes seconds.",
     ),
@@ -285,8 +277,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a model file whose latents were changed on the disk",
         severity="bits turned over",
         severities=(0.0, 1.0, 6.0),
-        number="relative difference of the prediction",
-        threshold=_REPEATED,
+        limit=SAME_RESULT,
         methods={"prediction": _predicted(_flip_latents)},
         advice="Embed again; a model takes seconds.",
     ),
@@ -295,8 +286,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a model file of an older version of its format",
         severity="versions",
         severities=(0.0, 1.0, 2.0),
-        number="relative difference of the prediction",
-        threshold=_REPEATED,
+        limit=SAME_RESULT,
         methods={"prediction": _predicted(_older_model)},
         advice="Embed again with this version.",
     ),
@@ -305,8 +295,7 @@ MODES: tuple[Mode, ...] = (
         concerns="a file of other wavelengths, or of RGB (3), for a library of spectra",
         severity="bands that differ, of 3",
         severities=(0.0, 1.0, 3.0),
-        number="bands taken for others",
-        threshold=_NONE,
+        limit=Limit("bands taken for others", 0.0, "none may be"),
         methods={"import": _imported_bands, "embedding a file": _located_bands},
         advice="Keep a library per set of bands.",
     ),

@@ -6,7 +6,7 @@ measured material.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,191 +14,184 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.experiments.stability.bench import ALPHAS, COLOURS, MIDDLE, Bench, embed, in_space, predict
-from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.experiments.stability.limits import BALL, HALF_OF_NEAREST
+from manifold.experiments.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, embed, in_space, predict
+from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
 
 KINDS = ("material", "monochrome")
-# In errors of the nearest material: a manifold that does not at least halve them is not worth its fit.
-HALF_OF_NEAREST = 0.5
-HALF_OF_MATERIAL = 0.5  # relative error: as much is wrong as is right
 
 
-def held_out(bench: Bench, alpha: float = MIDDLE) -> MeasuredBRDF:
+def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
     """A measured plastic that is not in the family."""
-    return MeasuredBRDF(bench.file(alpha, COLOURS[1]))
+    return MeasuredBRDF(bed.file(alpha, COLOURS[1]))
 
 
-def in_error_of_nearest(bench: Bench, found: BRDF) -> float:
+def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
     """Error of a prediction of the held-out plastic over that of the nearest material of the family."""
-    truth = held_out(bench)
-    nearest = bench.once(
-        "error of the nearest", lambda: min(bench.error(MeasuredBRDF(file), truth) for file in bench.family)
+    truth = held_out(bed)
+    nearest = bed.once(
+        "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
     )
-    return bench.error(found, truth) / nearest
+    return bed.error(found, truth) / nearest
 
 
-def worst(found: Iterable[Found]) -> Found:
-    """The largest error about which nothing was said; the largest of all where something always was."""
-    every = sorted(found, key=lambda one: -one.error)
-    silent = [one for one in every if not one.said]
-    return (silent or every)[0]
-
-
-def _held_out_in(bench: Bench, model: Manifold) -> Found:
+def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
     """The held-out plastic, embedded in a model."""
-    truth = held_out(bench)
-    brdf, said = embed(model, truth)
-    return Found(in_error_of_nearest(bench, brdf), said)
+    truth = held_out(bed)
+    brdf, messages = embed(model, truth)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
-def _of_kinds(trial: Callable[[Bench, float, str], Found]) -> dict[str, Trial]:
+def _of_kinds(trial: Callable[[TestBed, float, str], Measurement]) -> dict[str, Trial]:
     """A trial for each kind of manifold."""
     return {kind: partial(_in_kind, trial, kind) for kind in KINDS}
 
 
-def _in_kind(trial: Callable[[Bench, float, str], Found], kind: str, bench: Bench, severity: float) -> Found:
-    return trial(bench, severity, kind)
+def _in_kind(
+    trial: Callable[[TestBed, float, str], Measurement], kind: str, bed: TestBed, severity: float
+) -> Measurement:
+    return trial(bed, severity, kind)
 
 
-def _fitted(trial: Callable[[Bench, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
+def _fitted(trial: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
     """The held-out plastic in a model of each kind, fitted to the files that a trial makes."""
-    return _of_kinds(
-        lambda bench, severity, kind: _held_out_in(bench, bench.fit(trial(bench, severity), kind))
-    )
+    return _of_kinds(lambda bed, severity, kind: _held_out_in(bed, bed.fit(trial(bed, severity), kind)))
 
 
 # -- the kernel --------------------------------------------------------------------------------------------
 
 
-def _rescaled(bench: Bench, length_scale: float, kind: str) -> Found:
+def _rescaled(bed: TestBed, length_scale: float, kind: str) -> Measurement:
     """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
-    truth, fitted = held_out(bench), bench.model(kind)
+    truth, fitted = held_out(bed), bed.model(kind)
     known = fitted.embed(truth)
     model = in_space(
         fitted, fitted.space.with_kernel(replace(fitted.space.kernel, length_scale=length_scale))
     )
-    brdf, said = predict(model, known.latent, known.colours)
-    return Found(in_error_of_nearest(bench, brdf), said)
+    brdf, messages = predict(model, known.latent, known.colours)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
-def _with_prior(bench: Bench, length_scale: float, kind: str) -> Found:
+def _with_prior(bed: TestBed, length_scale: float, kind: str) -> Measurement:
     """The held-out plastic under a length scale that the prior keeps the latents from following."""
-    return _held_out_in(bench, bench.fit(bench.family, kind, prior=1.0, length_scale=length_scale))
+    return _held_out_in(bed, bed.fit(bed.family, kind, prior=1.0, length_scale=length_scale))
 
 
-def _with_noise(bench: Bench, power: float, kind: str) -> Found:
-    return _held_out_in(bench, bench.fit(bench.family, kind, mu=10.0**-power))
+def _with_noise(bed: TestBed, power: float, kind: str) -> Measurement:
+    return _held_out_in(bed, bed.fit(bed.family, kind, mu=10.0**-power))
 
 
 # -- the library -------------------------------------------------------------------------------------------
 
 
-def _with_copies(bench: Bench, count: float) -> list[BsdfFile]:
+def _with_copies(bed: TestBed, count: float) -> list[BsdfFile]:
     """The family, and copies of one member."""
-    return [*bench.family, *(replace(bench.family[4], name=f"copy_{k}") for k in range(int(count)))]
+    return [*bed.family, *(replace(bed.family[4], name=f"copy_{k}") for k in range(int(count)))]
 
 
 def _scaled(file: BsdfFile, factor: float, name: str) -> BsdfFile:
     return replace(file, name=name, spectra=(file.spectra * factor).astype(np.float32))
 
 
-def _with_near_copy(bench: Bench, power: float) -> list[BsdfFile]:
-    return [*bench.family, _scaled(bench.family[4], 1.0 + 10.0**-power, "near_copy")]
+def _with_near_copy(bed: TestBed, power: float) -> list[BsdfFile]:
+    return [*bed.family, _scaled(bed.family[4], 1.0 + 10.0**-power, "near_copy")]
 
 
-def _with_outlier(bench: Bench, factor: float) -> list[BsdfFile]:
-    return [*bench.family, _scaled(bench.family[4], factor, "outlier")]
+def _with_outlier(bed: TestBed, factor: float) -> list[BsdfFile]:
+    return [*bed.family, _scaled(bed.family[4], factor, "outlier")]
 
 
-def _of_few(bench: Bench, left_out: float, kind: str) -> Found:
+def _of_few(bed: TestBed, left_out: float, kind: str) -> Measurement:
     # The smoothest go first: what is held out comes to lie outside.
-    files = bench.family[int(left_out) :]
-    truth, model = held_out(bench), bench.fit(files, kind, latent_dim=2 if len(files) > 2 else 1)
-    brdf, said = embed(model, truth)
-    return Found(bench.error(brdf, truth), said)
+    files = bed.family[int(left_out) :]
+    truth, model = held_out(bed), bed.fit(files, kind, latent_dim=2 if len(files) > 2 else 1)
+    brdf, messages = embed(model, truth)
+    return Measurement(bed.ball_difference(brdf, truth), messages)
 
 
-def _in_dimensions(bench: Bench, count: float, kind: str) -> Found:
-    return _held_out_in(bench, bench.fit(bench.family, kind, latent_dim=int(count)))
+def _in_dimensions(bed: TestBed, count: float, kind: str) -> Measurement:
+    return _held_out_in(bed, bed.fit(bed.family, kind, latent_dim=int(count)))
 
 
-def _sharper(bench: Bench, ratio: float, kind: str) -> Found:
+def _sharper(bed: TestBed, ratio: float, kind: str) -> Measurement:
     """A lobe sharper than any of the library, by a factor of roughness."""
-    truth = held_out(bench, ALPHAS[0] / ratio)
-    brdf, said = embed(bench.model(kind), truth)
-    return Found(bench.error(brdf, truth), said)
+    truth = held_out(bed, ALPHAS[0] / ratio)
+    brdf, messages = embed(bed.model(kind), truth)
+    return Measurement(bed.ball_difference(brdf, truth), messages)
 
 
 # -- colours -----------------------------------------------------------------------------------------------
 
 
-def _asked_for(bench: Bench, reflectance: float) -> Found:
+def _asked_for(bed: TestBed, reflectance: float) -> list[Measurement]:
     """A grey of a reflectance, asked for of every structure."""
-    model = bench.model("monochrome")
+    model = bed.model("monochrome")
     asked = np.full(model.bands.count, reflectance)
     found = []
     for x in model.X[::3]:
         colours, claimed = model.colours.of_reflectance(x, asked)
-        brdf, said = predict(model, x, colours, float(np.abs(claimed - asked).max()))
+        brdf, messages = predict(model, x, colours, float(np.abs(claimed - asked).max()))
         reached = brdf.albedo(from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0))
-        found.append(Found(float(np.abs(reached - asked).max()), said))
-    return worst(found)
+        found.append(Measurement(float(np.abs(reached - asked).max()), messages))
+    return found
 
-
-_ERROR = "error of a held-out plastic, in that of the nearest material"
 
 MODES: tuple[Mode, ...] = (
     Mode(
         "short_length_scale", "the kernel under latents that were fitted for l = 1", "length scale l",
-        (1.0, 0.3, 0.1, 0.01), _ERROR, HALF_OF_NEAREST, _of_kinds(_rescaled),
+        (1.0, 0.3, 0.1, 0.01), HALF_OF_NEAREST, _of_kinds(_rescaled),
         "Predictions between materials fall back to the mean of all: fit again with the default `length_scale`.",
     ),
     Mode(
         "long_length_scale", "fits whose prior keeps the latents near the centre", "length scale l",
-        (1.0, 100.0, 1000.0), _ERROR, HALF_OF_NEAREST, _of_kinds(_with_prior),
+        (1.0, 100.0, 1000.0), HALF_OF_NEAREST, _of_kinds(_with_prior),
         "Predictions flatten out towards the mean of all: fit again with the default `length_scale` and `prior`.",
     ),
     Mode(
-        "no_noise", "the noise filter of a fit", "-log10 mu", (3.0, 10.0, 11.0), _ERROR, HALF_OF_NEAREST,
+        "no_noise", "the noise filter of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
         _of_kinds(_with_noise),
         "Keep the default --mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
     ),
     Mode(
-        "duplicates", "copies of one material in the library", "copies", (1, 6), _ERROR, HALF_OF_NEAREST,
+        "duplicates", "copies of one material in the library", "copies", (1, 6), HALF_OF_NEAREST,
         _fitted(_with_copies),
         "Nothing needs doing: copies share a place on the map, and only cost time.",
     ),
     Mode(
         "near_duplicates", "a second measurement of a material in the library", "-log10 of the difference",
-        (1.0, 6.5), _ERROR, HALF_OF_NEAREST, _fitted(_with_near_copy),
+        (1.0, 6.5), HALF_OF_NEAREST, _fitted(_with_near_copy),
         "Nothing needs doing: measurements that hardly differ come to lie next to each other.",
     ),
     Mode(
         "outlier", "one material of the library, many times too bright", "factor", (10.0, 1000.0),
-        _ERROR, HALF_OF_NEAREST, _fitted(_with_outlier),
+        HALF_OF_NEAREST, _fitted(_with_outlier),
         "Look for a material far from all others on `manifold map`, and import the library without it.",
     ),
     Mode(
         "few_materials", "a library of the roughest materials", "materials left out of 12", (4, 8, 10, 11),
-        "relative error", HALF_OF_MATERIAL, _of_kinds(_of_few),
+        BALL, _of_kinds(_of_few),
         "Import materials on both sides of what is asked for; a handful spans no manifold.",
     ),
     Mode(
-        "many_dimensions", "latent dimensions, of 12 materials", "Q", (2, 11, 12), _ERROR,
-        HALF_OF_NEAREST, _of_kinds(_in_dimensions),
+        "many_dimensions", "latent dimensions, of 12 materials", "Q", (2, 11, 12), HALF_OF_NEAREST,
+        _of_kinds(_in_dimensions),
         "Ask for fewer dimensions than materials; 2 or 3 suffice for most libraries.",
     ),
     Mode(
         "sharper_than_library", "embedding of a lobe sharper than any measured", "times sharper",
-        (1.0, 1.5, 2.0, 10.0), "relative error", HALF_OF_MATERIAL, _of_kinds(_sharper),
+        (1.0, 1.25, 1.5, 2.0, 10.0), BALL, _of_kinds(_sharper),
         "Import materials as sharp as that one: lobes of the library cannot be added up to a sharper one.",
     ),
     Mode(
         "impossible_reflectance", "reflectance asked for that no material has", "reflectance",
-        (0.3, 0.6, 0.9, 3.0), "distance from the reflectance reached", 0.05,
+        (0.3, 0.6, 0.9, 3.0),
+        Limit(
+            "distance from the reflectance reached", 0.05,
+            "a step of 3 to 6 in CIELAB lightness between reflectances of 0.6 and 0.2",
+        ),
         {"monochrome": _asked_for},
         "Ask for a reflectance between those of the materials around; the nearest that is reached is told.",
     ),

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from manifold import dls
-from manifold.experiments.stability.bench import Bench, embed, in_space
-from manifold.experiments.stability.model_failures import HALF_OF_NEAREST, held_out, in_error_of_nearest
-from manifold.experiments.stability.trials import Found, Mode, Trial
+from manifold.experiments.stability.limits import HALF_OF_NEAREST
+from manifold.experiments.stability.model_failures import held_out, in_error_of_nearest
+from manifold.experiments.stability.testbed import TestBed, embed, in_space
+from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.gplvm import GPLVM, IncrementalObjective, LatentObjective, pca_start
 from manifold.gpr import GPWeights, centre_gram
 from manifold.mapping import mapping_named
@@ -21,29 +22,26 @@ from manifold.records import Array
 
 _MAPPING = mapping_named("cube-root")
 _SEARCHES = ("dls", "l-bfgs", "both")
-_ELSEWHERE = 0.25  # of the width of the map: a material is found in another quarter of it
-_SEEN_IN_A_FIT = 1e-3  # nats per material: what one fit is preferred to another by
 _CLOSE = 0.2  # of principal components of unit variance: K has a condition number of 1e10 and more
-_HALFWAY = 0.5  # of the way from the start to the minimum
 
 
-def _gram(bench: Bench) -> Array:
+def _gram(bed: TestBed) -> Array:
     """Inner products of the family, in the order of its models."""
-    names = [file.name for file in bench.family]
-    order = [names.index(name) for name in bench.model("material").names]
-    return bench.data.gram(_MAPPING)[np.ix_(order, order)]
+    names = [file.name for file in bed.family]
+    order = [names.index(name) for name in bed.model("material").names]
+    return bed.data.gram(_MAPPING)[np.ix_(order, order)]
 
 
-def _fit(bench: Bench, S: Array, optimizer: str, start: Array | None = None) -> GPLVM:
-    return GPLVM(2, optimizer=optimizer).fit_gram(S, bench.data.n_outputs, X0=start)
+def _fit(bed: TestBed, S: Array, optimizer: str, start: Array | None = None) -> GPLVM:
+    return GPLVM(2, optimizer=optimizer).fit_gram(S, bed.data.n_outputs, X0=start)
 
 
-def _held_out_by(bench: Bench, fitted: GPLVM) -> Found:
+def _held_out_by(bed: TestBed, fitted: GPLVM) -> Measurement:
     """The held-out plastic, embedded in a manifold with these latents of the family."""
-    truth = held_out(bench)
+    truth = held_out(bed)
     space = MaterialSpace(fitted.embedding_, fitted.gram_, fitted.n_outputs_, fitted.gp_.kernel)
-    brdf, said = embed(in_space(bench.model("material"), space), truth)
-    return Found(in_error_of_nearest(bench, brdf), said)
+    brdf, messages = embed(in_space(bed.model("material"), space), truth)
+    return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
 # -- starts and ambiguities --------------------------------------------------------------------------------
@@ -52,10 +50,10 @@ def _held_out_by(bench: Bench, fitted: GPLVM) -> Found:
 def _from_start(optimizer: str) -> Trial:
     """A fit from random latents of a standard deviation."""
 
-    def trial(bench: Bench, scale: float) -> Found:
-        S = _gram(bench)
+    def trial(bed: TestBed, scale: float) -> Measurement:
+        S = _gram(bed)
         start = scale * np.random.default_rng(0).normal(size=(len(S), 2))
-        return _held_out_by(bench, _fit(bench, S, optimizer, start))
+        return _held_out_by(bed, _fit(bed, S, optimizer, start))
 
     return trial
 
@@ -63,11 +61,11 @@ def _from_start(optimizer: str) -> Trial:
 def _rotated(optimizer: str) -> Trial:
     """A fit from principal components turned by an angle."""
 
-    def trial(bench: Bench, degrees: float) -> Found:
-        S = _gram(bench)
+    def trial(bed: TestBed, degrees: float) -> Measurement:
+        S = _gram(bed)
         c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
         start = pca_start(centre_gram(S), 2) @ np.array([[c, -s], [s, c]])
-        return _held_out_by(bench, _fit(bench, S, optimizer, start))
+        return _held_out_by(bed, _fit(bed, S, optimizer, start))
 
     return trial
 
@@ -75,14 +73,14 @@ def _rotated(optimizer: str) -> Trial:
 def _again(optimizer: str) -> Trial:
     """The same library, its materials in another order and their values changed a little: how far latents move."""
 
-    def trial(bench: Bench, change: float) -> Found:
-        S, rng = _gram(bench), np.random.default_rng(0)
-        first = bench.once(("fit", optimizer), lambda: _fit(bench, S, optimizer).embedding_)
+    def trial(bed: TestBed, change: float) -> Measurement:
+        S, rng = _gram(bed), np.random.default_rng(0)
+        first = bed.once(("fit", optimizer), lambda: _fit(bed, S, optimizer).embedding_)
         order, scale = rng.permutation(len(S)), 1.0 + change * rng.normal(size=len(S))
         other = (S * scale[:, None] * scale)[np.ix_(order, order)]
         X = np.empty_like(first)
-        X[order] = _fit(bench, other, optimizer).embedding_
-        return Found(float(np.abs(X - first).max() / np.ptp(first)))
+        X[order] = _fit(bed, other, optimizer).embedding_
+        return Measurement(float(np.abs(X - first).max() / np.ptp(first)))
 
     return trial
 
@@ -93,26 +91,26 @@ def _again(optimizer: str) -> Trial:
 def _in_precision(optimizer: str) -> Trial:
     """A fit to inner products that were rounded to fewer bits."""
 
-    def trial(bench: Bench, dropped: float) -> Found:
+    def trial(bed: TestBed, dropped: float) -> Measurement:
         dtype = {0: np.float64, 29: np.float32, 42: np.float16}[int(dropped)]
-        return _held_out_by(bench, _fit(bench, _gram(bench).astype(dtype).astype(np.float64), optimizer))
+        return _held_out_by(bed, _fit(bed, _gram(bed).astype(dtype).astype(np.float64), optimizer))
 
     return trial
 
 
-def _ill_conditioned(bench: Bench, length_scale: float) -> Found:
+def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
     """The held-out plastic from the weights of a kernel without noise filter."""
-    model, truth = bench.model("material"), held_out(bench)
-    x = bench.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
+    model, truth = bed.model("material"), held_out(bed)
+    x = bed.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
     brdf = PredictedBRDF(model.load_materials(), Combination(model.mapping, weights))
-    return Found(in_error_of_nearest(bench, brdf))
+    return Measurement(in_error_of_nearest(bed, brdf))
 
 
-def _drift(bench: Bench, moves: float) -> Found:
+def _drift(bed: TestBed, moves: float) -> Measurement:
     """F after many moves of one coordinate each, by updates and afresh, under the least noise filter."""
-    S, rng = centre_gram(_gram(bench)), np.random.default_rng(0)
-    objective = LatentObjective(S, bench.data.n_outputs, SquaredExponential(1e-10))
+    S, rng = centre_gram(_gram(bed)), np.random.default_rng(0)
+    objective = LatentObjective(S, bed.data.n_outputs, SquaredExponential(1e-10))
     start = _CLOSE * pca_start(S, 2)
     updated = IncrementalObjective(objective, start)
     for _ in range(int(moves)):  # each to near where it started, so that latents stay close
@@ -121,7 +119,7 @@ def _drift(bench: Bench, moves: float) -> Found:
         updated.try_move(index, target - updated.x[index])
         updated.commit()
     afresh = objective(updated.x.reshape(len(S), -1))[0]
-    return Found(abs(updated.value - afresh) / len(S))
+    return Measurement(abs(updated.value - afresh) / len(S))
 
 
 # -- stopping ----------------------------------------------------------------------------------------------
@@ -140,54 +138,61 @@ def _stairs(x: Array) -> float:
 def _stopped(function: Callable[[Array], float]) -> Trial:
     """How far from the minimum a search ends whose evaluations are limited, as a share of where it started."""
 
-    def trial(bench: Bench, divisor: float) -> Found:
+    def trial(bed: TestBed, divisor: float) -> Measurement:
         start = np.array([-1.2, 1.0])
         found = dls.hooke_jeeves(function, start, maxfev=int(4000 / divisor))
-        said = () if found.success else (f"not converged: {found.message}",)
+        messages = () if found.success else (f"not converged: {found.message}",)
         apart = np.linalg.norm(found.x - 1.0) / np.linalg.norm(start - 1.0)
-        return Found(float(apart), said)
+        return Measurement(float(apart), messages)
 
     return trial
 
 
-_ERROR = "error of a held-out plastic, in that of the nearest material"
-
 MODES: tuple[Mode, ...] = (
     Mode(
         "bad_starts", "fits from random latents", "their standard deviation, in length scales",
-        (0.1, 10.0, 100.0), _ERROR, HALF_OF_NEAREST, {name: _from_start(name) for name in _SEARCHES},
+        (0.1, 10.0, 100.0), HALF_OF_NEAREST, {name: _from_start(name) for name in _SEARCHES},
         "Keep the start from principal components; from afar, only the direct local search finds the way.",
     ),
     Mode(
         "rotated_start", "fits from principal components turned by an angle", "degrees", (0.0, 45.0, 180.0),
-        _ERROR, HALF_OF_NEAREST, {name: _rotated(name) for name in _SEARCHES[:2]},
+        HALF_OF_NEAREST, {name: _rotated(name) for name in _SEARCHES[:2]},
         "Nothing needs doing: predictions do not depend on how the map is turned.",
     ),
     Mode(
         "run_to_run", "a second fit, materials in another order, values rounded elsewhere", "relative change",
-        (0.0, 1e-9, 1e-6, 1e-4), "largest shift of a latent, in widths of the map", _ELSEWHERE,
+        (0.0, 1e-9, 1e-6, 1e-4),
+        Limit(
+            "largest shift of a latent, in widths of the map", 0.25,
+            "a material is found in another quarter of the map",
+        ),
         {name: _again(name) for name in _SEARCHES[:2]},
         "Compare distances, not coordinates, of maps of libraries that differ; their axes may be mirrored.",
     ),
     Mode(
-        "rounded_products", "inner products of materials in fewer bits", "bits dropped of 52", (0, 29, 42), _ERROR,
+        "rounded_products", "inner products of materials in fewer bits", "bits dropped of 52", (0, 29, 42),
         HALF_OF_NEAREST, {name: _in_precision(name) for name in _SEARCHES[:2]},
         "Single precision is enough for the data; half precision costs accuracy.",
     ),
     Mode(
         "ill_conditioned_kernel", "weights of a kernel without noise filter", "length scale l",
-        (1.0, 10.0, 1e2, 1e4, 1e7), _ERROR, HALF_OF_NEAREST, {"GP": _ill_conditioned},
+        (1.0, 10.0, 1e2, 1e4, 1e7), HALF_OF_NEAREST, {"GP": _ill_conditioned},
         "Raise mu to what the warning names; a kernel that is nearly singular loses the data's digits.",
     ),
     Mode(
         "drift_of_updates", "the objective by rank-two updates, without noise to speak of", "moves",
-        (10.0, 100.0, 1000.0), "error of the objective, nats per material", _SEEN_IN_A_FIT,
+        (10.0, 100.0, 1000.0),
+        Limit("error of the objective, nats per material", 1e-3, "less than what starts of one fit differ by"),
         {"dls": _drift},
         "Nothing needs doing: the factorisation is renewed whenever its error shows.",
     ),
     Mode(
         "stopping_rule", "a direct local search cut short", "evaluations, as a divisor of 4000",
-        (1.0, 10.0, 40.0, 400.0), "distance left to the minimum, of that at the start", _HALFWAY,
+        (1.0, 10.0, 40.0, 400.0),
+        Limit(
+            "distance left to the minimum, of that at the start", 0.5,
+            "a search that ends less than half-way has not found it; chosen after the results were known",
+        ),
         {"curved valley": _stopped(_valley), "stairs": _stopped(_stairs)},
         "Look at `success` and `message` of a result, and raise maxfev where it says so.",
     ),

@@ -1,8 +1,9 @@
 """Where methods fail, and whether they say so: trials of a catalogue of failure modes, judged by what happened.
 
 A mode makes its inputs by severity and runs every method that it concerns on them. A trial measures an error, and keeps
-what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning or a diagnostic is a
-warning. An error above the mode's threshold about which nothing was said is *silently wrong*: a defect of the package.
+what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning, a diagnostic or a note
+is a warning. An error above the mode's limit about which nothing was said is *silently wrong*; a warning or a refusal
+at the first severity, which is harmless, is a *false alarm*. Both are defects of the package.
 """
 
 from __future__ import annotations
@@ -17,27 +18,42 @@ from threadpoolctl import threadpool_limits
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
-from manifold.experiments.stability.bench import Bench
+from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a trial measured.
+class Measurement:
+    """What a trial measured of one result.
 
     Attributes:
-        error: what the mode's `number` says, at least 0; not finite where a method gave no usable number.
-        said: diagnostics and flags that came with the result.
+        error: what the mode's limit is of, at least 0; not finite where a method gave no usable number.
+        messages: diagnostics and notes that came with the result.
     """
 
     error: float
-    said: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
 
 
-Trial = Callable[[Bench, float], Found]
-"""From what the catalogue works on and a severity to what was measured; a ManifoldError is a refusal."""
+Trial = Callable[[TestBed, float], Measurement | Sequence[Measurement]]
+"""From the test bed and a severity to what was measured, of one result or of several; a ManifoldError is a refusal."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The error from which on a result is wrong.
+
+    Attributes:
+        quantity: what is measured.
+        value: the largest that is right.
+        reason: why so much, and whether it was known before the results.
+    """
+
+    quantity: str
+    value: float
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -49,8 +65,7 @@ class Mode:
         concerns: what is done to a method, in a few words.
         severity: what the severities are, with their unit.
         severities: from harmless to severe.
-        number: what is measured.
-        threshold: of the number; above it a result is wrong.
+        limit: of the error.
         methods: what is tried, by name.
         advice: what a user should do, in one sentence.
     """
@@ -59,27 +74,28 @@ class Mode:
     concerns: str
     severity: str
     severities: tuple[float, ...]
-    number: str
-    threshold: float
+    limit: Limit
     methods: Mapping[str, Trial]
     advice: str
 
 
 @dataclass(frozen=True)
-class Tried:
+class TrialResult:
     """One trial, judged.
 
     Attributes:
         severity: of the mode.
-        error: None where the method refused.
+        error: the largest; None where the method gave no result.
+        undetected_error: the largest about which nothing was said; None where something always was.
         outcome: one of `OUTCOMES`.
-        said: the first thing that was said, else empty.
+        message: the first thing that was said, else empty.
     """
 
     severity: float
     error: float | None
+    undetected_error: float | None
     outcome: str
-    said: str = ""
+    message: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,25 +105,38 @@ class Row:
     Attributes:
         mode: key of the mode.
         method: name.
-        threshold: of the mode.
-        tried: by severity.
+        limit: of the mode.
+        results: by severity.
     """
 
     mode: str
     method: str
-    threshold: float
-    tried: tuple[Tried, ...]
+    limit: float
+    results: tuple[TrialResult, ...]
 
     @property
-    def unsaid_error(self) -> float | None:
+    def undetected_error(self) -> float | None:
         """The largest error about which nothing was said; None where something always was."""
-        unsaid = [one.error for one in self.tried if one.outcome in (FINE, WRONG) and one.error is not None]
-        return max(unsaid, default=None)
+        errors = [one.undetected_error for one in self.results if one.undetected_error is not None]
+        return max(errors, default=None)
 
     @property
     def is_wrong(self) -> bool:
         """Whether any trial was silently wrong."""
-        return any(one.outcome == WRONG for one in self.tried)
+        return any(one.outcome == WRONG for one in self.results)
+
+    @property
+    def is_false_alarm(self) -> bool:
+        """Whether the harmless end was warned of, or refused."""
+        return self.results[0].outcome in (WARNED, REFUSED)
+
+    @property
+    def early_warnings(self) -> int:
+        """Trials that were warned of though every error was within the limit."""
+        return sum(
+            one.outcome == WARNED and one.error is not None and one.error <= self.limit
+            for one in self.results
+        )
 
 
 @dataclass(frozen=True)
@@ -125,26 +154,50 @@ class Stability:
         """Rows with a trial that was silently wrong."""
         return tuple(row for row in self.rows if row.is_wrong)
 
+    @property
+    def false_alarms(self) -> tuple[Row, ...]:
+        """Rows whose harmless end was warned of, or refused."""
+        return tuple(row for row in self.rows if row.is_false_alarm)
+
+    @property
+    def early_warnings(self) -> int:
+        """Trials that were warned of though their error was within the limit."""
+        return sum(row.early_warnings for row in self.rows)
+
     def to_json(self, modes: Sequence[Mode]) -> dict[str, Any]:
         """Plain values, with what the modes are; numbers that are not finite become None."""
-        rows = [asdict(row) | {"unsaid_error": _finite(row.unsaid_error)} for row in self.rows]
-        for row in rows:
-            row["tried"] = [one | {"error": _finite(one["error"])} for one in row["tried"]]
         tried = {row.mode for row in self.rows}
         return {
             "program": f"manifold {__version__}",
+            "silently_wrong": len(self.wrong),
+            "false_alarms": len(self.false_alarms),
+            "early_warnings": self.early_warnings,
             "modes": [
-                {k: v for k, v in vars(mode).items() if k != "methods"} for mode in modes if mode.key in tried
+                {k: v for k, v in vars(mode).items() if k != "methods"} | {"limit": asdict(mode.limit)}
+                for mode in modes
+                if mode.key in tried
             ],
-            "rows": rows,
+            "rows": [
+                asdict(row)
+                | {"undetected_error": _finite(row.undetected_error), "is_false_alarm": row.is_false_alarm}
+                | {"results": [_plain(one) for one in row.results]}
+                for row in self.rows
+            ],
         }
+
+
+def _plain(one: TrialResult) -> dict[str, Any]:
+    return asdict(one) | {
+        "error": _finite(one.error),
+        "undetected_error": _finite(one.undetected_error),
+    }
 
 
 def _finite(value: float | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def chosen(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:
+def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:
     """The modes named, in the order of the catalogue; all where none is.
 
     Raises:
@@ -159,7 +212,7 @@ def chosen(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]:
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 
-def try_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Stability:
+def run_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Stability:
     """Run every method of every mode at every severity.
 
     Args:
@@ -168,35 +221,39 @@ def try_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Sta
     """
     rows: list[Row] = []
     total = sum(len(mode.methods) for mode in modes)
-    with (
-        Bench() as bench,
-        threadpool_limits(1, "blas"),
-    ):  # a dozen materials: sharing out costs more than it gains
+    # A dozen materials: sharing the work among threads costs more than it gains.
+    with TestBed() as bed, threadpool_limits(1, "blas"):
         for mode in modes:
-            for method, trial in mode.methods.items():
-                tried = tuple(try_once(trial, bench, s, mode.threshold) for s in mode.severities)
-                rows.append(Row(mode.key, method, mode.threshold, tried))
+            for method in mode.methods:
+                results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
+                rows.append(Row(mode.key, method, mode.limit.value, results))
                 if on_progress is not None:
                     on_progress(len(rows), total, f"{mode.key}: {method}")
     return Stability(tuple(rows))
 
 
-def try_once(trial: Trial, bench: Bench, severity: float, threshold: float) -> Tried:
-    """Run a trial and judge it by its error and by what was said.
+def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:
+    """Run a method at a severity and judge it by its errors and by what was said.
 
     What breaks off without an error of this package is silently wrong: nobody was told what to do.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            found = trial(bench, severity)
+            found = mode.methods[method](bed, severity)
         except ManifoldError as error:
-            return Tried(severity, None, REFUSED, str(error))
+            return TrialResult(severity, None, None, REFUSED, str(error))
         except Exception as error:
-            return Tried(severity, None, WRONG, f"{type(error).__name__}: {error}")
+            return TrialResult(severity, None, None, WRONG, f"{type(error).__name__}: {error}")
+    measured = [found] if isinstance(found, Measurement) else list(found)
     ours = [str(one.message) for one in caught if one.category.__module__.startswith("manifold")]
-    said = [*ours, *found.said]
-    if said:
-        return Tried(severity, found.error, WARNED, said[0])
-    is_right = found.error <= threshold  # not for NaN
-    return Tried(severity, found.error, FINE if is_right else WRONG)
+    messages = [*ours, *(text for one in measured for text in one.messages)]
+    silent = [] if ours else [one.error for one in measured if not one.messages]
+    is_right = all(error <= mode.limit.value for error in silent)  # not for NaN
+    return TrialResult(
+        severity,
+        max(one.error for one in measured),
+        max(silent, default=None),
+        WRONG if not is_right else WARNED if messages else FINE,
+        messages[0] if messages else "",
+    )

@@ -19,6 +19,8 @@ import numpy as np
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.colour import ball_colours
+from manifold.colour.ball_colours import Ball
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -53,14 +55,16 @@ def named(alpha: float, colour: int) -> str:
     return f"plastic_{alpha:g}_{colour}"
 
 
-class Bench:
+class TestBed:
     """Libraries, models and tables, each made when first asked for; its files vanish at the end of a `with` block."""
+
+    __test__ = False  # for pytest, which takes classes of such names for tests
 
     def __init__(self) -> None:
         self._made: dict[Hashable, Any] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="manifold-stability-")
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> TestBed:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -120,12 +124,40 @@ class Bench:
         wi, wo = self.pairs.wi, self.pairs.wo
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
+    @cached_property
+    def _ball(self) -> Ball:
+        return ball_colours.ball()
+
+    def ball_difference(self, found: BRDF, truth: BRDF) -> float:
+        """Mean CIEDE2000 between the balls of two materials of the family's bands."""
+        xyz = (self._ball.xyz(brdf.eval(self._ball.wi, self._ball.wo), BANDS) for brdf in (found, truth))
+        return ball_colours.delta_e(*xyz)
+
+    @cached_property
+    def _plastics(self) -> list[tuple[Array, Array]]:
+        """Of many roughnesses, on the ball: f of the black plastic, and what a white base adds to it, (P, B) each."""
+        black_and_white = (
+            [plastic(alpha, [c] * BANDS.count).eval(self._ball.wi, self._ball.wo) for c in (0.0, 1.0)]
+            for alpha in np.geomspace(0.03, 1.2, 40)
+        )
+        return [(black, white - black) for black, white in black_and_white]
+
+    def ball_difference_to_plastics(self, found: BRDF) -> float:
+        """Mean CIEDE2000 between a material's ball and that of the nearest plastic of any roughness and colour."""
+        f, light = found.eval(self._ball.wi, self._ball.wo), self._ball.light[:, None]
+        xyz, least = self._ball.xyz(f, BANDS), np.inf
+        for black, base in self._plastics:
+            colour = np.sum(light * base * (f - black), axis=0) / np.sum(light * base**2, axis=0)
+            nearest = black + np.clip(colour, 0.0, 1.0) * base
+            least = min(least, ball_colours.delta_e(xyz, self._ball.xyz(nearest, BANDS)))
+        return least
+
 
 def embed(model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """What a manifold makes of a material it has not seen, and what it says about that."""
+    """What a manifold predicts for a material it has not seen, and its diagnostics."""
     found = model.embed(material)
-    said = diagnostics.of_embedding(found.relative_error)
-    return _predict(model, found.latent, found.colours, said)
+    brdf, messages = predict(model, found.latent, found.colours)
+    return brdf, diagnostics.of_embedding(found.relative_error) + messages
 
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:
@@ -137,13 +169,7 @@ def in_space(model: Manifold, space: LatentSpace) -> Manifold:
 def predict(
     model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
 ) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """What a manifold predicts at a latent, and what it says about that; `missed` as in `diagnostics`."""
-    return _predict(model, x, colours, (), missed)
-
-
-def _predict(
-    model: Manifold, x: Array, colours: Array | None, said: tuple[str, ...], missed: float = 0.0
-) -> tuple[PredictedBRDF, tuple[str, ...]]:
+    """What a manifold predicts at a latent, and its diagnostics; `missed` as in `diagnostics`."""
     brdf = model.predict(x, colours)
-    known = diagnostics.of_prediction(bool(model.is_extrapolation(x, colours)), plausibility(brdf), missed)
-    return brdf, said + known
+    is_extrapolation = bool(model.is_extrapolation(x, colours))
+    return brdf, diagnostics.of_prediction(is_extrapolation, plausibility(brdf), missed)

@@ -1,0 +1,24 @@
+"""Limits that several failure modes share, each with its reason."""
+
+from __future__ import annotations
+
+from manifold.experiments.stability.trials import Limit
+
+HALF_OF_NEAREST = Limit(
+    "error of a held-out plastic, as a share of the nearest material's",
+    0.5,
+    "a manifold that does not halve the error of the nearest material is not worth its fit",
+)
+BALL = Limit(
+    "CIEDE2000 of the ball beside the truth's",
+    5.0,
+    "an observer sees two different colours (Mokrzycki & Tatol 2011, Colour difference Delta E); chosen after the "
+    "results were known: with the just noticeable 2.3 (Mahy et al. 1994), lobes 1.25 to 2 times sharper than the "
+    "library would be silently wrong",
+)
+SAME_RESULT = Limit(
+    "relative difference of the prediction",
+    0.01,
+    "instruments repeat themselves no better",
+)
+NONE_TAKEN = Limit("damaged files taken", 0.0, "none may be")

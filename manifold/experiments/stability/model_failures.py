@@ -182,7 +182,13 @@ MODES: tuple[Mode, ...] = (
     ),
     Mode(
         "sharper_than_library", "embedding of a lobe sharper than any measured", "times sharper",
-        (1.0, 1.25, 1.5, 2.0, 10.0), BALL, _of_kinds(_sharper),
+        (1.0, 1.25, 1.5, 2.0, 10.0),
+        replace(
+            BALL,
+            reason=f"{BALL.reason}: by what is just noticeable, 2.3 (Mahy et al. 1994), lobes 1.25 to 2 times sharper "
+            "are silently wrong",
+        ),
+        _of_kinds(_sharper),
         "Import materials as sharp as that one: lobes of the library cannot be added up to a sharper one.",
     ),
     Mode(

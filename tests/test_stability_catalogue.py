@@ -1,0 +1,220 @@
+"""Failure modes: nothing is silently wrong and no alarm is false; without a guard something is silently wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from manifold import dls, gplvm, gpr, io_rgl
+from manifold.experiments.stability import fit_failures
+from manifold.experiments.stability.catalogue import MODES
+from manifold.experiments.stability.data_failures import lost_cells
+from manifold.experiments.stability.testbed import MIDDLE, TestBed
+from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, TrialResult, run_trial
+from manifold.fitting import fit_samples, principled
+from manifold.library import importing, store
+from manifold.model import diagnostics, model_file
+from manifold.model import manifold as model
+from manifold.model.manifold import Manifold
+from manifold.rendering import backend
+
+BY_KEY = {mode.key: mode for mode in MODES}
+ROWS = [(mode.key, method) for mode in MODES for method in mode.methods]
+SEARCHES = {"adam", "swarm"}  # their severe end takes many seconds
+LIBRARIES = {"duplicates", "near_duplicates", "outlier", "no_noise", "long_length_scale", "many_dimensions"}
+"""Modes that import a library, or fit a model, per trial: what is quick tries one of their two methods."""
+QUICK = [(key, method) for key, method in ROWS if not (key in LIBRARIES and method == "material")]
+
+
+@pytest.fixture(scope="module")
+def bed() -> Iterator[TestBed]:
+    with threadpool_limits(1, "blas"), TestBed() as made:
+        yield made
+
+
+@pytest.fixture
+def fresh_bed() -> Iterator[TestBed]:
+    """One that remembers nothing of what was said before a guard was taken away."""
+    with threadpool_limits(1, "blas"), TestBed() as made:
+        yield made
+
+
+def tried(bed: TestBed, key: str, method: str, severity: float | None = None) -> TrialResult:
+    """One trial, by default the most severe."""
+    if method == "adam" and not backend.mitsuba(colour="rgb").variant().startswith("llvm"):
+        pytest.skip("adam needs LLVM")
+    mode = BY_KEY[key]
+    return run_trial(mode, method, bed, mode.severities[-1] if severity is None else severity)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("key", "method"), ROWS)
+def test_no_severity_is_silently_wrong_and_the_first_one_is_fine(bed, key, method):
+    found = [tried(bed, key, method, severity) for severity in BY_KEY[key].severities]
+    assert [one for one in found if one.outcome == WRONG] == []
+    assert (found[0].outcome, found[0].message) == (FINE, "")
+
+
+@pytest.mark.parametrize(("key", "method"), [row for row in QUICK if row[1] not in SEARCHES])
+def test_the_severe_end_is_not_silently_wrong(bed, key, method):
+    assert tried(bed, key, method).outcome != WRONG
+
+
+@pytest.mark.parametrize(("key", "method"), QUICK)
+def test_the_harmless_end_is_no_false_alarm(bed, key, method):
+    found = tried(bed, key, method, BY_KEY[key].severities[0])
+    assert (found.outcome, found.message) == (FINE, "")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+def test_lost_cells_are_the_share_of_the_measured_ones_that_was_asked_for(bed, share):
+    file = bed.file(MIDDLE)
+    lost = lost_cells(file, share)
+    assert not np.any(lost & ~file.measured_mask)
+    assert lost.sum() / file.measured_mask.sum() == pytest.approx(share, abs=0.03)
+
+
+# -- models: a guard taken away -----------------------------------------------------------------------------
+
+
+def test_without_the_flag_of_extrapolation_a_short_length_scale_is_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "short_length_scale", "material").outcome == WARNED
+    monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
+    assert tried(bed, "short_length_scale", "material").outcome == WRONG
+
+
+def test_without_a_word_about_jitter_an_ill_conditioned_kernel_is_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "ill_conditioned_kernel", "GP").outcome == WARNED
+    monkeypatch.setattr(gpr, "warnings", SimpleNamespace(warn=lambda *_, **__: None))
+    assert tried(bed, "ill_conditioned_kernel", "GP").outcome == WRONG
+
+
+@pytest.mark.parametrize(
+    ("key", "method", "severity"),
+    [("long_length_scale", "monochrome", 1000.0), ("bad_starts", "l-bfgs", 100.0)],
+)
+def test_without_the_warning_of_fits_that_predict_little_they_are_silently_wrong(
+    bed, monkeypatch, key, method, severity
+):
+    assert tried(bed, key, method, severity).outcome == WARNED
+    monkeypatch.setattr(gpr.GPWeights, "warn_of_fit", lambda *_: None)
+    assert tried(bed, key, method, severity).outcome == WRONG
+
+
+def test_without_the_stopping_rule_a_search_cut_short_is_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "stopping_rule", "curved valley").outcome == WARNED
+    monkeypatch.setattr(dls, "OUT_OF_EVALUATIONS", dls.CONVERGED)
+    assert tried(bed, "stopping_rule", "curved valley").outcome == WRONG
+
+
+def test_without_fresh_factorisations_the_objective_is_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "drift_of_updates", "dls").outcome == FINE
+    monkeypatch.setattr(gplvm, "_DRIFT", np.inf)
+    assert tried(bed, "drift_of_updates", "dls").outcome == WRONG
+
+
+def test_without_the_diagnostic_an_impossible_reflectance_is_silently_wrong(bed, monkeypatch):
+    monkeypatch.setattr(diagnostics, "MOST_MISSED", np.inf)
+    monkeypatch.setattr(Manifold, "is_extrapolation", lambda *_: False)
+    assert tried(bed, "impossible_reflectance", "monochrome").outcome == WRONG
+
+
+def test_without_the_diagnostic_a_lobe_sharper_than_the_library_is_silently_wrong(bed, monkeypatch):
+    monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_ERROR", np.inf)
+    assert tried(bed, "sharper_than_library", "monochrome").outcome == WRONG
+
+
+def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bed, monkeypatch):
+    for name in ("MOST_NEGATIVE", "MOST_ALBEDO", "MOST_NON_RECIPROCAL"):
+        monkeypatch.setattr(diagnostics, name, np.inf)
+    assert tried(fresh_bed, "outside_materials", "raw values", 0.5).outcome == WRONG
+
+
+# -- files and libraries: a guard taken away -----------------------------------------------------------------
+
+
+def test_without_the_diagnostic_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WARNED
+    monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
+    assert tried(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WRONG
+
+
+def test_without_filling_and_diagnostic_embedded_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
+    monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
+    assert tried(bed, "exact_zeros", "embedding a file").outcome == FINE
+    monkeypatch.setattr("manifold.model.located.fill_unmeasured", lambda file, cells: file)
+    assert tried(bed, "exact_zeros", "embedding a file").outcome == WRONG
+
+
+def test_without_hashes_of_materials_turned_bits_are_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "flipped_bits", "prediction").outcome == REFUSED
+    monkeypatch.setattr(store.Library, "read", store.Library._read)
+    assert tried(bed, "flipped_bits", "prediction").outcome == WRONG
+
+
+def test_without_the_hash_of_latents_turned_bits_are_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "flipped_latents", "prediction").outcome == REFUSED
+    monkeypatch.setattr(model_file, "hash_arrays", lambda arrays: "")
+    with TestBed() as fresh:  # whose model is written without the hash
+        assert tried(fresh, "flipped_latents", "prediction").outcome == WRONG
+
+
+def test_without_the_warning_of_another_hash_exchanged_materials_are_silently_wrong(bed, monkeypatch):
+    assert tried(bed, "changed_library", "exchanged").outcome == WARNED
+    monkeypatch.setattr(model, "warnings", SimpleNamespace(warn=lambda *a, **k: None))
+    assert tried(bed, "changed_library", "exchanged").outcome == WRONG
+
+
+def test_without_the_check_of_values_files_with_nan_are_silently_wrong(bed, monkeypatch):
+    monkeypatch.setattr(io_rgl, "_check_values", lambda tensors, reader: None)
+    assert tried(bed, "not_a_number", "import").outcome == WRONG
+
+
+def test_without_the_check_of_bands_other_bands_are_silently_wrong(bed, monkeypatch):
+    monkeypatch.setattr(importing, "_require_one_grid", lambda loaded, expected, library: None)
+    assert tried(bed, "other_bands", "import", 1.0).outcome == WRONG
+
+
+# -- fits: a guard taken away --------------------------------------------------------------------------------
+
+
+def test_a_single_direction_is_refused(bed):
+    assert tried(bed, "few_directions", "gauss-newton").outcome == REFUSED
+
+
+def test_a_swarm_is_silently_wrong_where_nobody_looks_for_a_step_down(bed, monkeypatch):
+    assert tried(bed, "local_minima", "swarm", 3.0).outcome == WARNED
+    monkeypatch.setattr(
+        "manifold.fitting.identifiability.gauss_newton_step", lambda layout, p, *_: (0.0 * p, float("inf"))
+    )
+    assert tried(bed, "local_minima", "swarm", 3.0).outcome == WRONG
+
+
+def test_brushed_metal_is_not_called_diffuse_where_diffuse_fits_no_better():
+    found = principled.fit_bsdf(fit_samples.from_brdf(fit_failures.brushed(10.0)))
+    assert found.family.type == "principled"
+    assert any("does not fit" in note for note in found.notes)
+
+
+def test_smooth_grey_is_silently_wrong_where_rivals_are_not_told(bed, monkeypatch):
+    made = principled._result
+
+    def sure(*arguments, **known):
+        found = made(*arguments, **known)
+        statements = tuple(replace(s, state="determined") for s in found.statements)
+        return replace(found, statements=statements, notes=(), minima=found.minima[:1])
+
+    monkeypatch.setattr(principled, "_result", sure)
+    assert tried(bed, "rough_or_smooth", "gauss-newton, smooth grey").outcome == WRONG
+
+
+@pytest.mark.parametrize("key", ["brushed_fit", "mirror_fit"])
+def test_without_notes_metals_that_no_parameters_reach_are_silently_wrong(bed, monkeypatch, key):
+    assert tried(bed, key, "gauss-newton").outcome == WARNED
+    monkeypatch.setattr(principled, "_notes", lambda *_: [])
+    assert tried(bed, key, "gauss-newton").outcome == WRONG

@@ -107,8 +107,8 @@ def _show(results: terminal.Results, made: Budget) -> None:
     results.table(columns, rows)
     lines = []
     for one in made.chosen:
-        asked = f"{one.material}: {one.asks}; {one.reason}; noise {one.noise.rendered:.2f}, taken out"
-        lines += textwrap.wrap(asked, _WIDTH, subsequent_indent="  ")
+        words = f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, taken out"
+        lines += textwrap.wrap(words, _WIDTH, subsequent_indent="  ")
     lines.append("pred., verified: mean CIEDE2000; ms: of a million evaluations")
     lines.append(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files")
     for note in made.notes:

@@ -68,7 +68,7 @@ def chart(
         f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
         f"each material left out once, in {made.folds} folds.\n"
     )
-    for row in made.charted:
+    for row in made.rows:
         if row.warnings:
             results.text(f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}\n")
     for key, reason in made.skipped.items():
@@ -94,5 +94,5 @@ def _rows(made: Chart) -> list[list[str]]:
             f"{row.bytes / 1e6:.3g}",
             f"{row.fit.median:.3g}",
         ]
-        for row in made.charted
+        for row in made.rows
     ]

@@ -11,7 +11,7 @@ from manifold.experiments.budget.representations import FULL, Candidate
 from manifold.experiments.budget.search import Difference, Tolerance, search
 
 
-def ladder(rng, n=6):
+def some_candidates(rng, n=6):
     """Candidates of growing size whose differences fall only roughly, and the whole file."""
     true = np.sort(rng.uniform(0.05, 6.0, n))[::-1] * rng.uniform(0.5, 1.5, n)
     made = [
@@ -43,9 +43,9 @@ def total(answer):
 def test_half_the_tolerance_is_never_cheaper(rng, interreflection):
     steps = 0
     for _ in range(60):
-        ladders = {key: ladder(rng) for key in "abc"}
+        candidates = {key: some_candidates(rng) for key in "abc"}
         sizes = [
-            total(search(ladders, Tolerance(t), verify_with(interreflection)))
+            total(search(candidates, Tolerance(t), verify_with(interreflection)))
             for t in (4.0, 2.0, 1.0, 0.5, 0.25)
         ]
         assert sizes == sorted(sizes)
@@ -57,26 +57,26 @@ def test_the_answer_keeps_the_tolerance_with_all_materials_together(rng):
     verify = verify_with(0.5)
     tightened = 0
     for _ in range(60):
-        ladders = {key: ladder(rng) for key in "ab"}
-        answer = search(ladders, Tolerance(1.5), verify)
+        candidates = {key: some_candidates(rng) for key in "ab"}
+        answer = search(candidates, Tolerance(1.5), verify)
         shown = verify(answer.choice)
         assert all(found.delta_e <= 1.5 for found in shown.values())
         alone = {
             k: next(c for c in one if c.bsdf["true"] <= 1.5 and c.predicted <= 3.0)
-            for k, one in ladders.items()
+            for k, one in candidates.items()
         }
         tightened += alone != dict(answer.choice)
     assert tightened > 0
 
 
 def test_alone_the_answer_is_the_cheapest_within_the_tolerance():
-    rungs = [
+    candidates = [
         Candidate("rough", 1, {"true": 2.0}, 1.9),
         Candidate("far", 2, {"true": 0.1}, 9.0),  # predicted far away: not rendered
         Candidate("fine", 3, {"true": 0.9}, 1.1),
         Candidate(FULL, 9, {"true": 0.0}, 0.0),
     ]
-    answer = search({"a": rungs}, Tolerance(1.0), verify_with(0.0))
+    answer = search({"a": candidates}, Tolerance(1.0), verify_with(0.0))
     assert answer.choice["a"].name == "fine"
     assert set(answer.alone["a"]) == {"rough", "fine"}
 
@@ -88,29 +88,32 @@ def test_every_picture_is_rendered_once(rng):
         rendered.append(tuple(sorted((key, c.name) for key, c in choice.items())))
         return verify_with(1.0)(choice)
 
-    search({key: ladder(rng) for key in "ab"}, Tolerance(1.0), verify)
+    search({key: some_candidates(rng) for key in "ab"}, Tolerance(1.0), verify)
     assert len(rendered) == len(set(rendered))
 
 
 def test_flip_limits_too(rng):
-    ladders = {"a": ladder(rng)}
-    free = search(ladders, Tolerance(4.0), verify_with(0.0))
-    tight = search(ladders, Tolerance(4.0, flip=0.001), verify_with(0.0))
+    candidates = {"a": some_candidates(rng)}
+    free = search(candidates, Tolerance(4.0), verify_with(0.0))
+    tight = search(candidates, Tolerance(4.0, flip=0.001), verify_with(0.0))
     assert tight.together["a"].flip <= 0.001 < free.together["a"].flip
 
 
 def test_limits_of_time_leave_slow_candidates_out(rng):
-    ladders = {"a": ladder(rng)}
-    slow = ladders["a"][-1]
+    candidates = {"a": some_candidates(rng)}
+    slow = candidates["a"][-1]
     with pytest.raises(UsageError, match=r"closest is 'c\d' with .*--max-ms"):
         search(
-            ladders, Tolerance(1e-3, milliseconds=5.0), verify_with(0.0), lambda c: 9.0 if c is slow else 1.0
+            candidates,
+            Tolerance(1e-3, milliseconds=5.0),
+            verify_with(0.0),
+            lambda c: 9.0 if c is slow else 1.0,
         )
 
 
 def test_a_limit_of_bytes_that_cannot_be_kept_says_what_it_takes(rng):
     with pytest.raises(UsageError, match="takes 1000 bytes, at most 500 are wanted"):
-        search({"a": ladder(rng)}, Tolerance(1e-3, size=500), verify_with(0.0))
+        search({"a": some_candidates(rng)}, Tolerance(1e-3, size=500), verify_with(0.0))
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.experiments.chart import registry, storage_forms
-from manifold.experiments.chart.experiment import COSTS, ERRORS, Charted, cost_of, fronts, make_chart
+from manifold.experiments.chart.experiment import COSTS, ERRORS, ChartRow, cost_of, fronts, make_chart
 from manifold.experiments.chart.held_out import without_small_weights
-from manifold.experiments.chart.instruments import Timed, some_pairs
+from manifold.experiments.chart.instruments import RelativeTime, some_pairs
 from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED, settings
 from manifold.experiments.evaluation.methods import fit_nearest
 from manifold.mapping import mapping_named
@@ -36,7 +36,7 @@ def made():
 
 @pytest.fixture(scope="module")
 def rows(made):
-    return {row.key: row for row in made.charted}
+    return {row.key: row for row in made.rows}
 
 
 def test_there_are_at_least_25_settings_of_rgb_and_more_of_spectra():
@@ -46,8 +46,8 @@ def test_there_are_at_least_25_settings_of_rgb_and_more_of_spectra():
 
 def test_the_json_has_every_setting_with_finite_measures(made):
     document = json.loads(json.dumps(made.to_json(), allow_nan=False))
-    assert [row["key"] for row in document["charted"]] == [*HELD_OUT, "fit_gauss-newton"]
-    for row in document["charted"]:
+    assert [row["key"] for row in document["rows"]] == [*HELD_OUT, "fit_gauss-newton"]
+    for row in document["rows"]:
         numbers = [row[k] for k in (*ERRORS, "bytes")] + [row[k]["median"] for k in ("fit", "predict")]
         assert min(numbers) > 0, row["key"]
         assert min(row[k]["spread"] for k in ("fit", "predict")) >= 0, row["key"]
@@ -112,8 +112,8 @@ def test_the_more_bands_are_kept_the_nearer_a_spectral_file_is_to_all_of_them():
 
 
 def _row(key, error, cost, spread=0.0, *, held_out=True):
-    time = Timed(cost, spread)
-    return Charted(
+    time = RelativeTime(cost, spread)
+    return ChartRow(
         key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error, rmse=error, delta_e=error,
         fit=time, predict=time, bytes=round(100 * cost),
     )  # fmt: skip
@@ -134,7 +134,7 @@ def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
     monkeypatch.setattr(registry, "fit_nearest", warning_fit)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        nearest, linear = make_chart(FILES, ["nearest", "linear"], grid=GRID).charted
+        nearest, linear = make_chart(FILES, ["nearest", "linear"], grid=GRID).rows
     assert nearest.warnings == ("not sure",) * min(10, len(FILES))
     assert linear.warnings == ()
 
@@ -165,14 +165,14 @@ def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the
     for k, axes in enumerate(figure.axes):
         error, cost = ("delta_e", "rmse")[k % 2], list(COSTS)[k // 2]
         drawn = {line.get_gid(): line for line in axes.lines if line.get_gid()}
-        assert set(drawn) == {row.key for row in made.charted}
+        assert set(drawn) == {row.key for row in made.rows}
         names = _texts(axes)
         assert AS_PUBLISHED in names
         front = made.front(error, cost)
         assert any(front[0].title in name or "(+" in name for name in names)
         for row in front:  # on the front: filled, in the colour of the family; beaten: white inside
             assert to_rgb(drawn[row.key].get_markerfacecolor()) != (1.0, 1.0, 1.0)
-        beaten = [r.key for r in made.charted if r not in front and r.key != PUBLISHED]
+        beaten = [r.key for r in made.rows if r not in front and r.key != PUBLISHED]
         assert all(drawn[key].get_markersize() < drawn[front[0].key].get_markersize() for key in beaten)
 
 
@@ -205,15 +205,15 @@ def test_the_command_writes_table_picture_and_json(tmp_path):
     assert result.exit_code == 0, result.output
     assert "PCA 6, cube-root" in result.output
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert [row["key"] for row in json.loads(document.read_text())["charted"]] == [
+    assert [row["key"] for row in json.loads(document.read_text())["rows"]] == [
         "nearest", PUBLISHED, "pca_6_cube-root",
     ]  # fmt: skip
 
 
 def test_the_chart_of_a_model_is_that_of_its_materials(tmp_path):
     model = small_library.small_model(tmp_path)
-    by_model = charts.chart(model=model, only=["nearest"]).charted[0]
-    by_library = charts.chart(tmp_path / "library.zarr", only=["nearest"]).charted[0]
+    by_model = charts.chart(model=model, only=["nearest"]).rows[0]
+    by_library = charts.chart(tmp_path / "library.zarr", only=["nearest"]).rows[0]
     assert (by_model.rmse, by_model.delta_e, by_model.bytes) == (
         by_library.rmse, by_library.delta_e, by_library.bytes,
     )  # fmt: skip
@@ -221,8 +221,8 @@ def test_the_chart_of_a_model_is_that_of_its_materials(tmp_path):
 
 def test_the_spread_of_several_works_is_that_of_their_runs_not_that_between_them():
     steady = [np.full(5, 1.0), np.full(5, 10.0), np.full(5, 3.0)]
-    assert Timed.of_several(steady) == Timed(3.0, 0.0)
+    assert RelativeTime.of_several(steady) == RelativeTime(3.0, 0.0)
     noisy = [np.array([0.8, 0.9, 1.0, 1.1, 1.2]) * scale for scale in (1.0, 3.0, 10.0)]
-    found = Timed.of_several(noisy)
+    found = RelativeTime.of_several(noisy)
     assert found.median == pytest.approx(3.0)
     assert found.spread == pytest.approx(0.6)

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
-from manifold.experiments.chart.experiment import COSTS, Chart, Charted, cost_of
+from manifold.experiments.chart.experiment import COSTS, Chart, ChartRow, cost_of
 from manifold.experiments.chart.fits import FAMILY
 from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED
 from manifold.plots.figures import Box, new_figure
@@ -64,7 +64,7 @@ def chart(made: Chart) -> Figure:
         axis_row[1].set_xlabel(_COSTS[cost])
     for axes, (error, title) in zip(grid[0], _ERRORS.items(), strict=True):
         axes.set_title(f"{title}, median", fontsize=11)
-        _error_ticks(axes, [getattr(row, error) for row in made.charted])
+        _error_ticks(axes, [getattr(row, error) for row in made.rows])
     figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
     figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
     figure.set_layout_engine("none")
@@ -85,7 +85,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
     if front:
         x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
-    for row in made.charted:
+    for row in made.rows:
         look = LOOKS[row.family]
         size = (
             _PUBLISHED_POINTS if row.key == PUBLISHED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
@@ -118,7 +118,7 @@ def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _legend(made: Chart) -> list[Line2D]:
-    present = {row.family for row in made.charted}
+    present = {row.family for row in made.rows}
     handles = [
         Line2D([], [], linestyle="", marker=look.marker, color=look.colour, markersize=8, label=family)
         for family, look in LOOKS.items()
@@ -134,19 +134,17 @@ def _legend(made: Chart) -> list[Line2D]:
 def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> None:
     """Write the names of the front, of the published setting, and of fits, where they cover least."""
 
-    def at(row: Charted) -> tuple[float, float]:
+    def at(row: ChartRow) -> tuple[float, float]:
         return cost_of(row, cost), getattr(row, error)
 
     on = made.fronts[error][cost]
     dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
-    taken = [
-        (x - dot, y - dot, x + dot, y + dot) for x, y in axes.transData.transform([*map(at, made.charted)])
-    ]
+    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in axes.transData.transform([*map(at, made.rows)])]
     taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot)
-    named = [row for row in made.charted if row.key in on or row.key == PUBLISHED or not row.is_held_out]
-    groups: list[list[Charted]] = []
+    named = [row for row in made.rows if row.key in on or row.key == PUBLISHED or not row.is_held_out]
+    groups: list[list[ChartRow]] = []
     for row in named:  # those that are drawn on each other share a name
         pixel = axes.transData.transform(at(row))
         near = [
@@ -190,7 +188,7 @@ def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> l
     return [(x - half, y - half, x + half, y + half) for step in steps for x, y in step]
 
 
-def _title(group: Sequence[Charted]) -> str:
+def _title(group: Sequence[ChartRow]) -> str:
     """One name for settings that are drawn on each other: the first, simplest one's; fits by their methods."""
     first = group[0]
     if not first.is_held_out:

@@ -15,7 +15,7 @@ from manifold.experiments.budget.output_folder import OutputFolder
 from manifold.experiments.budget.pictures import Pictures, Times, only_errors
 from manifold.experiments.budget.representations import Candidate
 from manifold.experiments.budget.scene_document import SceneDocument, SceneMaterial
-from manifold.experiments.budget.scene_survey import Asked
+from manifold.experiments.budget.scene_survey import MaterialLighting
 from manifold.experiments.budget.search import Difference, Tolerance
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.model import predicted_file
@@ -55,7 +55,7 @@ class Chosen:
         material: its name.
         representation: in words.
         reason: why nothing cheaper.
-        asks: what the scene asks of it.
+        lighting: where and by what light the scene shows it.
         size, full_size: bytes of the answer, and of the whole file.
         numbers: how many describe it, where there is no file.
         milliseconds: for a million evaluations.
@@ -70,7 +70,7 @@ class Chosen:
     material: str
     representation: str
     reason: str
-    asks: str
+    lighting: str
     size: int
     full_size: int
     numbers: int | None
@@ -194,29 +194,31 @@ def budget_scene(
         step(1, 4, "looking at the scene")
         survey = scene_survey.survey(document, files, is_rgb, settings.size)
         step(2, 4, "representations")
-        ladders = {}
-        for k, (key, asked) in enumerate(survey.asked.items()):
+        candidates = {}
+        for k, (key, lighting) in enumerate(survey.lighting.items()):
             (folder / str(k)).mkdir()
-            ladders[key] = representations.ladder(files[key], asked, survey, folder / str(k))
+            candidates[key] = representations.candidates(files[key], lighting, survey, folder / str(k))
         step(3, 4, "rendering")
         times = Times(is_rgb)
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         unseen = tuple(
-            (material_name(path), path.stat().st_size) for key, path in files.items() if key not in ladders
+            (material_name(path), path.stat().st_size) for key, path in files.items() if key not in candidates
         )
         others = sum(size for _, size in unseen)
-        answer = search.search(ladders, tolerance, pictures.differences, times, others)
+        answer = search.search(candidates, tolerance, pictures.differences, times, others)
         noise = pictures.noise()
         chosen = tuple(
-            _chosen(material_name(files[key]), survey.asked[key], ladders[key], answer, key, noise, times)
-            for key in ladders
+            _chosen(
+                material_name(files[key]), survey.lighting[key], candidates[key], answer, key, noise, times
+            )
+            for key in candidates
         )
         if picture is not None:
             _draw(picture, pictures.beside(answer.choice), chosen, tolerance)
         assets: dict[str, Path] = {}
         if target is not None:
-            assets = _write(document, target, names, dict(zip(ladders, chosen, strict=True)))
-        chosen = tuple(_with_asset(one, assets.get(key)) for key, one in zip(ladders, chosen, strict=True))
+            assets = _write(document, target, names, dict(zip(candidates, chosen, strict=True)))
+        chosen = tuple(_with_asset(one, assets.get(key)) for key, one in zip(candidates, chosen, strict=True))
     step(4, 4, "done")
     return Budget(
         scene=document.origin,
@@ -274,17 +276,17 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 
 
 def _chosen(
-    name: str, asked: Asked, ladder: list[Candidate], answer: search.Answer, key: str,
+    name: str, lighting: MaterialLighting, candidates: list[Candidate], answer: search.Answer, key: str,
     noise: Mapping[str, Difference], times: Times,
 ) -> Chosen:  # fmt: skip
     candidate, alone = answer.choice[key], answer.alone[key]
     return Chosen(
         material=name,
         representation=candidate.name,
-        reason=_reason(ladder[: ladder.index(candidate)], alone),
-        asks=_asks(asked),
+        reason=_reason(candidates[: candidates.index(candidate)], alone),
+        lighting=_lighting_in_words(lighting),
         size=candidate.size,
-        full_size=next(c.size for c in ladder if c.is_full),
+        full_size=next(c.size for c in candidates if c.is_full),
         numbers=candidate.numbers,
         milliseconds=times(candidate),
         predicted=candidate.predicted,
@@ -299,7 +301,7 @@ def _chosen(
                 "predicted": one.predicted,
                 "verified": asdict(alone[one.name]) if one.name in alone else None,
             }
-            for one in ladder
+            for one in candidates
         ),
     )
 
@@ -316,15 +318,13 @@ def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
     return f"cheaper and closest: {best.name}, predicted {best.predicted:.1f}"
 
 
-def _asks(asked: Asked) -> str:
+def _lighting_in_words(lighting: MaterialLighting) -> str:
     """What the scene asks of a material, in words."""
-    (a, b), (c, d) = asked.angles_deg(asked.wi), asked.angles_deg(asked.wo)
-    text = (
-        f"{100 * asked.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
-    )
-    if asked.bands.is_rgb:
+    (a, b), (c, d) = lighting.angles_deg(lighting.wi), lighting.angles_deg(lighting.wo)
+    text = f"{100 * lighting.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
+    if lighting.bands.is_rgb:
         return text
-    spectrum = asked.spectrum
+    spectrum = lighting.spectrum
     effective = float(spectrum.sum() ** 2 / (spectrum**2).sum()) / len(spectrum)
     return f"{text}, by light in {100 * effective:.0f} % of the spectrum"
 

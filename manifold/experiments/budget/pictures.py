@@ -70,9 +70,9 @@ class Pictures:
         maps = [image_metrics.ciede2000_map(a, b) for a, b in zip(self._reference, other, strict=True)]
         flip = image_metrics.flip_map(self._reference[0], other[0])
         found = {}
-        for key, asked in self._survey.asked.items():
-            whole, *halves = (float(one[asked.mask].mean()) for one in maps)
-            found[key] = Difference(without_noise(whole, halves), whole, float(flip[asked.mask].mean()))
+        for key, lighting in self._survey.lighting.items():
+            whole, *halves = (float(one[lighting.mask].mean()) for one in maps)
+            found[key] = Difference(without_noise(whole, halves), whole, float(flip[lighting.mask].mean()))
         return found
 
     def differences(self, choice: Choice) -> dict[str, Difference]:

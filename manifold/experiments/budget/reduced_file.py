@@ -1,4 +1,4 @@
-"""Measured files with fewer bands or fewer angles, chosen by what a scene asks."""
+"""Measured files with fewer bands or fewer angles, chosen by where and by what light a scene shows them."""
 
 from __future__ import annotations
 

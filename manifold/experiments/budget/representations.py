@@ -1,4 +1,4 @@
-"""The ladder of representations of a measured material, from a handful of numbers to the whole file, and their cost."""
+"""Candidate representations of a measured material, from a handful of numbers to the whole file, and their cost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import interpolation_matrix, to_srgb
 from manifold.errors import UsageError
 from manifold.experiments.budget import reduced_file
-from manifold.experiments.budget.scene_survey import Asked, Survey
+from manifold.experiments.budget.scene_survey import MaterialLighting, Survey
 from manifold.fitting import fit_samples
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import principled
@@ -68,7 +68,7 @@ class _Builder:
     """What the candidates of one material share."""
 
     file: BsdfFile
-    asked: Asked
+    lighting: MaterialLighting
     survey: Survey
     folder: Path
     stem: str
@@ -76,16 +76,16 @@ class _Builder:
     _ends: tuple[Array, Array] | None = None
 
     def __post_init__(self) -> None:
-        self.rows = np.flatnonzero(self.asked.lit)
+        self.rows = np.flatnonzero(self.lighting.lit)
         self.reference = self.seen_of(self.file)
 
     # -- predicting ------------------------------------------------------------------------------------------
 
     def seen(self, evaluate: Callable[[Array, Array], Array]) -> Array:
         """Display values (P, 1, 3) for a function from directions to f_cos (m, L)."""
-        f_cos = np.zeros((len(self.asked.wi), self.asked.bands.count))
-        f_cos[self.rows] = evaluate(self.asked.wi[self.rows], self.asked.wo[self.rows])
-        return self.survey.display(self.asked.radiance(f_cos))[:, None, :]
+        f_cos = np.zeros((len(self.lighting.wi), self.lighting.bands.count))
+        f_cos[self.rows] = evaluate(self.lighting.wi[self.rows], self.lighting.wo[self.rows])
+        return self.survey.display(self.lighting.radiance(f_cos))[:, None, :]
 
     def seen_of(self, file: BsdfFile) -> Array:
         """Display values of a measured file."""
@@ -96,7 +96,7 @@ class _Builder:
         """Values (..., B) in the bands of the light, (..., L)."""
         if bands.is_rgb:
             return values
-        return values @ interpolation_matrix(_nm(bands), _nm(self.asked.bands)).T
+        return values @ interpolation_matrix(_nm(bands), _nm(self.lighting.bands)).T
 
     def difference(self, seen: Array) -> float:
         """Mean CIEDE2000 to the reference."""
@@ -105,20 +105,23 @@ class _Builder:
     @cached_property
     def projections(self) -> list[tuple[Array, Array]]:
         """Nodes and matrices to the numbers of bands that are fewer than the file's."""
-        bands, asked = self.file.bands, self.asked
+        bands, lighting = self.file.bands, self.lighting
         found = []
         for count in () if bands.is_rgb else BANDS:
             if count < bands.count:
-                nodes = reduced_file.band_nodes(asked.bands, asked.spectrum, count)
+                nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, count)
                 found.append(
-                    (nodes, reduced_file.band_projection(_nm(bands), nodes, asked.bands, asked.spectrum))
+                    (
+                        nodes,
+                        reduced_file.band_projection(_nm(bands), nodes, lighting.bands, lighting.spectrum),
+                    )
                 )
         return found
 
     def principled_ends(self, fitted: FitResult, shared: Mapping[str, float]) -> tuple[Array, Array]:
         """f_cos with a black and with a white base colour where light falls, each (m, 1)."""
         if self._ends is None:
-            made = evaluator(fitted.family, self.asked.wi[self.rows], self.asked.wo[self.rows], 3)
+            made = evaluator(fitted.family, self.lighting.wi[self.rows], self.lighting.wo[self.rows], 3)
             values = made.values(made.layout.join({**shared, "base_color": (0.0, 1.0, 1.0)}))[0]
             self._ends = values[:, :1], values[:, 1:2]
         return self._ends
@@ -142,22 +145,22 @@ class _Builder:
         )
 
 
-def ladder(path: Path, asked: Asked, survey: Survey, folder: Path) -> list[Candidate]:
+def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Candidate]:
     """All representations of a measured file, cheapest first; the whole file is among them.
 
     Args:
         path: the file.
-        asked, survey: what the scene asks of it.
+        lighting, survey: where and by what light the scene shows it.
         folder: where reduced files are written.
     """
     file = read_bsdf(path)
-    builder = _Builder(file, asked, survey, folder, path.name.removesuffix(".bsdf"))
-    fitted = _fit(file, asked)
+    builder = _Builder(file, lighting, survey, folder, path.name.removesuffix(".bsdf"))
+    fitted = _fit(file, lighting)
     if file.bands.is_rgb:
         _add_rgb_parameters(builder, fitted, _diffuse_albedo(builder))
     else:
         _add_spectral_parameters(builder, fitted, _diffuse_albedo(builder))
-    theta = np.arccos(np.clip(asked.wi[builder.rows, 2], -1.0, 1.0))
+    theta = np.arccos(np.clip(lighting.wi[builder.rows, 2], -1.0, 1.0))
     all_bands = "RGB" if file.bands.is_rgb else f"{file.bands.count} bands"
     bases = {"all angles": file}
     for resolution, incidences, warp_nodes in ANGLES:
@@ -212,20 +215,23 @@ def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool, *, evaluations: int = 1 
 # -- parameters -----------------------------------------------------------------------------------------------
 
 
-def _fit(file: BsdfFile, asked: Asked) -> FitResult:
+def _fit(file: BsdfFile, lighting: MaterialLighting) -> FitResult:
     """Principled, fitted where the scene looks, and a little everywhere; spectral ones in `_FITTED_BANDS`."""
-    rows = np.flatnonzero(asked.lit)
+    rows = np.flatnonzero(lighting.lit)
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, _FIT_PAIRS).astype(int))]
     elsewhere = fit_samples.from_file(file, max_pairs=_FIT_PAIRS // 2)
-    wi, wo = np.concatenate([asked.wi[rows], elsewhere.wi]), np.concatenate([asked.wo[rows], elsewhere.wo])
+    wi, wo = (
+        np.concatenate([lighting.wi[rows], elsewhere.wi]),
+        np.concatenate([lighting.wo[rows], elsewhere.wo]),
+    )
     f, bands = np.maximum(MeasuredBRDF(file).eval(wi, wo), 0.0), file.bands
     steep = (wi[:, 2] > 0.05) & (wo[:, 2] > 0.05)
-    power = asked.light[rows].mean(axis=1)
+    power = lighting.light[rows].mean(axis=1)
     weight = np.concatenate([power / power.mean(), np.full(len(elsewhere), _ELSEWHERE)])
     if not bands.is_rgb:
-        nodes = reduced_file.band_nodes(asked.bands, asked.spectrum, _FITTED_BANDS)
+        nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, _FITTED_BANDS)
         f = np.maximum(
-            f @ reduced_file.band_projection(_nm(bands), nodes, asked.bands, asked.spectrum).T, 0.0
+            f @ reduced_file.band_projection(_nm(bands), nodes, lighting.bands, lighting.spectrum).T, 0.0
         )
         bands = Bands.from_array(nodes)
     samples = FitSamples.from_arrays(wi[steep], wo[steep], f[steep], bands=bands, weight=weight[steep])
@@ -234,10 +240,10 @@ def _fit(file: BsdfFile, asked: Asked) -> FitResult:
 
 def _diffuse_albedo(builder: _Builder) -> Array:
     """The albedo in the file's bands that gives the mean light of the material, shape (B,)."""
-    asked, rows = builder.asked, builder.rows
-    cosine = asked.wo[rows, 2]
-    power = asked.light[rows].mean(axis=1)
-    f_cos = MeasuredBRDF(builder.file).eval_cos(asked.wi[rows], asked.wo[rows])
+    lighting, rows = builder.lighting, builder.rows
+    cosine = lighting.wo[rows, 2]
+    power = lighting.light[rows].mean(axis=1)
+    f_cos = MeasuredBRDF(builder.file).eval_cos(lighting.wi[rows], lighting.wo[rows])
     return np.clip(np.pi * (power @ f_cos) / (power @ cosine), 0.0, 1.0)
 
 
@@ -249,9 +255,9 @@ def _add_rgb_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> 
 
 
 def _add_spectral_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> None:
-    asked, bands = builder.asked, builder.file.bands
+    lighting, bands = builder.lighting, builder.file.bands
     colour = _rgb(to_srgb(albedo, bands))
-    in_light = _upsampled(colour, asked.bands)
+    in_light = _upsampled(colour, lighting.bands)
     builder.add_numbers(
         "diffuse, RGB", {"type": "diffuse", "reflectance": colour}, 3, builder.seen(_lambert(in_light))
     )
@@ -263,8 +269,10 @@ def _add_spectral_parameters(builder: _Builder, fitted: FitResult, albedo: Array
     base = builder.in_light(np.clip(fitted.spectra["base_color"], 0.0, 1.0), fitted.bands)
     _add_principled(builder, fitted, "RGB", _rgb(fitted.values["base_color"]), 3)
     for count in BANDS:
-        nodes = reduced_file.band_nodes(asked.bands, asked.spectrum, count)
-        projection = reduced_file.band_projection(_nm(asked.bands), nodes, asked.bands, asked.spectrum)
+        nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, count)
+        projection = reduced_file.band_projection(
+            _nm(lighting.bands), nodes, lighting.bands, lighting.spectrum
+        )
         values = np.clip(projection @ base, 0.0, 1.0)
         _add_principled(builder, fitted, f"{count} bands", _irregular(nodes, values), 2 * count)
 
@@ -275,7 +283,7 @@ def _add_principled(
     shared = {name: float(v) for name, v in fitted.values.items() if not isinstance(v, list)}
     # Without tints it is affine in the base colour, band by band: two values tell all bands.
     black, white = builder.principled_ends(fitted, shared)
-    values = black + (white - black) * _upsampled(colour, builder.asked.bands)
+    values = black + (white - black) * _upsampled(colour, builder.lighting.bands)
     bsdf = {"type": "principled", "base_color": colour, **shared}
     builder.add_numbers(
         f"principled, {what}", bsdf, numbers + len(shared), builder.seen(lambda _wi, _wo: values)

@@ -1,4 +1,4 @@
-"""What a scene asks of its measured materials: which pixels show them, from where they are seen and lit, and by what.
+"""Where a scene shows its measured materials: by which pixels, from where they are seen and lit, and by what light.
 
 A pre-pass of primary rays and direct light in Mitsuba's scalar variants, which pick up single rays faster than any
 kernel compiles. Materials seen only in mirrors or through glass, and light that arrives by way of other surfaces, are
@@ -33,8 +33,8 @@ _WHITE_QUANTILE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What the scene asks of one material, at P of its pixels with `LIGHT_SAMPLES` directions of light each.
+class MaterialLighting:
+    """How a scene shows one material, at P of its pixels with `LIGHT_SAMPLES` directions of light each.
 
     Attributes:
         mask: pixels that show it, bool, shape (height, width).
@@ -84,23 +84,23 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What a scene asks.
+    """How a scene shows its measured materials.
 
     Attributes:
-        asked: by key of the material; those that no pixel shows are missing.
+        lighting: by key of the material; those that no pixel shows are missing.
         white: the exposure, XYZ or linear sRGB of what becomes display white: a perfect diffuser, as bright as the
             brightest twentieth of the materials' pixels would be.
         size: width and height of the analysed picture.
     """
 
-    asked: Mapping[str, Asked]
+    lighting: Mapping[str, MaterialLighting]
     white: Array
     size: tuple[int, int]
 
     @property
     def bands(self) -> Bands:
         """In which light was sampled."""
-        return next(iter(self.asked.values())).bands
+        return next(iter(self.lighting.values())).bands
 
     def display(self, radiance: Array) -> Array:
         """XYZ or linear sRGB (..., 3) as display values in [0, 1], exposed and white-adapted, tone-mapped."""
@@ -119,7 +119,7 @@ class Survey:
         if self.bands.is_rgb:
             return {"type": "hdrfilm", "pixel_format": "rgb", **common}
         nm, matching = sensor_responses(Illuminant.named("E"))
-        light = np.mean([asked.spectrum for asked in self.asked.values()], axis=0)
+        light = np.mean([lighting.spectrum for lighting in self.lighting.values()], axis=0)
         steering = np.interp(nm, _WAVELENGTHS_NM, light, left=0.0, right=0.0) * matching.sum(axis=1)
         steering *= 30.0 * matching.sum() / steering.sum()
         inside = (nm >= 360.0) & (nm <= 830.0)
@@ -162,12 +162,12 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
         scene = document.load(mi, bsdfs, film)
         hits = _primary_hits(mi, scene, width, height, {name: key for key, name in names.items()})
         bands = Bands(None) if is_rgb else Bands.from_array(_WAVELENGTHS_NM)
-        asked = {
+        lighting = {
             key: _ask(mi, scene, [(x, y, si) for k, x, y, si in hits if k == key], (height, width), bands)
             for key in files
             if any(k == key for k, *_ in hits)
         }
-    lit = {key: one for key, one in asked.items() if np.any(one.lit)}
+    lit = {key: one for key, one in lighting.items() if np.any(one.lit)}
     if not lit:
         raise UsageError(
             f"{document.origin}: no pixel shows a measured material in direct light; check camera and lights"
@@ -209,7 +209,7 @@ def _side(description: str, is_front: bool) -> str:
 
 def _ask(
     mi: Any, scene: Any, hits: Sequence[tuple[int, int, Any]], shape: tuple[int, int], bands: Bands
-) -> Asked:
+) -> MaterialLighting:
     """Light at the hits of one material."""
     mask = np.zeros(shape, dtype=bool)
     for x, y, _ in hits:
@@ -236,7 +236,7 @@ def _ask(
                     break
             values = np.array(weight, dtype=float)
             light[k, 4 * j : 4 * j + 4] = values[: bands.count - 4 * j]
-    return Asked(mask, wi, wo, light, bands)
+    return MaterialLighting(mask, wi, wo, light, bands)
 
 
 def _chunks(wavelengths_nm: Array) -> list[list[float] | None]:

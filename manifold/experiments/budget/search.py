@@ -88,7 +88,7 @@ class Answer:
 
 
 def search(
-    ladders: Mapping[str, Sequence[Candidate]],
+    candidates: Mapping[str, Sequence[Candidate]],
     tolerance: Tolerance,
     verify: Verify,
     milliseconds: Callable[[Candidate], float] | None = None,
@@ -97,7 +97,7 @@ def search(
     """Find the cheapest choice within a tolerance.
 
     Args:
-        ladders: candidates per material, cheapest first; the last resort, `Candidate.is_full`, is among them.
+        candidates: per material, cheapest first; the last resort, `Candidate.is_full`, is among them.
         tolerance: see there.
         verify: renders a choice; called once for each.
         milliseconds: time of a candidate; needed where the tolerance limits it.
@@ -105,7 +105,7 @@ def search(
     Raises:
         UsageError: nothing within the limits keeps the tolerance; the message says what comes closest.
     """
-    alone: dict[str, dict[str, Difference]] = {key: {} for key in ladders}
+    alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 
     def look(key: str, candidate: Candidate) -> Difference:
         known = alone[key]
@@ -113,7 +113,9 @@ def search(
             known[candidate.name] = verify({key: candidate})[key]
         return known[candidate.name]
 
-    quick = {key: [c for c in one if _is_quick(c, tolerance, milliseconds)] for key, one in ladders.items()}
+    quick = {
+        key: [c for c in one if _is_quick(c, tolerance, milliseconds)] for key, one in candidates.items()
+    }
     seen: dict[tuple[str, ...], Mapping[str, Difference]] = {}
     for step in range(_MOST_STEPS):
         scale = _STEP**step

@@ -12,7 +12,7 @@ from manifold import __version__
 from manifold.errors import RendererError, UsageError
 from manifold.experiments.chart import fits, instruments, pareto
 from manifold.experiments.chart.held_out import HeldOut
-from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measured, Timed
+from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measurement, RelativeTime
 from manifold.experiments.chart.registry import Setting, settings
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import BsdfFile, Progress
@@ -25,7 +25,7 @@ _ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whol
 
 
 @dataclass(frozen=True, kw_only=True)
-class Charted(Measured):
+class ChartRow(Measurement):
     """One setting, measured.
 
     Attributes:
@@ -44,7 +44,7 @@ class Chart:
     """All settings, measured in one run.
 
     Attributes:
-        charted: setting by setting; held-out ones first.
+        rows: setting by setting; held-out ones first.
         fronts: by error, then by cost, the keys of held-out settings that no other beats, cheapest first.
         n_materials, n_bands, folds: of the cross-validation.
         reference_seconds: median processor time of the reference, in which all times are.
@@ -52,7 +52,7 @@ class Chart:
         skipped: settings that this machine cannot run, and why.
     """
 
-    charted: tuple[Charted, ...]
+    rows: tuple[ChartRow, ...]
     fronts: dict[str, dict[str, list[str]]]
     n_materials: int
     n_bands: int
@@ -64,19 +64,19 @@ class Chart:
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values, with the program's version."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
-        rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.charted]
-        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self), "charted": rows}
+        rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.rows]
+        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self), "rows": rows}
 
-    def front(self, error: str, cost: str) -> list[Charted]:
+    def front(self, error: str, cost: str) -> list[ChartRow]:
         """The settings on a front, cheapest first."""
-        by_key = {row.key: row for row in self.charted}
+        by_key = {row.key: row for row in self.rows}
         return [by_key[key] for key in self.fronts[error][cost]]
 
 
-def cost_of(row: Charted, cost: str) -> float:
+def cost_of(row: ChartRow, cost: str) -> float:
     """A cost, one of `COSTS`: reference times, or bytes."""
     value = getattr(row, cost)
-    return value.median if isinstance(value, Timed) else float(value)
+    return value.median if isinstance(value, RelativeTime) else float(value)
 
 
 def make_chart(
@@ -106,35 +106,35 @@ def make_chart(
         raise UsageError(f"no setting is called {unknown[0]!r}, expected one of {', '.join(known)}")
     chosen = [known[key] for key in only or known]
     held_out = [s for s in chosen if isinstance(s, Setting)]
-    rows: dict[str, Charted] = {}
+    rows: dict[str, ChartRow] = {}
     skipped: dict[str, str] = {}
 
-    def add(key: str, title: str, family: str, measured: Measured, *, is_held_out: bool = True) -> None:
-        rows[key] = Charted(key=key, title=title, family=family, is_held_out=is_held_out, **vars(measured))
+    def add(key: str, title: str, family: str, measured: Measurement, *, is_held_out: bool = True) -> None:
+        rows[key] = ChartRow(key=key, title=title, family=family, is_held_out=is_held_out, **vars(measured))
         if on_progress is not None:
             on_progress(len(rows), len(chosen), title)
 
     with instruments.one_core():
-        bench = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
+        held = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
         # Settings that keep files alike stand together: only one set of kept files is in memory.
         for setting in sorted(held_out, key=lambda s: s.storage.key):
-            add(setting.key, setting.title, setting.family, bench.measure(setting))
+            add(setting.key, setting.title, setting.family, held.measure(setting))
     for method in (s for s in chosen if isinstance(s, str)):
         key, title = f"fit_{method}", f"fit, {fits.METHODS[method]}"
         try:
-            measured = fits.measure(method, files, fitted, bench.target, bench.watch)
+            measured = fits.measure(method, files, fitted, held.target, held.watch)
         except (RendererError, UsageError) as error:
             skipped[key] = str(error)
         else:
             add(key, title, fits.FAMILY, measured, is_held_out=False)
-    charted = tuple(rows[key] for key in known if key in rows)
+    measured_rows = tuple(rows[key] for key in known if key in rows)
     return Chart(
-        charted, fronts(charted), len(files), files[0].bands.count, bench.folds,
-        bench.watch.reference_seconds, bench.scaled, skipped,
+        measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,
+        held.watch.reference_seconds, held.scaled, skipped,
     )  # fmt: skip
 
 
-def fronts(rows: Sequence[Charted]) -> dict[str, dict[str, list[str]]]:
+def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:
     """Keys of the held-out settings on each front of an error and a cost, cheapest first.
 
     Neither errors and bytes that differ by 1 %, nor times that differ by 10 % or their spreads, count as different.
@@ -143,7 +143,7 @@ def fronts(rows: Sequence[Charted]) -> dict[str, dict[str, list[str]]]:
     return {error: {cost: _front(rows, error, cost) for cost in COSTS} for error in ERRORS}
 
 
-def _front(rows: Sequence[Charted], error: str, cost: str) -> list[str]:
+def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
     if not rows:
         return []
     values = np.array([[getattr(row, error), cost_of(row, cost)] for row in rows])

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
-from manifold.experiments.chart.instruments import Measured, Stopwatch, Target, Timed
+from manifold.experiments.chart.instruments import Measurement, RelativeTime, Stopwatch, Target
 from manifold.fitting import principled
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.principled import FitResult
@@ -22,7 +22,9 @@ _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
 
-def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch) -> Measured:
+def measure(
+    method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch
+) -> Measurement:
     """Fit evenly spaced materials by one of `METHODS`.
 
     Predictions are evaluations at as many direction pairs as the material's file has.
@@ -42,12 +44,12 @@ def measure(method: str, files: Sequence[BsdfFile], count: int, target: Target, 
         scale = file.luminance.size / len(target.pairs)
         predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
     relative, rmse, delta_e = np.median(errors, axis=0)
-    return Measured(
+    return Measurement(
         relative_error=float(relative),
         rmse=float(rmse),
         delta_e=float(delta_e),
-        fit=Timed.of(np.array(fits) * len(files)),
-        predict=Timed.of_several(predicts),
+        fit=RelativeTime.of(np.array(fits) * len(files)),
+        predict=RelativeTime.of_several(predicts),
         bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),
     )
 

@@ -15,7 +15,13 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.experiments.chart import instruments
-from manifold.experiments.chart.instruments import Kept, Measured, Stopwatch, Target, Timed
+from manifold.experiments.chart.instruments import (
+    Measurement,
+    RelativeTime,
+    Stopwatch,
+    StoredMaterials,
+    Target,
+)
 from manifold.experiments.chart.registry import Setting
 from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
@@ -32,7 +38,7 @@ _DENSE_PAIRS = RusinkiewiczGrid.named("hikichi").n_pairs
 _BYTES_PER_NUMBER = 8
 _STREAMED_BYTES = 1 << 26  # far more than caches hold
 
-_Fitted = tuple[list[Combination], Timed, tuple[str, ...]]
+_Fitted = tuple[list[Combination], RelativeTime, tuple[str, ...]]
 
 
 class HeldOut:
@@ -60,37 +66,37 @@ class HeldOut:
         self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
         self._block = instruments.some_pairs(_BLOCK_PAIRS, grid)
         self._fits: dict[str, _Fitted] = {}
-        self._kept: tuple[Storage, Kept] | None = None
+        self._stored: tuple[Storage, StoredMaterials] | None = None
         once = [
             self.watch.laps(partial(instruments.evaluated, material, self._block), _REPEATS)
             for material in materials[:: max(len(files) // _TIMED, 1)]
         ]
-        self._resampling = Timed.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
+        self._resampling = RelativeTime.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
         self.scaled = {
             "timed_pairs": _BLOCK_PAIRS, "dense_pairs": _DENSE_PAIRS, "resampling": self._resampling,
             "tabulating": self._tabulating,
         }  # fmt: skip
 
-    def measure(self, setting: Setting) -> Measured:
+    def measure(self, setting: Setting) -> Measurement:
         """Errors of all materials, each left out once, and costs."""
         combinations, fit, warned = self._fitted(setting)
         if setting.is_dense:
-            fit = Timed(fit.median - self._tabulating + self._resampling, fit.spread)
+            fit = RelativeTime(fit.median - self._tabulating + self._resampling, fit.spread)
         combinations = [without_small_weights(c, setting.threshold) for c in combinations]
-        kept = self._kept_as(setting.storage)
-        relative, rmse, delta_e = np.median(self.target.errors_of(kept, combinations), axis=0)
-        scale = (_DENSE_PAIRS if setting.is_dense else kept.cells) / _BLOCK_PAIRS
+        stored = self._stored_as(setting.storage)
+        relative, rmse, delta_e = np.median(self.target.errors_of(stored, combinations), axis=0)
+        scale = (_DENSE_PAIRS if setting.is_dense else stored.cells) / _BLOCK_PAIRS
         predict = [
-            scale * self.watch.laps(_predictor(kept, c, self._block, is_dense=setting.is_dense), _REPEATS)
+            scale * self.watch.laps(_predictor(stored, c, self._block, is_dense=setting.is_dense), _REPEATS)
             for c in combinations[:: max(len(combinations) // _TIMED, 1)]
         ]
-        return Measured(
+        return Measurement(
             relative_error=float(relative),
             rmse=float(rmse),
             delta_e=float(delta_e),
             fit=fit,
-            predict=Timed.of_several(predict),
-            bytes=self._bytes(setting, kept),
+            predict=RelativeTime.of_several(predict),
+            bytes=self._bytes(setting, stored),
             warnings=warned,
         )
 
@@ -109,39 +115,39 @@ class HeldOut:
             splits = leave_out(self._data.n_materials, self.folds)
             encoded = cross_validate(self._data, setting.fit, splits, lap=lap, own_tables=_REPEATS)
             times = [self._tabulating + ratio for ratio in encoded.fit_times[:_REPEATS]]
-            self._fits[setting.method] = list(encoded.combinations), Timed.of(times), tuple(warned)
+            self._fits[setting.method] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
         return self._fits[setting.method]
 
-    def _kept_as(self, storage: Storage) -> Kept:
-        if self._kept is None or self._kept[0].key != storage.key:
-            self._kept = None
-            self._kept = storage, Kept(storage, self._files, self.target)
-        return self._kept[1]
+    def _stored_as(self, storage: Storage) -> StoredMaterials:
+        if self._stored is None or self._stored[0].key != storage.key:
+            self._stored = None
+            self._stored = storage, StoredMaterials(storage, self._files, self.target)
+        return self._stored[1]
 
-    def _bytes(self, setting: Setting, kept: Kept) -> int:
+    def _bytes(self, setting: Setting, stored: StoredMaterials) -> int:
         B, N = self._data.n_bands, len(self._files)
         numbers = _BYTES_PER_NUMBER * setting.numbers(B) * N
         if setting.is_dense:
             return N * _DENSE_PAIRS * B * 4 + numbers
-        return kept.file_bytes(min(setting.sample_bands or B, B) / B) + numbers
+        return stored.file_bytes(min(setting.sample_bands or B, B) / B) + numbers
 
 
 def _predictor(
-    kept: Kept, combination: Combination, block: DirectionPairs, *, is_dense: bool
+    stored: StoredMaterials, combination: Combination, block: DirectionPairs, *, is_dense: bool
 ) -> Callable[[], object]:
     """What predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:
         return _from_table(
-            np.stack([instruments.evaluated(m, block) for m in kept.brdfs]), combination.weights
+            np.stack([instruments.evaluated(m, block) for m in stored.brdfs]), combination.weights
         )
     if combination.sample_bands is not None:
         bands = combination.sample_bands.tolist()
-        samples = [m.select_bands(bands) for m in kept.brdfs]
-        curve = PredictedBRDF(samples, combination, kept.brdfs[0].bands)
+        samples = [m.select_bands(bands) for m in stored.brdfs]
+        curve = PredictedBRDF(samples, combination, stored.brdfs[0].bands)
         return lambda: curve.eval(block.wi, block.wo)
-    whole = PredictedBRDF(kept.brdfs, combination)
-    if kept.back is not None:
-        back = kept.back.T
+    whole = PredictedBRDF(stored.brdfs, combination)
+    if stored.back is not None:
+        back = stored.back.T
         return lambda: whole.eval(block.wi, block.wo) @ back
     return lambda: whole.eval(block.wi, block.wo)
 
@@ -160,6 +166,6 @@ def without_small_weights(combination: Combination, threshold: float) -> Combina
     if threshold <= 0.0:
         return combination
     w = combination.weights
-    kept = np.where(np.abs(w) >= threshold * np.abs(w).max(), w, 0.0)
-    scale = w.sum() / kept.sum() if kept.sum() > 0.5 * abs(w.sum()) else 1.0
-    return replace(combination, weights=kept * scale)
+    stored = np.where(np.abs(w) >= threshold * np.abs(w).max(), w, 0.0)
+    scale = w.sum() / stored.sum() if stored.sum() > 0.5 * abs(w.sum()) else 1.0
+    return replace(combination, weights=stored * scale)

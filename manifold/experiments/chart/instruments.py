@@ -32,20 +32,20 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Timed:
+class RelativeTime:
     """A time in times of the reference: the median of repeated runs, and their interquartile range."""
 
     median: float
     spread: float
 
     @classmethod
-    def of(cls, ratios: Sequence[float] | Array) -> Timed:
+    def of(cls, ratios: Sequence[float] | Array) -> RelativeTime:
         """Of repeated runs."""
         low, median, high = np.percentile(ratios, [25, 50, 75])
         return cls(float(median), float(high - low))
 
     @classmethod
-    def of_several(cls, runs: Sequence[Array]) -> Timed:
+    def of_several(cls, runs: Sequence[Array]) -> RelativeTime:
         """Of repeated runs of several works: their median, with the spread of runs about that of their own work."""
         medians = np.array([np.median(ratios) for ratios in runs])
         apart = np.concatenate([ratios / m for ratios, m in zip(runs, medians, strict=True)])
@@ -54,7 +54,7 @@ class Timed:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class Measurement:
     """What a setting costs, and how far off it is: medians over materials.
 
     Attributes:
@@ -70,8 +70,8 @@ class Measured:
     relative_error: float
     rmse: float
     delta_e: float
-    fit: Timed
-    predict: Timed
+    fit: RelativeTime
+    predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
 
@@ -139,7 +139,7 @@ def evaluated(material: MeasuredBRDF, pairs: DirectionPairs) -> Array:
     return out
 
 
-class Kept:
+class StoredMaterials:
     """Materials as a storage keeps them, and their values where errors are measured.
 
     Attributes:
@@ -151,10 +151,10 @@ class Kept:
 
     def __init__(self, storage: Storage, files: Sequence[BsdfFile], target: Target) -> None:
         """Reduce files, and evaluate them at the target's direction pairs."""
-        kept = [storage.reduce(file) for file in files]
-        self.brdfs = [MeasuredBRDF(file) for file in kept]
-        self._files, self._storage = kept, storage
-        self.cells = float(np.median([file.luminance.size for file in kept]))
+        stored = [storage.reduce(file) for file in files]
+        self.brdfs = [MeasuredBRDF(file) for file in stored]
+        self._files, self._storage = stored, storage
+        self.cells = float(np.median([file.luminance.size for file in stored]))
         sampled, self.back, self._some_back = self.brdfs, None, None
         if storage.bands is None:
             sampled = [brdf.select_bands(target.data.bands.tolist()) for brdf in self.brdfs]
@@ -189,12 +189,12 @@ class Target:
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         return data.relative_error(i, f), rmse, self.balls.delta_e(i, f_ball)
 
-    def errors_of(self, kept: Kept, combinations: Sequence[Combination]) -> Array:
+    def errors_of(self, stored: StoredMaterials, combinations: Sequence[Combination]) -> Array:
         """Errors (N, 3), as `errors` gives them, of a prediction per material."""
         rows = []
-        here = [c if kept.back is not None else c.in_bands(self.data.bands) for c in combinations]
+        here = [c if stored.back is not None else c.in_bands(self.data.bands) for c in combinations]
         for first in range(0, len(here), _AT_ONCE):
-            grid, ball = kept.predict(here[first : first + _AT_ONCE])
+            grid, ball = stored.predict(here[first : first + _AT_ONCE])
             rows += [
                 self.errors(first + k, f, f_ball)
                 for k, (f, f_ball) in enumerate(zip(grid, ball, strict=True))

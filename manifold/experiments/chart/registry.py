@@ -66,14 +66,14 @@ def settings(n_bands: int) -> list[Setting]:
         *(_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)),
         *(_monochrome(2, count) for count in (SAMPLE_BANDS,) if count < n_bands),
         *(_sparse(pca, threshold) for threshold in _THRESHOLDS),
-        *(_kept(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
-        *(_kept(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome)),
+        *(_stored(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
+        *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome)),
         *(
-            _kept(gplvm, storage_forms.few_angles(outgoing=o, incident=i))
+            _stored(gplvm, storage_forms.few_angles(outgoing=o, incident=i))
             for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))
         ),
         *(
-            _kept(monochrome, storage_forms.few_angles(outgoing=o, incident=i))
+            _stored(monochrome, storage_forms.few_angles(outgoing=o, incident=i))
             for o, i in ((2, 1), (2, 2), (4, 1))
         ),
     ]
@@ -102,7 +102,7 @@ def _sparse(base: Setting, threshold: float) -> Setting:
     return _changed(base, f"over_{threshold:g}", title, threshold=threshold)
 
 
-def _kept(base: Setting, storage: Storage) -> Setting:
+def _stored(base: Setting, storage: Storage) -> Setting:
     return _changed(base, storage.key, f"{base.title.split(',')[0]}, {storage.title}", storage=storage)
 
 

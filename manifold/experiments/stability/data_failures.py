@@ -213,83 +213,69 @@ def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
 
 MODES: tuple[Mode, ...] = (
     _unmeasured(
-        "exact_zeros",
-        "cells that were lost and hold zeros, though they count as measured",
-        _zeroed,
+        "exact_zeros", "cells that were lost and hold zeros, though they count as measured", _zeroed,
         "Look at `manifold info FILE` before importing; measure again what has large unmeasured areas.",
     ),
     _unmeasured(
-        "masked_cells",
-        "cells that are marked as not measured and hold half of their value",
-        _masked,
+        "masked_cells", "cells that are marked as not measured and hold half of their value", _masked,
         "Keep the mask of the instrument in the file: marked cells are closed from their rims.",
     ),
     Mode(
-        key="grazing",
-        concerns="incidence near the horizon, where files interpolate towards 90 degrees",
-        severity="incidence in degrees",
-        severities=(60.0, 75.0, 80.0, 85.0, 87.0),
-        limit=Limit(
+        "grazing", "incidence near the horizon, where files interpolate towards 90 degrees",
+        "incidence in degrees", (60.0, 75.0, 80.0, 85.0, 87.0),
+        Limit(
             "relative error of the directional albedo",
             0.1,
             "a tenth of the light is a step of 2 (at mid grey) to 4 (at white) in CIELAB lightness: seen beside the "
             "truth only",
         ),
-        methods={"file": _grazing_file, "prediction": _grazing_prediction},
-        advice="Beyond 87 degrees trust silhouettes less, or measure more elevations.",
+        {"file": _grazing_file, "prediction": _grazing_prediction},
+        "Beyond 87 degrees trust silhouettes less, or measure more elevations.",
     ),
     Mode(
-        key="sharp_lobe",
-        concerns="nearly mirror-like materials on an outgoing grid of 32 x 32",
-        severity="GGX roughness alpha",
-        severities=(0.2, 0.05, 0.02, 0.01),
-        limit=Limit(
+        "sharp_lobe", "nearly mirror-like materials on an outgoing grid of 32 x 32", "GGX roughness alpha",
+        (0.2, 0.05, 0.02, 0.01),
+        Limit(
             "relative error over the lobe, the worst of 0, 30 and 60 degrees",
             0.2,
             "chosen after the results were known: the highlight keeps its shape, and polished metals differ by more",
         ),
-        methods={"file": _sharp_file},
-        advice="Files carry lobes down to alpha 0.01; take more incident elevations where highlights are compared.",
+        {"file": _sharp_file},
+        "Files carry lobes down to alpha 0.01; take more incident elevations where highlights are compared.",
     ),
     Mode(
-        key="mixed_resolution",
-        concerns="a library half of whose files have a coarser outgoing grid",
-        severity="nodes per axis of the coarse files",
-        severities=(32.0, 16.0),
-        limit=replace(_AS_A_FILE, quantity="relative difference to the result of a library of 32 nodes"),
-        methods={
+        "mixed_resolution", "a library half of whose files have a coarser outgoing grid",
+        "nodes per axis of the coarse files", (32.0, 16.0),
+        replace(_AS_A_FILE, quantity="relative difference to the result of a library of 32 nodes"),
+        {
             "prediction between materials": _predicted(_coarse, 0.5),
             "prediction at a material": _predicted(_coarse, 0.0),
         },
-        advice="Mix resolutions freely from 16 nodes up; a prediction is as fine as the files around it.",
+        "Mix resolutions freely from 16 nodes up; a prediction is as fine as the files around it.",
     ),
     Mode(
-        key="mixed_versions",
-        concerns="files of pipelines whose bits of `valid` mean measured, or not measured",
-        severity="share of the measured cells that are marked as lost",
-        severities=(0.0, 0.15, 0.3),
-        limit=Limit(
+        "mixed_versions", "files of pipelines whose bits of `valid` mean measured, or not measured",
+        "share of the measured cells that are marked as lost", (0.0, 0.15, 0.3),
+        Limit(
             "share of the cells that are read the wrong way round",
             0.01,
             "real files disagree in as many anyway",
         ),
-        methods={"mask": _misread_mask},
-        advice="Leave the version of a file as its pipeline wrote it; files of all versions share a library.",
+        {"mask": _misread_mask},
+        "Leave the version of a file as its pipeline wrote it; files of all versions share a library.",
     ),
     Mode(
-        key="single_precision",
-        concerns="values of fewer bits than single precision has (13 fewer are half precision)",
-        severity="bits of the mantissa that are lost",
-        severities=(1.0, 13.0),
-        limit=replace(
+        "single_precision", "values of fewer bits than single precision has (13 fewer are half precision)",
+        "bits of the mantissa that are lost", (1.0, 13.0),
+        replace(
             SAME_RESULT,
             quantity="relative difference to the result of all bits (of the roughness for the fit)",
         ),
-        methods={
+        {
             "prediction between materials": _predicted(_rounded, 0.5),
             "embedding a file": _embedded(_rounded),
             "Principled fit": _fitted(_rounded),
         },
-        advice="Single precision is more than measurements need; half precision is enough for storage.",
+        "Single precision is more than measurements need; half precision is enough for storage.",
     ),
-)
+)  # fmt: skip

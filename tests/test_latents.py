@@ -65,5 +65,7 @@ def test_a_material_is_a_latent_by_its_name(model):
 
 @pytest.mark.parametrize("text", ["a,b", "1,x", "", "0.1;0.2", "a b", "-"])
 def test_what_is_neither_numbers_nor_a_name_is_refused(text):
-    with pytest.raises(UsageError, match="expected numbers separated by commas, like -0.3,1.2, or a material"):
+    with pytest.raises(
+        UsageError, match=r"expected numbers separated by commas, like -0\.3,1\.2, or a material"
+    ):
         parse_latent(text)

@@ -154,12 +154,13 @@ def embed(
     )  # fmt: skip
     fitted, settings = made.model, made.model.settings
     if made.candidates:
-        results.text("Held-out errors that the settings were chosen by:\n")
+        results.text("Held-out errors, median / 90th percentile; the first, a mean, makes the choice:\n")
         results.table(
-            ("mapping", "dimensions", "error", "median", "90th pct.", "seconds", "chosen"),
+            ("mapping", "dimensions", "error", "linear", "cube root", "ball dE", "seconds", "chosen"),
             [
                 (
-                    c.mapping, c.latent_dim, f"{c.error:.3f}", f"{c.median:.3f}", f"{c.p90:.3f}", f"{c.seconds:.1f}",
+                    c.mapping, c.latent_dim, f"{c.error:.3f}", "{:.3f} / {:.3f}".format(*c.linear),
+                    "{:.3f} / {:.3f}".format(*c.cube_root), "{:.1f} / {:.1f}".format(*c.ball), f"{c.seconds:.1f}",
                     "*" * c.is_chosen,
                 )
                 for c in made.candidates
@@ -185,7 +186,7 @@ def embed(
             "library": str(library),
             "settings": dict(vars(settings)),
             "statistics": fitted.statistics,
-            "candidates": [vars(c) for c in made.candidates],
+            "candidates": [c.to_json() for c in made.candidates],
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )

@@ -14,6 +14,7 @@ from manifold import metrics
 from manifold.brdf.plausibility import plausibility
 from manifold.colour.difference import colour_differences, multi_angle_pairs
 from manifold.experiments.evaluation import report, report_measures
+from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import encode_all
 from manifold.experiments.evaluation.methods import standard_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
@@ -23,6 +24,7 @@ from manifold.library.store import Library
 from manifold.metrics import (
     RusinkiewiczGrid,
     cosine_weight,
+    cube_root_error,
     relative_error,
     rmse,
 )
@@ -180,6 +182,27 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
         )
         assert result.colour[0].delta_e[i] == pytest.approx(delta_e.mean(), rel=1e-9)
         assert result.colour[0].spectral_angle_deg[i] == pytest.approx(angle.mean(), rel=1e-9)
+
+
+def test_three_errors_stand_side_by_side(models, reports):
+    """Of the nearest material, which is a measured BRDF: all three can be had directly."""
+    model, result = models["material"], method(reports["material"], "nearest")
+    materials = model.load_materials()
+    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
+    nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
+    balls = BallErrors(materials, data.bands)
+    for i, n in enumerate(nearest):
+        assert result.relative_error[i] == pytest.approx(relative_error(data.f[i], data.f[n], data.cosines))
+        assert result.cube_root_error[i] == pytest.approx(cube_root_error(data.f[i], data.f[n], data.cosines))
+        assert result.ball_delta_e[i] == pytest.approx(balls.delta_e(i, balls.values.f[n]))
+        assert balls.delta_e(i, balls.values.f[i]) == 0.0
+    for name in ("relative_error", "cube_root_error", "ball_delta_e"):
+        errors = getattr(result, name)
+        assert getattr(result, f"median_{name}") == np.median(errors)
+        assert getattr(result, f"p90_{name}") == np.percentile(errors, 90)
+    row = next(line for line in format_report(reports["material"]).splitlines() if line.startswith("nearest"))
+    assert row.split()[2] == f"{result.median_relative_error:.3f}"
+    assert row.split()[6] == f"{result.median_ball_delta_e:.2f}"
 
 
 def test_other_grids_are_walked_in_blocks(model, monkeypatch):

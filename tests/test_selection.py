@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 
 import pytest
@@ -24,7 +25,9 @@ def materials():
 
 @pytest.mark.parametrize("kind", ["monochrome", "material"])
 def test_the_mapping_with_the_least_held_out_error_is_chosen(materials, kind):
-    settings, tried = choose(materials, Settings(kind=kind), mapping=True, latent_dim=False)
+    settings, tried = choose(
+        materials, Settings(kind=kind, optimizer="l-bfgs"), mapping=True, latent_dim=False
+    )
     assert {c.mapping for c in tried} == set(MAPPINGS)
     best = min(tried, key=lambda c: c.error)
     assert settings.mapping == best.mapping
@@ -34,7 +37,9 @@ def test_the_mapping_with_the_least_held_out_error_is_chosen(materials, kind):
 
 @pytest.mark.parametrize("kind", ["monochrome", "material"])
 def test_dimensions_are_added_while_they_pay(materials, kind):
-    settings, tried = choose(materials, Settings(kind=kind), mapping=False, latent_dim=True)
+    settings, tried = choose(
+        materials, Settings(kind=kind, optimizer="l-bfgs"), mapping=False, latent_dim=True
+    )
     by_count = {c.latent_dim: c.error for c in tried}
     chosen = settings.latent_dim
     assert by_count[chosen] == min(error for count, error in by_count.items() if count <= chosen)
@@ -48,6 +53,17 @@ def test_a_copy_in_the_library_makes_a_left_out_material_easy(materials):
         for known in (materials, [*materials, *materials])
     ]
     assert error[1] < 0.5 * error[0]
+
+
+def test_candidates_have_three_errors_and_plain_json(materials):
+    tried = choose(materials, Settings(), mapping=False, latent_dim=False)[1][0]
+    for errors in (tried.linear, tried.cube_root, tried.ball):
+        assert 0 < errors.median <= errors.p90
+    assert tried.linear.median != tried.cube_root.median
+    assert json.loads(json.dumps(tried.to_json()))["ball"] == {
+        "median": tried.ball.median,
+        "p90": tried.ball.p90,
+    }
 
 
 def test_three_materials_are_too_few(materials):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,16 +58,3 @@ class BallErrors:
             predicted = evaluate(here[first : first + _AT_ONCE], self.values)
             found += [self.delta_e(first + k, f) for k, f in enumerate(predicted)]
         return np.array(found)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Median and 90th percentile over materials."""
-
-    median: float
-    p90: float
-
-    @classmethod
-    def of(cls, errors: Array) -> Summary:
-        """Of errors (N,)."""
-        return cls(float(np.median(errors)), float(np.percentile(errors, 90)))

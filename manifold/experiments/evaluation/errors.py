@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,18 @@ from manifold.experiments.evaluation.tabulated import Data
 from manifold.metrics import RunningErrors
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array
+
+
+class MedianAndP90(NamedTuple):
+    """Median and 90th percentile of an error over materials."""
+
+    median: float
+    p90: float
+
+    @classmethod
+    def of(cls, errors: Array) -> MedianAndP90:
+        """Of errors (N,)."""
+        return cls(float(np.median(errors)), float(np.percentile(errors, 90)))
 
 
 class PredictionErrors:

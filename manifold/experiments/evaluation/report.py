@@ -16,7 +16,7 @@ from manifold.experiments.evaluation.cross_validation import (
     encode_all,
     wall_clock,
 )
-from manifold.experiments.evaluation.errors import measure_errors, standardised_error
+from manifold.experiments.evaluation.errors import MedianAndP90, measure_errors, standardised_error
 from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS
 from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.methods import baseline_methods, gplvm_methods
@@ -265,11 +265,8 @@ def _results(
 
 def _summary(name: str, errors: Array) -> dict[str, Any]:
     """Errors per material, their median and 90th percentile, as `MethodResult` names them."""
-    return {
-        name: _floats(errors),
-        f"median_{name}": float(np.median(errors)),
-        f"p90_{name}": float(np.percentile(errors, 90)),
-    }
+    median, p90 = MedianAndP90.of(errors)
+    return {name: _floats(errors), f"median_{name}": median, f"p90_{name}": p90}
 
 
 def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:

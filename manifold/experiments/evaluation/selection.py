@@ -9,13 +9,15 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
+from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
-from manifold.experiments.evaluation.errors import measure_errors
+from manifold.experiments.evaluation.errors import MedianAndP90, measure_errors
 from manifold.experiments.evaluation.latent_models import fit_settings
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import MAPPINGS
@@ -24,7 +26,7 @@ from manifold.model.settings import Settings
 from manifold.records import Progress, evenly_spaced
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
-MAX_BANDS = 12  # of a whole material
+MAX_BANDS = 12  # evenly spaced, besides those that are samples
 MAX_DIMENSIONS = 6
 PAYS = 0.05  # an added dimension has to take this share off the error
 LEAVE_ONE_OUT_UP_TO = 20  # materials; more are dealt into FOLDS
@@ -38,8 +40,8 @@ class Candidate:
 
     Attributes:
         mapping, latent_dim: the setting.
-        error: geometric mean over materials of the relative error, which the choice is made by.
-        median, p90: of the relative error.
+        error: geometric mean over materials of the linear error, which the choice is made by.
+        linear, cube_root, ball: the three errors over materials; see `PredictionErrors` and `BallErrors`.
         seconds: for all folds.
         is_chosen: whether it won.
     """
@@ -47,10 +49,16 @@ class Candidate:
     mapping: str
     latent_dim: int
     error: float
-    median: float
-    p90: float
+    linear: MedianAndP90
+    cube_root: MedianAndP90
+    ball: MedianAndP90
     seconds: float
     is_chosen: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        errors = {name: getattr(self, name)._asdict() for name in ("linear", "cube_root", "ball")}
+        return {**vars(self), **errors}
 
 
 def choose(
@@ -111,13 +119,11 @@ class _Trials:
     """Values of all materials, and their held-out errors under any setting."""
 
     def __init__(self, materials: Sequence[MeasuredBRDF], settings: Settings) -> None:
+        n_bands, N = materials[0].bands.count, len(materials)
+        bands = np.union1d(evenly_spaced(n_bands, MAX_BANDS), evenly_spaced(n_bands, settings.sample_bands))
         self._settings = settings
-        count = settings.sample_bands if settings.kind == "monochrome" else MAX_BANDS
-        bands = evenly_spaced(materials[0].bands.count, count).tolist()
-        self._data = Data.evaluate(
-            [m.select_bands(bands) for m in materials], GRID, np.arange(len(bands)), stride=1
-        )
-        N = len(materials)
+        self._data = Data.evaluate(materials, GRID, bands, stride=1)
+        self._balls = BallErrors(materials, bands)
         self._splits = leave_out(N, N if N <= LEAVE_ONE_OUT_UP_TO else FOLDS)
 
     def run(self, name: str, latent_dim: int) -> Candidate:
@@ -125,12 +131,13 @@ class _Trials:
         start = time.perf_counter()
         fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
         found = cross_validate(self._data, fit, self._splits).combinations
-        error = measure_errors([found], self._data.bands, [self._data])[0].linear
+        errors = measure_errors([found], self._data.bands, [self._data])[0]
         return Candidate(
             mapping=name,
             latent_dim=latent_dim,
-            error=float(np.exp(np.mean(np.log(np.maximum(error, 1e-12))))),
-            median=float(np.median(error)),
-            p90=float(np.percentile(error, 90)),
+            error=float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12))))),
+            linear=MedianAndP90.of(errors.linear),
+            cube_root=MedianAndP90.of(errors.cube_root),
+            ball=MedianAndP90.of(self._balls.of(found)),
             seconds=time.perf_counter() - start,
         )

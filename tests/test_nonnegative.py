@@ -16,7 +16,7 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.models.lobes import Lobes
 from manifold.models.nonnegative import nonnegative_weights
 from manifold.models.picture_terms import lab_slopes, picture_rows
-from manifold.models.reconstruction import reconstruction_weights
+from manifold.models.reconstruction_weights import reconstruction_weights
 from manifold.models.shared_pair import pair_gains, shared_pair
 from manifold.records import Bands
 

@@ -22,11 +22,12 @@ from manifold.model.latents import Place, require_latent, require_latents
 from manifold.model.materials import MaterialCache
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
+from manifold.model.reconstruction import reconstruct
 from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.spaces import SPACES
-from manifold.records import Array, Bands, Progress
+from manifold.records import Array, Bands, Progress, evenly_spaced
 
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 _ONE = np.ones(1)
@@ -269,6 +270,17 @@ class Manifold:
         pairs = self.space.embedding_pairs()
         encoder = encoder_at(pairs, self.space, self.materials, self.settings)
         return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
+
+    def reconstruct(self, brdf: BRDF) -> PredictedBRDF:
+        """The nearest prediction of a material: samples and analytic lobes, with weights >= 0 in every band.
+
+        No latent stands for it; see docs/design/nonnegative.md. Arguments and errors as of `embed`.
+        """
+        self.bands.require_same(
+            brdf.bands, "the material to reconstruct", "resample it, or use its own library"
+        )
+        bands = evenly_spaced(self.bands.count, self.settings.sample_bands)
+        return reconstruct(self.materials, bands, brdf)
 
     # -- files ---------------------------------------------------------------------------------------------
 

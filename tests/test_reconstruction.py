@@ -1,0 +1,80 @@
+"""Materials as non-negative combinations of all samples of a library and analytic lobes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import real_rgl_files
+from small_library import NAMES, measured, small_library
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
+from manifold.directions import from_spherical
+from manifold.errors import BandMismatchError
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
+from manifold.model.manifold import Manifold
+from manifold.model.reconstruction import reconstruct
+from manifold.records import Bands
+from manifold.synthetic.analytic import Lambert
+
+LEFT_OUT = "syn_satin_gold"
+GRID = RusinkiewiczGrid(20, 11, 7, offset=0.3)  # not the pairs that weights are found at
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    names = [name for name in NAMES if name != LEFT_OUT]
+    return Manifold.fit(Library.open(small_library(tmp_path_factory.mktemp("reconstruct"), names=names)))
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    wi, wo, above = GRID.directions()
+    return wi[above], wo[above]
+
+
+@pytest.mark.parametrize("name", ["syn_gloss_red", "syn_felt_green"])
+def test_a_training_material_comes_back(model, pairs, name):
+    (material,) = model.materials.filled([name])  # as predictions combine it: unmeasured cells are filled
+    truth, found = material.eval(*pairs), model.reconstruct(material).eval(*pairs)
+    # its own bands are samples; what is left is the ridge on the Gram matrix
+    assert relative_error(truth, found, cosine_weight(*pairs)) < 1e-4
+
+
+def test_a_new_material_is_nearer_than_any_of_the_library(model, pairs):
+    brdf, cosines = MeasuredBRDF(measured(LEFT_OUT)), cosine_weight(*pairs)
+    truth, predicted = brdf.eval(*pairs), model.reconstruct(brdf)
+    found = predicted.eval(*pairs)
+    nearest = min(cube_root_error(truth, m.eval(*pairs), cosines) for m in model.load_materials())
+    assert cube_root_error(truth, found, cosines) < 0.2 * nearest
+    assert found.min() >= 0.0
+    assert plausibility(predicted).negative_share == 0.0
+
+
+def test_other_bands_are_refused(model):
+    other = Lambert(np.array([0.5]), Bands((500.0, 600.0)))
+    with pytest.raises(BandMismatchError, match="the material to reconstruct"):
+        model.reconstruct(other)
+
+
+class OthersThan:
+    """A cache of materials that lacks one."""
+
+    def __init__(self, materials, name):
+        self._materials = [m for m in materials if m.name != name]
+
+    def in_bands(self, bands):
+        return [m.select_bands(bands) for m in self._materials]
+
+
+@pytest.mark.skipif(not real_rgl_files(), reason="no real RGL files at hand")
+def test_real_materials_that_were_left_out_are_physical():
+    materials = [MeasuredBRDF(read_bsdf(path)) for path in real_rgl_files()]
+    wi = from_spherical(np.deg2rad([0.0, 45.0, 70.0, 85.0]), 0.0)
+    bright = sorted(materials, key=lambda m: -m.albedo(wi, 16).max())[:5]
+    for material in bright:
+        predicted = reconstruct(OthersThan(materials, material.name), np.arange(3), material)
+        assert predicted.albedo(wi).max() <= 1.02
+        assert predicted.eval(wi[1], from_spherical(np.linspace(0, 1.5, 300), np.pi)).min() >= 0.0

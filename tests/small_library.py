@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -38,7 +40,19 @@ def small_library(folder: Path, *, names: Sequence[str] = NAMES, library: Path |
     return path
 
 
+@cache
+def _fitted() -> TemporaryDirectory[str]:
+    """A folder with a small library and its model, until the session ends."""
+    folder = TemporaryDirectory()
+    path = Path(folder.name)
+    Manifold.fit(Library.open(small_library(path))).save(path / "model.h5")
+    return folder
+
+
 def small_model(folder: Path) -> Path:
     """`model.h5` of a small library in a folder; the model's path."""
-    Manifold.fit(Library.open(small_library(folder))).save(folder / "model.h5")
+    fitted = Path(_fitted().name)
+    shutil.copytree(fitted / "files", folder / "files")
+    shutil.copytree(fitted / "library.zarr", folder / "library.zarr")
+    Manifold.load(fitted / "model.h5", folder / "library.zarr").save(folder / "model.h5")
     return folder / "model.h5"

@@ -119,7 +119,7 @@ def _row(key, error, cost, spread=0.0, *, held_out=True):
     )  # fmt: skip
 
 
-def test_times_within_their_spread_and_errors_within_a_percent_do_not_push_each_other_off():
+def test_times_within_their_spread_and_errors_within_a_percent_do_not_count_as_different():
     steady = [_row("a", 1.0, 10.0), _row("b", 1.0, 12.0), _row("c", 1.005, 10.05), _row("d", 1.5, 13.0)]
     assert fronts(steady)["rmse"]["predict"] == ["a", "c"]
     noisy = [_row("a", 1.0, 10.0, 2.2), _row("b", 1.0, 12.0, 2.2), _row("d", 1.5, 13.0, 2.2)]
@@ -170,10 +170,10 @@ def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the
         assert AS_PUBLISHED in names
         front = made.front(error, cost)
         assert any(front[0].title in name or "(+" in name for name in names)
-        for row in front:  # on the front: filled, in the colour of the family; beaten: white inside
+        for row in front:  # on the front: filled, in the colour of the family; dominated: white inside
             assert to_rgb(drawn[row.key].get_markerfacecolor()) != (1.0, 1.0, 1.0)
-        beaten = [r.key for r in made.rows if r not in front and r.key != PUBLISHED]
-        assert all(drawn[key].get_markersize() < drawn[front[0].key].get_markersize() for key in beaten)
+        dominated = [r.key for r in made.rows if r not in front and r.key != PUBLISHED]
+        assert all(drawn[key].get_markersize() < drawn[front[0].key].get_markersize() for key in dominated)
 
 
 def test_no_two_names_of_a_panel_cover_each_other_and_none_is_cut(figure):

@@ -38,8 +38,8 @@ def test_dominators_are_those_of_the_definition(costs, data):
 def test_without_tolerance_whatever_is_off_the_front_is_dominated_by_one_that_is_on_it(costs):
     on = front(costs)
     assert on.any()
-    for row, beaten in enumerate(dominators(costs)):
-        assert on[row] or any(on[j] for j in beaten)
+    for row, others in enumerate(dominators(costs)):
+        assert on[row] or any(on[j] for j in others)
 
 
 @given(COSTS)
@@ -51,11 +51,11 @@ def test_without_tolerance_the_cheapest_of_any_axis_is_matched_on_the_front(cost
 @given(TWO_COSTS, st.data())
 def test_in_two_columns_a_chain_of_dominators_ends_on_the_front_whatever_the_tolerance(costs, data):
     tolerance = data.draw(arrays(float, costs.shape, elements=st.sampled_from([0.0, 0.6, 1.1, 3.0])))
-    beaten = dominators(costs, tolerance)
+    dominators_of = dominators(costs, tolerance)
     for row in range(len(costs)):
         for _ in costs:
-            row = beaten[row][0] if beaten[row] else row
-        assert not beaten[row]
+            row = dominators_of[row][0] if dominators_of[row] else row
+        assert not dominators_of[row]
 
 
 def test_settings_within_the_tolerance_of_each_other_stay_on_the_front_together():

@@ -49,7 +49,7 @@ _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measure
 
 
 def chart(made: Chart) -> Figure:
-    """Errors against costs. Filled and joined: on the front; pale and small: beaten; crosses saw the material."""
+    """Errors against costs. Filled and joined: on the front; pale and small: dominated; crosses saw the material."""
     figure = new_figure(10.4, 12.4)
     kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
     figure.suptitle(
@@ -101,7 +101,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
 
 
 def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """The edge of what a front beats, from the cheapest to the dearest corner; within tolerance it may rise."""
+    """The edge of what a front dominates, from the cheapest to the dearest corner; within tolerance it may rise."""
     x, y = np.array(corners).T
     return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
 

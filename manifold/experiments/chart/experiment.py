@@ -20,7 +20,7 @@ from manifold.records import BsdfFile, Progress
 ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relative_error": "relative error"}
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
-_ALIKE = 0.01  # errors and bytes that differ by less do not push each other off a front
+_ALIKE = 0.01  # errors and bytes that differ by less do not count as different
 _ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whole chart
 
 
@@ -45,7 +45,7 @@ class Chart:
 
     Attributes:
         rows: setting by setting; held-out ones first.
-        fronts: by error, then by cost, the keys of held-out settings that no other beats, cheapest first.
+        fronts: by error, then by cost, the keys of held-out settings that no other dominates, cheapest first.
         n_materials, n_bands, folds: of the cross-validation.
         reference_seconds: median processor time of the reference, in which all times are.
         scaled: what was measured in part, and how it was scaled to the whole.

@@ -1,4 +1,4 @@
-"""Which of several settings no other one beats."""
+"""Which of several settings no other one dominates."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
     low, high = costs - tolerance, costs + tolerance
     better = high[:, None] < low[None]  # [row, than row, C]
     wins = np.asarray(better.any(axis=2))
-    beaten_by = (wins & ~wins.T).T
-    return [np.flatnonzero(row).tolist() for row in beaten_by]
+    dominated_by = (wins & ~wins.T).T
+    return [np.flatnonzero(row).tolist() for row in dominated_by]
 
 
 def front(costs: Array, tolerance: Array | float = 0.0) -> Array:
     """Whether no other row dominates a row, bool, shape (M,)."""
-    return np.array([not beaten for beaten in dominators(costs, tolerance)], dtype=bool)
+    return np.array([not others for others in dominators(costs, tolerance)], dtype=bool)

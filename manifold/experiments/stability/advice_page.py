@@ -89,7 +89,7 @@ def _chapter(mode: Mode, rows: Sequence[Row]) -> list[str]:
         "",
         f"**What to do.** {_sentence(mode.advice)}",
         "",
-        "| method | undetected | what happened | what is said |",
+        "| method | undetected | outcomes | first message |",
         "|---|---|---|---|",
     ]
     for row in rows:

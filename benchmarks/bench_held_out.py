@@ -14,13 +14,14 @@ import argparse
 import json
 import re
 import time
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from trial_models import CUBE_ROOT, Power, Setting, fit_trial
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import read_bsdf
@@ -30,18 +31,38 @@ from manifold.models.criteria import CRITERIA
 from manifold.models.kernels import KERNELS, kernel_named
 
 
-def held_out(data: Data, setting: Setting, every: int = 1) -> dict[str, list[float] | float]:
-    """Linear and cube-root error of every so manieth material left out, and the largest sum of absolute weights."""
+@dataclass(frozen=True)
+class Row:
+    """The three errors of every material that was left out, and the largest sum of absolute weights."""
+
+    linear: list[float]
+    cube_root: list[float]
+    ball: list[float]
+    weights: float
+
+
+def held_out(data: Data, balls: BallErrors, setting: Setting, every: int = 1) -> Row:
+    """Leave every so manieth material out."""
     splits = leave_out(data.n_materials)[::every]
     found = cross_validate(data, fit_trial(setting), splits).combinations
-    left_out = [int(out[0]) for _, out in splits]
-    predicted = [c.in_bands(data.bands).evaluate(data) for c in found]
-    both = [
-        [error(data.f[i], f, data.cosines) for i, f in zip(left_out, predicted, strict=True)]
-        for error in (relative_error, cube_root_error)
-    ]
-    weights = max(float(np.abs(c.weights).sum(axis=-1).max()) for c in found)
-    return {"errors": both[0], "cube_root": both[1], "weights": weights}
+    linear, cube_root, ball = [], [], []
+    for (_, out), combination in zip(splits, found, strict=True):
+        i, here = int(out[0]), combination.in_bands(data.bands)
+        f = here.evaluate(data)
+        linear.append(relative_error(data.f[i], f, data.cosines))
+        cube_root.append(cube_root_error(data.f[i], f, data.cosines))
+        ball.append(balls.delta_e(i, here.evaluate(balls.values)))
+    return Row(linear, cube_root, ball, max(float(np.abs(c.weights).sum(axis=-1).max()) for c in found))
+
+
+def _mean(errors: list[float]) -> float:
+    """Geometric mean."""
+    return float(np.exp(np.mean(np.log(errors))))
+
+
+def _both(errors: list[float], digits: int = 3) -> str:
+    """Median / 90th percentile."""
+    return f"{np.median(errors):.{digits}f} / {np.percentile(errors, 90):.{digits}f}"
 
 
 # -- trials ------------------------------------------------------------------------------------------------
@@ -144,19 +165,12 @@ def trials(data: Data) -> dict[str, dict[str, Setting]]:
     return table
 
 
-def load(folder: Path, cache: Path | None) -> Data:
-    """Values of the files of a folder, remembered in an .npz."""
-    if cache is not None and cache.exists():
-        kept = np.load(cache)
-        return Data(kept["f"], kept["wi"], kept["wo"], kept["bands"], int(kept["n_bands"]))
+def load(folder: Path) -> list[MeasuredBRDF]:
+    """The .bsdf files of a folder, as they are."""
     paths = sorted(folder.glob("*.bsdf"))
     if len(paths) < 4:
         raise SystemExit(f"{folder}: found {len(paths)} .bsdf files, expected at least 4")
-    materials = [MeasuredBRDF(read_bsdf(path)) for path in paths]
-    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
-    if cache is not None:
-        np.savez(cache, f=data.f, wi=data.wi, wo=data.wo, bands=data.bands, n_bands=data.n_bands)
-    return data
+    return [MeasuredBRDF(read_bsdf(path)) for path in paths]
 
 
 def main() -> None:
@@ -174,16 +188,15 @@ def main() -> None:
         "--every", type=int, default=1, help="leave out only every so manieth material, to save time"
     )
     parser.add_argument("--list", action="store_true", help="names of trials and rows")
-    parser.add_argument("--cache", type=Path, help="file that remembers the evaluated data (.npz)")
     parser.add_argument("--json", type=Path, help="where to append results, one JSON object per line")
     args = parser.parse_args()
-    data = load(args.folder, args.cache)
+    materials = load(args.folder)
+    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
+    balls = BallErrors(materials, data.bands)
     table = trials(data)
     for trial in args.trial or table:
-        print(
-            f"\n{trial}\n| row | geometric mean | median | 90th pct. | cube root | largest sum of weights | seconds |"
-        )
-        print("|---|---|---|---|---|---|---|")
+        print(f"\n{trial}\n| row | linear | cube root | ball CIEDE2000 | largest sum of weights | seconds |")
+        print("|---|---|---|---|---|---|")
         for name, setting in table[trial].items():
             if not re.search(args.rows, name):
                 continue
@@ -197,17 +210,11 @@ def main() -> None:
             if args.criterion is not None:
                 setting = replace(setting, criterion=args.criterion)
             start = time.perf_counter()
-            found = held_out(data, setting, args.every)
-            errors, roots = np.array(found["errors"]), np.array(found["cube_root"])
-            row = {
-                "trial": trial, "row": name, "mean": float(np.exp(np.mean(np.log(errors)))),
-                "median": float(np.median(errors)), "p90": float(np.percentile(errors, 90)),
-                "seconds": time.perf_counter() - start, **found,
-            }  # fmt: skip
+            found = held_out(data, balls, setting, args.every)
+            row = {"trial": trial, "row": name, "seconds": time.perf_counter() - start, **asdict(found)}
             print(
-                f"| {name} | {row['mean']:.3f} | {row['median']:.3f} | {row['p90']:.3f} "
-                f"| {np.median(roots):.3f} / {np.percentile(roots, 90):.3f} | {found['weights']:.0f} "
-                f"| {row['seconds']:.0f} |",
+                f"| {name} | {_mean(found.linear):.3f} ({_both(found.linear)}) | {_mean(found.cube_root):.3f} "
+                f"({_both(found.cube_root)}) | {_both(found.ball, 1)} | {found.weights:.0f} | {row['seconds']:.0f} |",
                 flush=True,
             )
             if args.json is not None:

@@ -61,7 +61,8 @@ def chart(
     with terminal.progress("Chart") as step:
         made = charts.chart(library, model, only or (), step)
     results.table(
-        ["setting", "RMSE", "front", "CIEDE2000", "front", "relative", "predict", "MB", "fit"], _rows(made)
+        ["setting", "RMSE", "front", "CIEDE2000", "front", "cube root", "linear", "predict", "MB", "fit"],
+        _rows(made),
     )
     results.text(
         "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
@@ -89,6 +90,7 @@ def _rows(made: Chart) -> list[list[str]]:
             letters("rmse", row.key),
             f"{row.delta_e:.2f}",
             letters("delta_e", row.key),
+            f"{row.cube_root_error:.3f}",
             f"{row.relative_error:.3f}",
             f"{row.predict.median:.3g}",
             f"{row.bytes / 1e6:.3g}",

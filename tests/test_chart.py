@@ -50,6 +50,7 @@ def test_the_json_has_every_setting_with_finite_measures(made):
     for row in document["rows"]:
         numbers = [row[k] for k in (*ERRORS, "bytes")] + [row[k]["median"] for k in ("fit", "predict")]
         assert min(numbers) > 0, row["key"]
+        assert all(row["p90"][name] >= row[name] for name in ERRORS)
         assert min(row[k]["spread"] for k in ("fit", "predict")) >= 0, row["key"]
 
 
@@ -114,7 +115,8 @@ def test_the_more_bands_are_kept_the_nearer_a_spectral_file_is_to_all_of_them():
 def _row(key, error, cost, spread=0.0, *, held_out=True):
     time = RelativeTime(cost, spread)
     return ChartRow(
-        key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error, rmse=error, delta_e=error,
+        key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error,
+        cube_root_error=error, rmse=error, delta_e=error,
         fit=time, predict=time, bytes=round(100 * cost),
     )  # fmt: skip
 

@@ -17,7 +17,10 @@ from manifold.experiments.chart.registry import Setting, settings
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import BsdfFile, Progress
 
-ERRORS = {"rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "relative_error": "relative error"}
+ERRORS = {
+    "rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error",
+    "relative_error": "linear error",
+}  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
 _ALIKE = 0.01  # errors and bytes that differ by less do not count as different

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
-from manifold.experiments.chart.instruments import Measurement, RelativeTime, Stopwatch, Target
+from manifold.experiments.chart.instruments import Measurement, RelativeTime, Stopwatch, Target, summary
 from manifold.fitting import principled
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.principled import FitResult
@@ -43,11 +43,8 @@ def measure(
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
         scale = file.luminance.size / len(target.pairs)
         predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
-    relative, rmse, delta_e = np.median(errors, axis=0)
     return Measurement(
-        relative_error=float(relative),
-        rmse=float(rmse),
-        delta_e=float(delta_e),
+        **summary(errors),
         fit=RelativeTime.of(np.array(fits) * len(files)),
         predict=RelativeTime.of_several(predicts),
         bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),

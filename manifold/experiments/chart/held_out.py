@@ -84,16 +84,14 @@ class HeldOut:
             fit = RelativeTime(fit.median - self._tabulating + self._resampling, fit.spread)
         combinations = [without_small_weights(c, setting.threshold) for c in combinations]
         stored = self._stored_as(setting.storage)
-        relative, rmse, delta_e = np.median(self.target.errors_of(stored, combinations), axis=0)
+        errors = instruments.summary(self.target.errors_of(stored, combinations))
         scale = (_DENSE_PAIRS if setting.is_dense else stored.cells) / _BLOCK_PAIRS
         predict = [
             scale * self.watch.laps(_predictor(stored, c, self._block, is_dense=setting.is_dense), _REPEATS)
             for c in combinations[:: max(len(combinations) // _TIMED, 1)]
         ]
         return Measurement(
-            relative_error=float(relative),
-            rmse=float(rmse),
-            delta_e=float(delta_e),
+            **errors,
             fit=fit,
             predict=RelativeTime.of_several(predict),
             bytes=self._bytes(setting, stored),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numba as nb
 import numpy as np
@@ -58,9 +58,11 @@ class Measurement:
     """What a setting costs, and how far off it is: medians over materials.
 
     Attributes:
-        relative_error: cosine-weighted, over a grid, in some of the bands.
+        relative_error: linear, cosine-weighted, over a grid, in some of the bands.
+        cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
         rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
         delta_e: mean CIEDE2000 of the ball; see `ball_colours`.
+        p90: 90th percentiles of these four over materials, by their names.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them.
         predict: time to predict a whole material, at all direction pairs that it is kept at.
         bytes: of what predictions read: files, and the numbers of all materials.
@@ -68,12 +70,21 @@ class Measurement:
     """
 
     relative_error: float
+    cube_root_error: float
     rmse: float
     delta_e: float
+    p90: dict[str, float] = field(default_factory=dict)
     fit: RelativeTime
     predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
+
+
+def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
+    """Errors (N, 4) as `Target.errors` gives them, over materials: what `Measurement` holds of them."""
+    names = ("relative_error", "cube_root_error", "rmse", "delta_e")
+    medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
+    return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
 
 
 class Stopwatch:
@@ -183,14 +194,15 @@ class Target:
         self.data, self.pairs = data, pairs
         self.balls = BallErrors(materials, data.bands)
 
-    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, float, float]:
-        """Relative error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""
+    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
+        """Linear and cube-root error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
-        return data.relative_error(i, f), rmse, self.balls.delta_e(i, f_ball)
+        cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
+        return data.relative_error(i, f), cube_root, rmse, self.balls.delta_e(i, f_ball)
 
     def errors_of(self, stored: StoredMaterials, combinations: Sequence[Combination]) -> Array:
-        """Errors (N, 3), as `errors` gives them, of a prediction per material."""
+        """Errors (N, 4), as `errors` gives them, of a prediction per material."""
         rows = []
         here = [c if stored.back is not None else c.in_bands(self.data.bands) for c in combinations]
         for first in range(0, len(here), _AT_ONCE):

@@ -34,10 +34,11 @@ import numpy as np
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from manifold.gplvm import GPLVM, LatentObjective, pca_start
-from manifold.gpr import centre_gram
+from manifold.gplvm import GPLVM
 from manifold.models.kernels import SquaredExponential
-from manifold.models.sparse import SparseGPLVM, SparseObjective, farthest_points, pca_start_of_factor
+from manifold.models.objective import LatentObjective, centre_gram, pca_start
+from manifold.models.sparse import SparseGPLVM
+from manifold.models.sparse_objective import SparseObjective, farthest_points, pca_start_of_factor
 
 SIZES = (51, 200, 1000, 5000)
 RANK, OUTPUTS = 40, 1_000_000

@@ -15,10 +15,11 @@ from scipy.optimize import minimize
 from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
-from manifold.gpr import GPWeights, centre_gram
+from manifold.gpr import GPWeights
 from manifold.mapping import CubeRoot, Mapping
 from manifold.model.combination import Combination
 from manifold.models.kernels import Kernel, SquaredExponential
+from manifold.models.objective import centre_gram
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array
 

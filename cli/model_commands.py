@@ -50,7 +50,7 @@ class Optimizer(StrEnum):
 
     dls = "dls"
     lbfgs = "l-bfgs"
-    both = "both"
+    multistart = "multistart"
 
 
 class Grid(StrEnum):
@@ -115,8 +115,9 @@ def embed(
     optimizer: Annotated[
         Optimizer | None,
         typer.Option(
-            help="Direct local search, L-BFGS with gradients, or both. "
-            "[default: dls for materials; monochrome has l-bfgs only]"
+            help="How latents are found from principal components. dls: direct local search without gradients (Hikichi "
+            "& Iwasaki, section 3.4). l-bfgs: along the gradient. multistart: the best of several of both. "
+            "[default: dls for materials; the others have l-bfgs only]"
         ),
     ] = None,
     mu: Annotated[

@@ -3,8 +3,8 @@
 Two faces of one search:
 
 - `hooke_jeeves` is a method for `scipy.optimize.minimize`;
-- `direct_local_search` works on a `MoveObjective`, which prices a move of a single coordinate more cheaply
-  than a whole new point (the likelihood of a latent variable model does, by rank-two updates).
+- `direct_local_search` works on a `MoveObjective`, which moves a single coordinate more cheaply than it
+  evaluates a whole new point (the likelihood of a latent variable model does, by rank-two updates).
 
 Source: Hooke & Jeeves 1961.
 """
@@ -32,11 +32,7 @@ _MESSAGES = {
 
 
 class MoveObjective(Protocol):
-    """A function of n coordinates that stands at a current point.
-
-    `try_move` prices `x[index] + delta` and leaves it pending; then exactly one of `commit` and `reject`
-    follows. NaN and inf are allowed as values and never accepted.
-    """
+    """A function of n coordinates that stands at a current point. NaN and inf are allowed as values."""
 
     @property
     def x(self) -> Array:
@@ -46,14 +42,15 @@ class MoveObjective(Protocol):
     def value(self) -> float:
         """The function at the current point."""
 
-    def try_move(self, index: int, delta: float) -> float:
-        """The value with one coordinate moved, pending."""
+    def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
+        """Try every coordinate both ways, keep each improvement at once; return how many moves were tried.
 
-    def commit(self) -> None:
-        """Make the pending move."""
-
-    def reject(self) -> None:
-        """Drop the pending move."""
+        Args:
+            steps: how far, > 0, shape (n,).
+            heading: +1 or -1, which way first, shape (n,); what succeeds is written here.
+            limits: lowest and highest coordinates, shape (n,) each: a step ends there, or is not tried.
+            budget: most moves to try.
+        """
 
     def move_to(self, x: Array) -> float:
         """Jump to x (n,) and return the value there."""
@@ -67,10 +64,7 @@ def direct_local_search(
     objective: MoveObjective,
     *,
     initial_step: float | Array = 0.5,
-    largest_step: float | None = None,
     tolerance: float = 1e-6,
-    f_tolerance: float = 0.0,
-    individual_steps: bool = False,
     bounds: Bounds | Sequence[tuple[float | None, float | None]] | None = None,
     maxfev: int | None = None,
     max_sweeps: int | None = None,
@@ -85,11 +79,7 @@ def direct_local_search(
     Args:
         objective: stands at the start; it stands at the best point found when this returns or raises.
         initial_step: first step in units of x, a number or shape (n,).
-        largest_step: how far individual steps may grow; the initial step, if None.
         tolerance: ends when every step is smaller.
-        f_tolerance: ends, besides, when a round gains less than this times |value|.
-        individual_steps: one step per coordinate, doubled where it succeeds and halved where it
-            fails, instead of one for all. Better where coordinates differ in scale.
         bounds: limits of every coordinate, as scipy takes them.
         maxfev: limit on evaluations, a move of one coordinate counting as one; 2000 n if None.
         max_sweeps: limit on rounds (a sweep and the pattern moves after it).
@@ -107,21 +97,17 @@ def direct_local_search(
     search = _Search(
         objective,
         steps=_per_coordinate(initial_step, n, "initial_step"),
-        largest=initial_step if largest_step is None else largest_step,
         limits=_limits(bounds, n),
-        individual=individual_steps,
         maxfev=2000 * n if maxfev is None else maxfev,
     )
     nit, status = 0, OUT_OF_SWEEPS
     try:
         while status == OUT_OF_SWEEPS and (max_sweeps is None or nit < max_sweeps):
-            before = search.best
-            improved = search.round()
+            search.round()
             nit += 1
             if callback is not None:
                 callback(search.best_x.copy(), search.best)
-            gained_little = improved and before - search.best <= f_tolerance * abs(search.best)
-            if np.all(search.steps < tolerance) or gained_little:
+            if np.all(search.steps < tolerance):
                 status = CONVERGED
     except _OutOfEvaluations:
         status = OUT_OF_EVALUATIONS
@@ -146,42 +132,32 @@ class _Search:
     """Steps, budget, and the best point of one search."""
 
     def __init__(
-        self,
-        objective: MoveObjective,
-        steps: Array,
-        largest: float | Array,
-        limits: tuple[Array, Array],
-        individual: bool,
-        maxfev: int,
+        self, objective: MoveObjective, steps: Array, limits: tuple[Array, Array], maxfev: int
     ) -> None:
         self.objective = objective
         self.steps = steps
-        self.largest = np.maximum(steps, largest)
         self.heading = np.ones(steps.shape[0])  # the sense that succeeded last is tried first
-        self.lower, self.upper = limits
-        self.individual = individual
+        self.limits = limits
         self.maxfev = maxfev
         self.nfev = 1
         self.best_x, self.best = objective.x.copy(), objective.value
 
-    def round(self) -> bool:
-        """One sweep from the best point, then pattern moves while they pay; whether the sweep improved."""
+    def round(self) -> None:
+        """One sweep from the best point, then pattern moves while they pay; smaller steps if it did not improve."""
         origin = self.best_x
-        self._explore(adapt=True)
-        improved = self._keep_if_better()
-        if not improved and not self.individual:
+        self._explore()
+        paying = self._keep_if_better()
+        if not paying:
             self.steps *= 0.5
-        paying = improved
         while paying:
-            pattern = np.clip(2.0 * self.best_x - origin, self.lower, self.upper)
+            pattern = np.clip(2.0 * self.best_x - origin, *self.limits)
             origin = self.best_x
-            self._spend()
             self.objective.move_to(pattern)
+            self._spend(1)
             # Explored even if the jump itself made things worse: that is what lets it follow curved valleys.
-            self._explore(adapt=False)
+            self._explore()
             paying = self._keep_if_better()
         self.settle()
-        return improved
 
     def settle(self) -> None:
         """Leave the objective at the best point."""
@@ -194,34 +170,13 @@ class _Search:
         self.best_x, self.best = self.objective.x.copy(), self.objective.value
         return True
 
-    def _explore(self, adapt: bool) -> None:
-        """Try every coordinate both ways and keep each improvement; adapt individual steps if asked."""
-        for index in range(self.steps.shape[0]):
-            succeeded = self._try_both_ways(index)
-            if succeeded and self.individual:
-                self.steps[index] = min(2.0 * self.steps[index], self.largest[index])
-            elif adapt and self.individual:
-                self.steps[index] *= 0.5
+    def _explore(self) -> None:
+        self._spend(self.objective.explore(self.steps, self.heading, self.limits, self.maxfev - self.nfev))
 
-    def _try_both_ways(self, index: int) -> bool:
-        objective = self.objective
-        here = objective.x[index]
-        for sense in (self.heading[index], -self.heading[index]):
-            target = min(max(here + sense * self.steps[index], self.lower[index]), self.upper[index])
-            if target == here:
-                continue
-            self._spend()
-            if objective.try_move(index, target - here) < objective.value:
-                objective.commit()
-                self.heading[index] = sense
-                return True
-            objective.reject()
-        return False
-
-    def _spend(self) -> None:
+    def _spend(self, evaluations: int) -> None:
+        self.nfev += evaluations
         if self.nfev >= self.maxfev:
             raise _OutOfEvaluations
-        self.nfev += 1
 
 
 def _per_coordinate(value: float | Array, n: int, name: str) -> Array:
@@ -256,19 +211,24 @@ class _WholeEvaluations:
         self._fun, self._args = fun, args
         self.x = x0
         self.value = self._evaluate(x0)
-        self._pending_x, self._pending = self.x, self.value
 
-    def try_move(self, index: int, delta: float) -> float:
-        self._pending_x = self.x.copy()
-        self._pending_x[index] += delta
-        self._pending = self._evaluate(self._pending_x)
-        return self._pending
-
-    def commit(self) -> None:
-        self.x, self.value = self._pending_x, self._pending
-
-    def reject(self) -> None:
-        pass
+    def explore(self, steps: Array, heading: Array, limits: tuple[Array, Array], budget: int) -> int:
+        tried = 0
+        for index, (step, low, high) in enumerate(zip(steps, *limits, strict=True)):
+            for sense in (heading[index], -heading[index]):
+                target = min(max(self.x[index] + sense * step, low), high)
+                if target == self.x[index]:
+                    continue
+                if tried == budget:
+                    return tried
+                tried += 1
+                moved = self.x.copy()
+                moved[index] = target
+                value = self._evaluate(moved)
+                if value < self.value:
+                    self.x, self.value, heading[index] = moved, value, sense
+                    break
+        return tried
 
     def move_to(self, x: Array) -> float:
         self.x, self.value = x.copy(), self._evaluate(x)
@@ -290,7 +250,6 @@ def hooke_jeeves(
     initial_step: float | Array = 0.5,
     maxfev: int | None = None,
     maxiter: int | None = None,
-    individual_steps: bool = False,
     **unused: Any,
 ) -> OptimizeResult:
     """Hooke & Jeeves as `scipy.optimize.minimize(fun, x0, method=hooke_jeeves, options={...})`.
@@ -306,7 +265,6 @@ def hooke_jeeves(
         initial_step: first step, a number or shape (n,).
         maxfev: limit on evaluations, 2000 n if None.
         maxiter: limit on rounds.
-        individual_steps: see `direct_local_search`.
         unused: `jac`, `hess`, `hessp` and `constraints`, which scipy always passes.
     Raises:
         UsageError: constraints were given; they would be ignored.
@@ -322,7 +280,6 @@ def hooke_jeeves(
         objective,
         initial_step=initial_step,
         tolerance=1e-6 if tol is None else tol,
-        individual_steps=individual_steps,
         bounds=bounds,
         maxfev=maxfev,
         max_sweeps=maxiter,

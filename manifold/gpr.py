@@ -12,26 +12,21 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.errors import NumericalError, ShapeError
+from manifold.errors import ShapeError
+from manifold.models.cholesky import factorise
 from manifold.models.kernels import Kernel, first_equal_row, kernel_named
+from manifold.models.objective import centre_gram
 from manifold.records import Array
 
-LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is said to be flat
-_ALONE = 0.5  # share of the prior's radial variance above which a sample is out of reach of the others
+LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is warned of
+_ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
 _MOST_ALONE = 0.25  # share of such samples
-_FIRST_JITTER = 1e-12
-_LAST_JITTER = 1e-2
-_COINCIDE = 1e-6  # latents closer than this many length scales are named as coinciding
-
-
-class JitterWarning(UserWarning):
-    """K was not positive definite: its diagonal was raised, and predictions are smoother than asked for."""
 
 
 class FlatModelWarning(UserWarning):
@@ -39,7 +34,7 @@ class FlatModelWarning(UserWarning):
 
 
 class IsolatedLatentsWarning(UserWarning):
-    """Many fitted latents are out of reach of all others: between them a process predicts the mean."""
+    """Many fitted latents are far from all others: between them a process predicts the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +91,7 @@ class GPWeights:
     def __init__(self, X: Array, kernel: Kernel) -> None:
         self.X = _require_latents(X, None, "X").copy()
         self.kernel = kernel
-        self.K, self.L, self.jitter = _factorise(self.X, self.kernel)
+        self.K, self.L, self.jitter = factorise(self.X, self.kernel)
 
     @property
     def n_samples(self) -> int:
@@ -187,7 +182,7 @@ class GPWeights:
         alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * (1.0 + self.kernel.mu))
         if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
             warnings.warn(
-                f"{alone} of {self.n_samples} latents are out of reach of all others (length scale "
+                f"{alone} of {self.n_samples} latents are far from all others (length scale "
                 f"{self.kernel.length_scale:g}): between them the mean is predicted; take more materials, fewer "
                 "dimensions, a longer length scale or a nearer start",
                 IsolatedLatentsWarning,
@@ -355,13 +350,6 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return Y - Y.mean(axis=0)
 
 
-def centre_gram(S: Array) -> Array:
-    """`H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
-    row = S.mean(axis=1)
-    centred = S - row[:, None] - row[None, :] + row.mean()
-    return 0.5 * (centred + centred.T)
-
-
 def _require_latents(X: Array, columns: int | None, name: str) -> Array:
     X = np.asarray(X, dtype=np.float64)
     expected = "(samples, Q)" if columns is None else f"(samples, {columns})"
@@ -381,57 +369,3 @@ def _require_square(S: Array, n: int, name: str) -> Array:
     if not np.all(np.isfinite(S)):
         raise ShapeError(f"{name} has non-finite values, expected a finite Gram matrix")
     return S
-
-
-def _factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
-    """K, its lower Cholesky factor and the jitter that was needed (0 as a rule)."""
-    K = kernel.training(X)
-    diagonal, variance = np.diag_indices_from(K), np.diag(K).copy()
-    jitter = 0.0
-    while True:
-        L = _cholesky_or_none(K)
-        if L is not None:
-            break
-        raised = _FIRST_JITTER if jitter == 0.0 else 10.0 * jitter
-        if raised > _LAST_JITTER:
-            raise NumericalError(
-                f"K is not positive definite even with {jitter:.0e} on its diagonal (N = {X.shape[0]}, "
-                f"mu = {kernel.mu:.0e}): {_name_coinciding(X, kernel)}; raise mu"
-            )
-        jitter = raised
-        K[diagonal] = variance + jitter
-    if jitter > 0.0:
-        warnings.warn(
-            f"K is not positive definite (N = {X.shape[0]}, mu = {kernel.mu:.0e}): "
-            f"{_name_coinciding(X, kernel)}; added {jitter:.0e} to its diagonal; "
-            f"raise mu to {jitter:.0e} or more",
-            JitterWarning,
-            stacklevel=3,
-        )
-    return K, L, jitter
-
-
-def _cholesky_or_none(K: Array) -> Array | None:
-    """The lower factor, or None where K is singular to working precision."""
-    try:
-        L = cholesky(K, lower=True)
-    except np.linalg.LinAlgError:
-        return None
-    # Rounding can let a singular K pass with meaningless pivots.
-    smallest_pivot = float(np.diag(L).min()) ** 2
-    return L if smallest_pivot > 4.0 * K.shape[0] * np.finfo(float).eps else None
-
-
-def _name_coinciding(X: Array, kernel: Kernel) -> str:
-    """Which latents are to blame, in words."""
-    if X.shape[0] < 2:
-        return "a single latent"
-    distances = cdist(X, X)
-    distances[np.tril_indices_from(distances)] = np.inf
-    pairs = np.argwhere(distances <= _COINCIDE * kernel.length_scale)
-    if len(pairs) == 0:
-        i, j = np.unravel_index(int(distances.argmin()), distances.shape)
-        return f"latents {i} and {j} are closest, {distances[i, j]:.1e} apart"
-    named = ", ".join(f"{i} and {j}" for i, j in pairs[:5])
-    more = f" and {len(pairs) - 5} more pairs" if len(pairs) > 5 else ""
-    return f"latents {named}{more} coincide"

@@ -65,6 +65,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
     paths = {}
     for name, source, settings in (
         ("rgb", rgb, Settings(kind="material")),
+        ("linear", rgb, Settings(kind="material", kernel="matern32+linear")),
         ("material", library, Settings(kind="material")),
         ("monochrome", library, Settings(kind="monochrome")),
         ("many samples", library, Settings(kind="monochrome", sample_bands=11)),
@@ -264,8 +265,9 @@ def test_the_picture_test_sees_another_material(models):
         require_same_picture(a, b)
 
 
-def test_a_texture_of_latents_carries_a_field_of_materials(models, rng):
-    model = Manifold.load(models["rgb"])
+@pytest.mark.parametrize("kind", ["rgb", "linear"])
+def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
+    model = Manifold.load(models[kind])
     mi, dr = backend.mitsuba("rgb"), backend.drjit()
     a, b = model.latent(model.names[0]), model.latent(model.names[2])
     fields = {}
@@ -276,7 +278,7 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng):
         fields[f"latent_{k}"] = {
             "type": "bitmap", "bitmap": mi.Bitmap(row), "raw": True, "filter_type": "nearest",
         }  # fmt: skip
-    bsdf = mi.load_dict({"type": "manifold", "model": str(models["rgb"]), **fields})
+    bsdf = mi.load_dict({"type": "manifold", "model": str(models[kind]), **fields})
     wi, wo = random_directions(rng, 600), random_directions(rng, 600)
     si = dr.zeros(mi.SurfaceInteraction3f, 600)
     si.wi = mi.Vector3f(wi.T.copy())

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from manifold.errors import ShapeError
-from manifold.gpr import GPRegressor, GPWeights, JitterWarning, centre_gram
+from manifold.gpr import GPRegressor, GPWeights
+from manifold.models.cholesky import JitterWarning
 from manifold.models.kernels import SquaredExponential
+from manifold.models.objective import centre_gram
 
 
 @parametrize_with_checks([GPRegressor()])

@@ -208,6 +208,35 @@ def test_a_model_with_a_changed_latent_is_refused_by_its_hash(model, tmp_path):
         Manifold.load(path)
 
 
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+@pytest.mark.parametrize("kernel", ["matern32+linear", "matern52", "rq"])
+def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
+    made = Manifold.fit(library, Settings(kind=kind, kernel=kernel))
+    made.save(tmp_path / "model.h5")
+    found = Manifold.load(tmp_path / "model.h5", library)
+    assert found.gp.kernel == made.settings.covariance() == found.settings.covariance()
+    x = made.between(made.names[0], made.names[1], 0.3)
+    np.testing.assert_array_equal(found.std(x), made.std(x))
+    np.testing.assert_array_equal(found.weights(x), made.weights(x))
+
+
+def test_a_model_without_a_kernels_name_is_of_the_squared_exponential_and_dls_were_several_starts(
+    library, tmp_path
+):
+    made = Manifold.fit(library, Settings(kind="material", optimizer="dls"))
+    made.save(tmp_path / "model.h5")
+    with h5py.File(tmp_path / "model.h5", "a") as file:
+        del file["settings"].attrs["kernel"]
+    found = Manifold.load(tmp_path / "model.h5", library).settings
+    assert (found.kernel, found.optimizer) == ("se", "multistart")
+
+
+def test_far_from_all_materials_a_linear_kernel_extrapolates_too(library):
+    model = Manifold.fit(library, Settings(kind="material", kernel="se+linear"))
+    assert not model.is_extrapolation(model.X).any()
+    assert model.is_extrapolation(model.X + 50.0).all()
+
+
 def test_a_model_of_another_version_is_refused(model, tmp_path):
     path = tmp_path / "newer.h5"
     model.save(path)

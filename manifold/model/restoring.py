@@ -52,9 +52,12 @@ def restore(path: Path, stored: ModelRecord, library: Library) -> tuple[Settings
         ModelError: they do not fit each other, or the library.
     """
     try:
-        known = {
-            "kernel": "se"
-        } | stored.settings  # models written before kernels could be chosen have no name
+        known = dict(stored.settings)
+        if (
+            "kernel" not in known
+        ):  # written before kernels could be chosen; `dls` was the name of several starts
+            known["kernel"] = "se"
+            known["optimizer"] = {"dls": "multistart"}.get(known["optimizer"], known["optimizer"])
         settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), library.bands.count)
         expected = (len(stored.names), settings.latent_dim)

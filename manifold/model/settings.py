@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from manifold.errors import UsageError
-from manifold.gplvm import OPTIMIZERS
 from manifold.models.kernels import Kernel, kernel_named
+from manifold.models.search import OPTIMIZERS
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
     "monochrome": {"optimizer": "l-bfgs", "mu": 1e-3, "prior": 0.1},
     "material": {"optimizer": "dls", "mu": 1e-4, "prior": 0.0},
 }
-_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "monochrome": ("l-bfgs",), "material": OPTIMIZERS}
+_KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "monochrome": ("l-bfgs",), "material": tuple(OPTIMIZERS)}
 
 KINDS = tuple(_KIND_DEFAULTS)
 
@@ -28,7 +28,7 @@ class Settings:
             sample; or `material`, the kind of Hikichi & Iwasaki.
         latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
         mapping: name of the mapping.
-        optimizer: how the latents are refined; None is the kind's own, and monochrome has `l-bfgs` only.
+        optimizer: of `GPLVM`; None is the kind's own. Kinds but `material` have `l-bfgs` only.
         mu: noise filter of the kernel; None is the kind's own.
         prior: weight of the Gaussian prior on the latents; None is the kind's own.
         length_scale: l, in units of the latents.

@@ -67,6 +67,11 @@ class Kernel(ABC):
         return self.linear > 0
 
     @property
+    def numbers(self) -> tuple[int, float, float]:
+        """What compiled loops need: which family, `1 / l^2`, `linear / l^2`."""
+        return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2, self.slope_of_linear
+
+    @property
     def slope_of_linear(self) -> float:
         """`linear / l^2`."""
         return self.linear / self.length_scale**2
@@ -203,17 +208,14 @@ def kernel_named(name: str, mu: float = 1e-4, length_scale: float = 1.0) -> Kern
 
 
 @nb.njit(cache=True)
-def radial_of_pair(family: str, squared: float) -> float:
-    """g of one squared distance in length scales, for loops that numba compiles; see `Kernel.radial`."""
-    if family == "se":
+def radial_of_pair(family: int, squared: float) -> float:
+    """g of one squared distance in length scales, for compiled loops: `Kernel.radial` by `Kernel.numbers`."""
+    if family == 0:
         return math.exp(-0.5 * squared)
-    if family == "rq":
+    if family == 3:
         return 1.0 / (1.0 + 0.5 * squared)
-    if family == "matern32":
-        a = math.sqrt(3.0 * squared)
-        return (1.0 + a) * math.exp(-a)
-    a = math.sqrt(5.0 * squared)
-    return (1.0 + a + a * a / 3.0) * math.exp(-a)
+    a = math.sqrt((3.0 if family == 1 else 5.0) * squared)
+    return (1.0 + a if family == 1 else 1.0 + a + a * a / 3.0) * math.exp(-a)
 
 
 def require_mu(mu: float) -> None:

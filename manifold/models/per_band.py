@@ -14,16 +14,17 @@ import numpy as np
 from scipy.optimize import minimize
 
 from manifold.errors import ShapeError, UsageError
-from manifold.gplvm import (
+from manifold.gpr import GPWeights
+from manifold.models.kernels import kernel_named, require_mu
+from manifold.models.objective import (
     LatentObjective,
     blas_threads,
+    centre_gram,
     fix_gauge,
     require_different,
     require_gram,
     require_prior,
 )
-from manifold.gpr import GPWeights, centre_gram
-from manifold.models.kernels import kernel_named, require_mu
 from manifold.records import Array
 
 _COMPONENTS = 10  # principal components of the samples that starts are made of
@@ -101,20 +102,14 @@ class MonochromeGPLVM:
                     best = (start, end, structure, colour)
         assert best is not None
         self.objective_start_, self.objective_, structure, colour = best
-        if not self.kernel.has_origin:
-            colour = colour - colour.mean(axis=0)
-        colour = _towards_brighter(colour, np.diag(S))
-        self.adopt(
-            fix_gauge(structure, centre=not self.kernel.has_origin), colour.reshape(n_materials, n_bands, -1)
-        )
-        self.gp_.warn_of_fit(centred)
-        return self
-
-    def adopt(self, structure: Array, colour: Array) -> MonochromeGPLVM:
-        """Take latents (N, Q_s) and (N, B, Q_c) as they are: a model that was fitted before and stored."""
-        self.structure_, self.colour_ = structure, colour
-        self.embedding_ = join_latents(structure, colour).reshape(-1, self.n_structure + self.n_colour)
+        centre = not self.kernel.has_origin
+        colour = _towards_brighter(colour - colour.mean(axis=0) if centre else colour, np.diag(S))
+        self.structure_ = fix_gauge(structure, centre=centre)
+        self.colour_ = colour.reshape(n_materials, n_bands, -1)
+        latents = join_latents(self.structure_, self.colour_)
+        self.embedding_ = latents.reshape(-1, self.n_structure + self.n_colour)
         self.gp_ = GPWeights(self.embedding_, self.kernel)
+        self.gp_.warn_of_fit(centred)
         return self
 
     def _refine(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from manifold import __version__
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
 from manifold.experiments.budget.output_folder import OutputFolder
-from manifold.experiments.budget.pictures import Pictures, Times, only_errors
+from manifold.experiments.budget.pictures import Pictures, only_errors
 from manifold.experiments.budget.representations import Candidate
 from manifold.experiments.budget.scene_document import SceneDocument, SceneMaterial
 from manifold.experiments.budget.scene_survey import MaterialLighting
@@ -199,7 +200,7 @@ def budget_scene(
             (folder / str(k)).mkdir()
             candidates[key] = representations.candidates(files[key], lighting, survey, folder / str(k))
         step(3, 4, "rendering")
-        times = Times(is_rgb)
+        times = cache(lambda candidate: representations.milliseconds(candidate.bsdf, is_rgb))
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         unseen = tuple(
             (material_name(path), path.stat().st_size) for key, path in files.items() if key not in candidates
@@ -277,7 +278,7 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 
 def _chosen(
     name: str, lighting: MaterialLighting, candidates: list[Candidate], answer: search.Answer, key: str,
-    noise: Mapping[str, Difference], times: Times,
+    noise: Mapping[str, Difference], times: Callable[[Candidate], float],
 ) -> Chosen:  # fmt: skip
     candidate, alone = answer.choice[key], answer.alone[key]
     return Chosen(
@@ -343,7 +344,7 @@ def _with_asset(one: Chosen, asset: Path | None) -> Chosen:
         bsdf["filename"] = str(asset)
     elif "filename" in bsdf:
         bsdf["filename"] = None  # of a temporary file
-    return Chosen(**(vars(one) | {"asset": asset, "bsdf": bsdf}))
+    return replace(one, asset=asset, bsdf=bsdf)
 
 
 def _write(

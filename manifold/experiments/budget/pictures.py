@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.experiments.budget import representations
-from manifold.experiments.budget.representations import Candidate
 from manifold.experiments.budget.scene_document import SceneDocument
 from manifold.experiments.budget.scene_survey import Survey
 from manifold.experiments.budget.search import Choice, Difference
@@ -27,19 +25,6 @@ def only_errors() -> Iterator[None]:
         yield
     finally:
         mi.set_log_level(before)
-
-
-class Times:
-    """Evaluation times of candidates, measured once each."""
-
-    def __init__(self, is_rgb: bool) -> None:
-        self._is_rgb = is_rgb
-        self._known: dict[int, float] = {}
-
-    def __call__(self, candidate: Candidate) -> float:
-        if id(candidate) not in self._known:
-            self._known[id(candidate)] = representations.milliseconds(candidate.bsdf, self._is_rgb)
-        return self._known[id(candidate)]
 
 
 class Pictures:

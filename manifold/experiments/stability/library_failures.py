@@ -14,17 +14,17 @@ import numpy as np
 from manifold.errors import FileFormatError
 from manifold.experiments.stability.data_failures import middle_of_family
 from manifold.experiments.stability.limits import NONE_TAKEN, SAME_RESULT
-from manifold.experiments.stability.testbed import ALPHAS, BANDS, MIDDLE, TestBed, named
-from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
+from manifold.experiments.stability.testbed import ALPHAS, MIDDLE, TestBed, named
+from manifold.experiments.stability.trials import Measurement, Mode, Trial
 from manifold.formats.tensor_file import read_tensors, write_tensors
-from manifold.io_rgl import write_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import relative_error
 from manifold.model import model_file
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
-from manifold.records import Array, BsdfFile
+from manifold.records import Array
 
 _FIRST, _SECOND = named(ALPHAS[1], 1), named(ALPHAS[2], 1)
 _FILE = "held_out_spec.bsdf"
@@ -146,7 +146,7 @@ def _import(folder: Path) -> None:
 
 
 def _imported(damage: Damage) -> Trial:
-    """Damaged files that an import takes."""
+    """Damaged or foreign files that an import takes."""
 
     def trial(bed: TestBed, severity: float) -> Measurement:
         with _copy(bed) as folder:
@@ -158,7 +158,7 @@ def _imported(damage: Damage) -> Trial:
 
 
 def _located(damage: Damage) -> Trial:
-    """Damaged files that are given a place on a manifold."""
+    """Damaged or foreign files that are given a place on a manifold."""
 
     def trial(bed: TestBed, severity: float) -> Measurement:
         with _copy(bed) as folder:
@@ -189,29 +189,15 @@ def _remove(folder: Path, count: float) -> None:
         shutil.rmtree(folder / "library.zarr" / "materials" / name)
 
 
-def _in_other_bands(file: BsdfFile, count: float) -> BsdfFile:
-    """The file with some wavelengths 5 nm longer; as an RGB file where all of them are to differ."""
-    wavelengths = np.array(BANDS.wavelengths_nm, dtype=np.float32)
-    if count >= len(wavelengths):
-        return replace(file, wavelengths_nm=None, version=(1, 0))
+def _change_bands(folder: Path, count: float) -> None:
+    """Make some wavelengths of the file 5 nm longer; make it an RGB file where all of them are to differ."""
+    file = read_bsdf(folder / _FILE)
+    wavelengths = np.array(file.bands.wavelengths_nm, dtype=np.float32)
     wavelengths[: int(count)] += 5.0
-    return replace(file, wavelengths_nm=wavelengths)
-
-
-def _imported_bands(bed: TestBed, count: float) -> Measurement:
-    """Bands that an import takes for others."""
-    with _copy(bed) as folder:
-        write_bsdf(folder / _FILE, _in_other_bands(bed.file(MIDDLE), count))
-        _import(folder)
-    return Measurement(count)
-
-
-def _located_bands(bed: TestBed, count: float) -> Measurement:
-    """Bands that an embedding takes for others."""
-    with _copy(bed) as folder:
-        write_bsdf(folder / _FILE, _in_other_bands(bed.file(MIDDLE), count))
-        found = locate(folder / "model.h5", folder / _FILE)
-    return Measurement(count, found.diagnostics)
+    changed = replace(file, wavelengths_nm=wavelengths)
+    if count == len(wavelengths):
+        changed = replace(file, wavelengths_nm=None, version=(1, 0))
+    write_bsdf(folder / _FILE, changed)
 
 
 MODES: tuple[Mode, ...] = (
@@ -264,8 +250,8 @@ MODES: tuple[Mode, ...] = (
     ),
     Mode(
         "other_bands", "a file of other wavelengths, or of RGB (3), for a library of spectra",
-        "bands that differ, of 3", (0.0, 1.0, 3.0), Limit("bands taken for others", 0.0, "none may be"),
-        {"import": _imported_bands, "embedding a file": _located_bands},
+        "bands that differ, of 3", (0.0, 1.0, 3.0), NONE_TAKEN,
+        {"import": _imported(_change_bands), "embedding a file": _located(_change_bands)},
         "Keep a library per set of bands.",
     ),
 )  # fmt: skip

@@ -19,4 +19,4 @@ SAME_RESULT = Limit(
     0.01,
     "instruments repeat themselves no better",
 )
-NONE_TAKEN = Limit("damaged files taken", 0.0, "none may be")
+NONE_TAKEN = Limit("files taken that must not be", 0.0, "one is one too many")

@@ -251,6 +251,13 @@ def test_no_method_is_listed_twice(models, reports):
         assert len(set(keys)) == len(keys)
 
 
+def test_a_map_of_blends_is_refitted_and_has_no_process(models):
+    """It finds places in one way: rows of a Gaussian process on its coordinates would say nothing of it."""
+    blend = Manifold.fit(models["material"].library, Settings(kind="blend"))
+    assert [m.key for m in model_methods(blend)] == ["reconstruction", "blend_refitted", "pca_log_relative"]
+    assert replaced_keys(blend) == {"blend_2", "pca_2_log_relative"}
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_report_names_synthetic_materials_and_every_method(reports, kind):
     made = reports[kind]

@@ -19,26 +19,52 @@ from manifold.records import Array
 
 def model_methods(model: Manifold) -> list[Method]:
     """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
-    space, count = model.space, _pca_count(model)
-    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
+    numbers, count = model.space.numbers, _pca_count(model)
+    reconstruction = Method(
+        "reconstruction",
+        "reconstruction",
+        numbers,
+        _fit_reconstruction(model),
+        is_held_out=False,
+        refits=False,
+    )
+    pca = Method(
+        "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
+    )
+    return [reconstruction, *_METHODS[model.settings.kind](model), pca]
 
-    def method(key: str, title: str, fit: Fit, *, held_out: bool = True, refits: bool = True) -> Method:
-        return Method(key, title, space.numbers, fit, held_out, refits, sample_bands, "refitted" in key)
 
+def _process_methods(model: Manifold) -> list[Method]:
+    """Of a Gaussian process on latents."""
+    settings = model.settings
     return [
-        Method(
-            "reconstruction", "reconstruction", space.numbers, _fit_reconstruction(model), is_held_out=False,
-            refits=False,
+        _method(model, "smooth", "reconstruction, smooth", _fit_smooth(model), held_out=False, refits=False),
+        _method(model, "gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
+        _method(model, "gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
+        _method(model, "gp_refitted", "GP, refitted without it", fit_settings(settings)),
+        _method(
+            model, "gp_refitted_cube_root", "GP, refitted, cube root", fit_settings(settings, "cube-root")
         ),
-        method("smooth", "reconstruction, smooth", _fit_smooth(model), held_out=False, refits=False),
-        method("gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
-        method("gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
-        method("gp_refitted", "GP, refitted without it", fit_settings(model.settings)),
-        method("gp_refitted_likelihood", "GP, refitted, likelihood", fit_settings(model.settings, "likelihood")),
-        Method(
-            "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
+        _method(
+            model, "gp_refitted_likelihood", "GP, refitted, likelihood", fit_settings(settings, "likelihood")
         ),
-    ]  # fmt: skip
+    ]
+
+
+def _blend_methods(model: Manifold) -> list[Method]:
+    """Of a map of blends, whose places are found in one way."""
+    return [_method(model, "blend_refitted", "blend, refitted without it", fit_settings(model.settings))]
+
+
+_METHODS = {"blend": _blend_methods, "material": _process_methods, "monochrome": _process_methods}
+
+
+def _method(
+    model: Manifold, key: str, title: str, fit: Fit, *, held_out: bool = True, refits: bool = True
+) -> Method:
+    space = model.space
+    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
+    return Method(key, title, space.numbers, fit, held_out, refits, sample_bands, "refitted" in key)
 
 
 def replaced_keys(model: Manifold) -> set[str]:
@@ -46,8 +72,10 @@ def replaced_keys(model: Manifold) -> set[str]:
     standard = {
         "gplvm_2": Settings(kind="material", latent_dim=2, optimizer="l-bfgs"),
         "gplvm_6": Settings(kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1),
-        "monochrome_2_1": Settings(latent_dim=2),
-        "monochrome_3_1": Settings(latent_dim=3),
+        "monochrome_2_1": Settings(kind="monochrome", latent_dim=2),
+        "monochrome_3_1": Settings(kind="monochrome", latent_dim=3),
+        "blend_2": Settings(kind="blend", latent_dim=2),
+        "blend_3": Settings(kind="blend", latent_dim=3),
     }
     same = {key for key, settings in standard.items() if model.settings == settings}
     return same | {f"pca_{_pca_count(model)}_log_relative"}

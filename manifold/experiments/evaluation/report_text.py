@@ -11,6 +11,7 @@ from manifold.experiments.evaluation.report import MethodResult, Report
 _SHOWN_COORDINATES = 2  # of a latent, so that a row fits 80 columns
 # Methods whose errors every material shows: column title per key, most honest first, as many as fit.
 _MATERIAL_COLUMNS = {
+    "blend_refitted": "refitted",
     "gp_refitted": "refitted",
     "gp_encoded": "encoded",
     "gp_latents_kept": "kept",
@@ -19,6 +20,13 @@ _MATERIAL_COLUMNS = {
 }
 _SHOWN_METHODS = 4
 _LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # of standardised errors, within which a method counts as calibrated
+
+
+_KINDS = {
+    "blend": "Blends of materials: {} dimensions, and two colours per band",
+    "material": "GPLVM of whole materials: {} dimensions",
+    "monochrome": "GPLVM of single bands: {} dimensions, and a colour per band",
+}
 
 
 def format_report(report: Report) -> str:
@@ -52,11 +60,9 @@ def _heading(report: Report) -> list[str]:
             " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
         )
     s = report.settings
-    whole = s["kind"] == "material"
     return [
         f"{len(report.names)} materials{kind}, {report.bands}",
-        f"GPLVM of {'whole materials' if whole else 'single bands'}: {s['latent_dim']} dimensions"
-        f"{'' if whole else ', and a colour per band'}; mapping {s['mapping']}",
+        f"{_KINDS[s['kind']].format(s['latent_dim'])}; mapping {s['mapping']}",
         f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
         f"condition of K {report.condition:.3g}",
         f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){_error_bands(report)}",

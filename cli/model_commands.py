@@ -96,7 +96,7 @@ def embed(
             help="blend: every place a non-negative combination of the materials around. monochrome: structure on "
             "the map, colour apart. material: colour and all on the map."
         ),
-    ] = Kind.monochrome,
+    ] = Kind.blend,
     latent_dim: Annotated[
         str,
         typer.Option(

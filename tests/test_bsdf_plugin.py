@@ -22,7 +22,9 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model import predicted_file
 from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.model.prediction import PredictedBRDF
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin import mixture
 from manifold.rendering.plugin.bsdf import load_model
@@ -291,6 +293,33 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
         expected = np.maximum(brdf.eval_cos(wi[k::3], wo[k::3]), 0.0)
         # Latents are float32 there; weights of both signs cancel.
         np.testing.assert_allclose(value[k::3], expected, rtol=0.02, atol=0.02 * np.median(expected))
+
+
+def test_a_texture_of_latents_blends_as_the_map_does(models, rng, tmp_path):
+    model = Manifold.fit(Manifold.load(models["rgb"]).library, Settings(kind="blend"))
+    model.save(tmp_path / "blend.h5")
+    mi, dr = backend.mitsuba("rgb"), backend.drjit()
+    places = [rng.dirichlet(np.ones(len(model.names))) @ model.X for _ in range(2)] + [model.X[1]]
+    fields = {
+        f"latent_{k}": {
+            "type": "bitmap", "bitmap": mi.Bitmap(np.array([[[x[k]] for x in places]], dtype=np.float32)), "raw": True,
+            "filter_type": "nearest",
+        }
+        for k in range(2)
+    }  # fmt: skip
+    bsdf = mi.load_dict({"type": "manifold", "model": str(tmp_path / "blend.h5"), **fields})
+    wi, wo = random_directions(rng, 300), random_directions(rng, 300)
+    si = dr.zeros(mi.SurfaceInteraction3f, 300)
+    si.wi = mi.Vector3f(wi.T.copy())
+    si.uv = mi.Point2f(np.tile([1 / 6, 3 / 6, 5 / 6], 100).astype(np.float32), 0.5)
+    value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.copy()))).T
+    for k, x in enumerate(places):
+        u = model.weights(x)
+        closed = PredictedBRDF(model.load_materials(), Combination(model.mapping, u))
+        expected = np.maximum(closed.eval_cos(wi[k::3], wo[k::3]), 0.0)
+        np.testing.assert_allclose(
+            value[k::3], expected, rtol=0.01, atol=0.01 * np.median(expected)
+        )  # float32
 
 
 def test_leaving_out_materials_states_its_error_and_keeps_to_it(rng):

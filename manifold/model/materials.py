@@ -71,15 +71,15 @@ class MaterialCache:
 
             def read(name: str) -> MeasuredBRDF:
                 known = self._filled.get(name)
-                whole = (
-                    MeasuredBRDF(self._with_unmeasured_filled(self.library.read(name)))
-                    if known is None
-                    else known
-                )
+                whole = MeasuredBRDF(self.filled_file(name)) if known is None else known
                 return whole.select_bands(list(key))
 
             self._in_bands = key, self._read(read, self.names, on_progress)
         return self._in_bands[1]
+
+    def filled_file(self, name: str) -> BsdfFile:
+        """A material's file as predictions combine it."""
+        return self._with_unmeasured_filled(self.library.read(name))
 
     def unmeasured_share(self, name: str) -> float:
         """Share of the cells above the horizon that a file has no measurement for."""

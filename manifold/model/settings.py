@@ -37,7 +37,7 @@ class Settings:
         sample_bands: bands per material that are samples of a monochrome manifold, at most.
     """
 
-    kind: str = "monochrome"
+    kind: str = "blend"
     latent_dim: int = 2
     mapping: str = "cube-root"
     optimizer: str = cast(str, None)

@@ -71,7 +71,7 @@ class Evaluation:
         )
         self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
         self._is_rgb = mixture.bands.is_rgb
-        self._gp = mixture.gp
+        self._gp, self._is_blend = mixture.gp, mixture.is_blend
         self._is_clipped = mixture.is_clipped
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
         self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
@@ -97,7 +97,51 @@ class Evaluation:
         """Weights at latents, a list of Q arrays; of a fixed mixture, its own."""
         if latent is None or self._gp is None:
             return _Lobes()
+        return self._blend_weights(latent) if self._is_blend else self._posterior_weights(latent)
+
+    def _squared_distance(self, latent: list[Any], j: Any) -> Any:
+        """From latents to that of material j, in length scales."""
+        pairs = [
+            (x, self._dr.gather(self._mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)
+        ]
+        squared = self._mi.Float64(sum(self._dr.square(x - c) for x, c in pairs))
+        assert self._gp is not None
+        return squared / self._gp.kernel.length_scale**2
+
+    def _blend_weights(self, latent: list[Any]) -> _Lobes:
+        """`models.blending.blend_weights`, in logarithms relative to the nearest material."""
+        mi, dr, n = self._mi, self._dr, self._n
+
+        def cost(j: Any) -> Any:
+            squared = dr.maximum(self._squared_distance(latent, j), 1e-12)
+            return 0.5 * squared + dr.log(squared)
+
+        def nearest(j: Any, least: Any) -> Any:
+            return j + 1, dr.minimum(least, cost(j))
+
+        _, least = dr.while_loop((mi.UInt32(0), mi.Float64(1e300)), lambda j, least: j < n, nearest)
+
+        def fill(j: Any, w: Any, total: Any) -> Any:
+            share = dr.exp(least - cost(j))
+            w[j] = mi.Float(share)
+            return j + 1, w, total + share
+
+        weights = dr.alloc_local(mi.Float, n)
+        _, weights, total = dr.while_loop(
+            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda j, w, t: j < n, fill
+        )
+
+        def normalise(j: Any, w: Any) -> Any:
+            w[j] = w[j] / mi.Float(total)
+            return j + 1, w
+
+        _, weights = dr.while_loop((mi.UInt32(0), weights), lambda j, w: j < n, normalise)
+        return _Lobes(weights, mi.Float(1.0))
+
+    def _posterior_weights(self, latent: list[Any]) -> _Lobes:
+        """Weights of the Gaussian process; a unit vector at a training latent."""
         mi, dr = self._mi, self._dr
+        assert self._gp is not None
         n, kernel = self._n, self._gp.kernel
         inverse_l2 = 1.0 / kernel.length_scale**2
         similarity = dr.alloc_local(mi.Float64, n)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
@@ -17,6 +16,10 @@ from manifold.model.manifold import Manifold
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering.plugin import packed_tables
 from manifold.rendering.plugin.packed_tables import Tables
+
+_NO_TOLERANCE = (
+    "tolerance needs a Gram matrix of whole materials; leave it out, or embed with --kind material"
+)
 
 SEEN_NM = (360.0, 830.0)
 """Wavelengths that Mitsuba renders."""
@@ -35,6 +38,7 @@ class Mixture:
         lobes: shares of the materials in sampling, (N,), positive, of sum 1.
         gp: what turns latents into weights, where they vary.
         order: index of each material in `gp`, (N,).
+        is_blend: whether varying weights are those of `blend_weights` instead of the process's.
         is_clipped: whether negative values are cut, as in predicted files; a measured file keeps its own, which are
             colours outside sRGB.
         left_out: materials that were left out.
@@ -49,6 +53,7 @@ class Mixture:
     lobes: Array
     gp: GPWeights | None = None
     order: Sequence[int] = ()
+    is_blend: bool = False
     is_clipped: bool = True
     left_out: int = 0
     left_out_error: float = 0.0
@@ -80,12 +85,13 @@ def fixed_mixture(
         return _of_materials(model, np.array([combination.source]), np.ones(1), 0, 0.0)
     weights, sample_bands = combination.weights, combination.sample_bands
     if sample_bands is None:
-        kept, fitted, error = leave_out(weights, model.space.arrays["S"], tolerance)
+        S = model.space.arrays.get("S")
+        if tolerance != 0.0 and S is None:
+            raise UsageError(_NO_TOLERANCE)
+        kept, fitted, error = leave_out(weights, S, tolerance)
         return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
     if tolerance > 0.0:
-        raise UsageError(
-            "tolerance needs a manifold of whole materials; leave it out, or embed with --kind material"
-        )
+        raise UsageError(_NO_TOLERANCE)
     files = _read(model, range(len(model.names)))
     order = _by_size(files)
     samples = weights.reshape(model.bands.count, len(model.names), len(sample_bands))[:, order]
@@ -102,9 +108,9 @@ def varying_mixture(model: Manifold) -> Mixture:
         UsageError: the manifold is monochrome (which colours give a structure its reflectance jumps between places,
             and would tear the field), or a material is anisotropic.
     """
-    if model.space.sample_bands is not None:
+    if model.space.needs_colours:
         raise UsageError(
-            "textures of latents need a manifold of whole materials; give one latent, or embed with --kind material"
+            "textures of latents need a manifold of whole materials; give one latent, or embed with --kind blend"
         )
     n = len(model.names)
     files = _read(model, range(n))
@@ -112,10 +118,12 @@ def varying_mixture(model: Manifold) -> Mixture:
     bands, seen = _seen_bands(model.bands)
     tables = packed_tables.pack([files[k] for k in order], seen)
     names, lobes = tuple(model.names[k] for k in order), np.full(n, 1.0 / n)
-    return Mixture(names, tables, model.mapping, bands, None, lobes, model.gp, order)
+    return Mixture(
+        names, tables, model.mapping, bands, None, lobes, model.gp, order, is_blend=model.space.is_nonnegative
+    )
 
 
-def leave_out(weights: Array, S: Array, tolerance: float) -> tuple[Array, Array, float]:
+def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Array, Array, float]:
     """The fewest materials that do for weights (N,), their new weights, and the relative error that remains.
 
     The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
@@ -123,7 +131,7 @@ def leave_out(weights: Array, S: Array, tolerance: float) -> tuple[Array, Array,
 
     Args:
         weights: v, shape (N,).
-        S: Gram matrix of the mapped materials, shape (N, N).
+        S: Gram matrix of the mapped materials, shape (N, N); not looked at where the tolerance is 0.
         tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
     Raises:
         UsageError: the tolerance is not from 0 to below 1.
@@ -131,7 +139,7 @@ def leave_out(weights: Array, S: Array, tolerance: float) -> tuple[Array, Array,
     if not 0.0 <= tolerance < 1.0:
         raise UsageError(f"tolerance is {tolerance:g}, expected a share from 0 to below 1, such as 0.01")
     kept = np.flatnonzero(weights)
-    if tolerance == 0.0 or len(kept) == 1:
+    if tolerance == 0.0 or len(kept) == 1 or S is None:
         return kept, weights[kept], 0.0
     ridge = 1e-12 * np.trace(S) / len(S) * np.eye(len(kept))
     inverse = np.linalg.inv(S[np.ix_(kept, kept)] + ridge)
@@ -195,4 +203,4 @@ def _by_size(files: list[BsdfFile]) -> list[int]:
 def _read(model: Manifold, which: Iterable[int]) -> list[BsdfFile]:
     """Measured files as predictions combine them, unmeasured cells filled."""
     with ThreadPoolExecutor() as pool:
-        return list(pool.map(lambda k: fill_unmeasured(model.library.read(model.names[k])), which))
+        return list(pool.map(lambda k: model.materials.filled_file(model.names[k]), which))

@@ -141,7 +141,7 @@ def test_knowing_more_helps(reports, kind):
 @pytest.mark.parametrize("key", ["gp_latents_kept", "oracle", "pca_6_cube_root"])
 def test_errors_agree_with_a_direct_computation(model, data, made, key):
     """Slow and obvious: all values of all materials, all pairs at once."""
-    wi, wo, above = RusinkiewiczGrid().directions()
+    wi, wo, above = RusinkiewiczGrid.named("default").directions()
     n_pairs, wi, wo = len(wi), wi[above], wo[above]
     w = cosine_weight(wi, wo)
     f = np.stack([m.eval(wi, wo) for m in model.load_materials()])
@@ -238,7 +238,10 @@ def test_bytes_count_files_and_numbers(model, made):
 
 def test_long_methods_are_left_out_unless_asked_for(models):
     long = {m.key for m in standard_methods() if report.is_long(m, 51, 195)}
-    assert long == {"published", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2"}
+    assert long == {
+        "published", "gplvm_2", "gplvm_6", "monochrome_2_1", "monochrome_3_1", "monochrome_0_2", "blend_2", "blend_3",
+        "nonnegative", "nonnegative_pair",
+    }  # fmt: skip
     assert not any(report.is_long(m, 20, 3) for m in standard_methods())
     assert report.is_long(method_of(models["monochrome"], "gp_refitted"), 51, 195)
 

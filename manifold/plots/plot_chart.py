@@ -15,7 +15,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from manifold.experiments.chart.experiment import COSTS, Chart, ChartRow, cost_of
 from manifold.experiments.chart.fits import FAMILY
-from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED
+from manifold.experiments.chart.registry import AS_PUBLISHED, NONNEGATIVE, PUBLISHED
 from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 
@@ -40,6 +40,7 @@ LOOKS = {
     "PCA": _Look("o", "#0072b2"),
     "GPLVM, whole materials": _Look("s", "#e69f00"),
     "GPLVM, monochrome samples": _Look("^", "#009e73"),
+    NONNEGATIVE: _Look("v", "#56b4e9"),
     AS_PUBLISHED: _Look("*", "#d55e00"),
     FAMILY: _Look("x", "#555555"),
 }

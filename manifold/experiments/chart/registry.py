@@ -15,9 +15,15 @@ from manifold.experiments.evaluation.latent_models import (
     fit_published,
 )
 from manifold.experiments.evaluation.method import Fit
+from manifold.experiments.evaluation.nonnegative import (
+    NUMBERS_PER_BAND,
+    fit_nonnegative,
+    fit_nonnegative_pair,
+)
 
 PUBLISHED = "published"
 AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"
+NONNEGATIVE = "samples and lobes, weights >= 0"
 _MAPPINGS = ("identity", "cube-root", "log-relative")
 _FEW_BANDS = (3, 6, 12)
 _SAMPLES = 3  # bands per material that are samples, where nothing else is said
@@ -65,6 +71,7 @@ def settings(n_bands: int) -> list[Setting]:
         *(_gplvm(mapping, Q) for mapping in _MAPPINGS for Q in (2, 4, 6)),
         *(_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)),
         *(_monochrome(2, count) for count in (SAMPLE_BANDS,) if count < n_bands),
+        *_nonnegative(),
         *(_sparse(pca, threshold) for threshold in _THRESHOLDS),
         *(_stored(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
         *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome)),
@@ -95,6 +102,19 @@ def _monochrome(Q: int, bands: int) -> Setting:
     title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
     fit = fit_monochrome(Q, 1, sample_bands=bands)
     return Setting(key, title, "GPLVM, monochrome samples", key, fit, lambda B: Q + B, sample_bands=bands)
+
+
+def _nonnegative() -> list[Setting]:
+    return [
+        Setting(
+            "nonnegative", "non-negative", NONNEGATIVE, "nonnegative", fit_nonnegative(_SAMPLES),
+            lambda B: NUMBERS_PER_BAND * B, sample_bands=_SAMPLES,
+        ),
+        Setting(
+            "nonnegative_pair", "two samples + Lambertian", NONNEGATIVE, "nonnegative_pair",
+            fit_nonnegative_pair(_SAMPLES), lambda B: 3 + 2 * B, sample_bands=_SAMPLES,
+        ),
+    ]  # fmt: skip
 
 
 def _sparse(base: Setting, threshold: float) -> Setting:

@@ -14,6 +14,11 @@ from manifold.experiments.evaluation.latent_models import (
     fit_published,
 )
 from manifold.experiments.evaluation.method import Method
+from manifold.experiments.evaluation.nonnegative import (
+    NUMBERS_PER_BAND,
+    fit_nonnegative,
+    fit_nonnegative_pair,
+)
 from manifold.experiments.evaluation.tabulated import MAX_BANDS
 
 
@@ -32,7 +37,11 @@ def baseline_methods() -> list[Method]:
         Method("pca_6_cube_root", "PCA, 6, cube root", lambda B: 6, fit_pca("cube-root", 6)),
         Method("pca_6_log_relative", "PCA, 6, log-relative", lambda B: 6, fit_pca("log-relative", 6)),
         Method("published", "Hikichi & Iwasaki, 2-D", lambda B: 2, fit_published, fits_model=True),
-    ]
+        Method(
+            "nonnegative", "non-negative least squares", lambda B: NUMBERS_PER_BAND * B,
+            fit_nonnegative(SAMPLE_BANDS), sample_bands=SAMPLE_BANDS, fits_model=True,
+        ),
+    ]  # fmt: skip
 
 
 def gplvm_methods() -> list[Method]:
@@ -43,6 +52,14 @@ def gplvm_methods() -> list[Method]:
         _monochrome("monochrome_2_1", "monochrome, 2 + 1 per band", 2, 1),
         _monochrome("monochrome_3_1", "monochrome, 3 + 1 per band", 3, 1),
         _monochrome("monochrome_0_2", "monochrome, 2 per band", 0, 2),
+        Method(
+            "nonnegative_pair",
+            "two samples + Lambertian",
+            lambda B: 3 + 2 * B,
+            fit_nonnegative_pair(SAMPLE_BANDS),
+            sample_bands=SAMPLE_BANDS,
+            fits_model=True,
+        ),
         Method(
             "blend_2",
             "blend, 2 + 2 per band",

@@ -9,7 +9,7 @@ import warnings
 import h5py
 import numpy as np
 import pytest
-from small_library import NAMES, small_library
+from small_library import NAMES, measured, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
@@ -23,8 +23,9 @@ from manifold.errors import (
 )
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, rmse
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
 from manifold.model import gram
+from manifold.model.decoding import encoding_pairs
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.settings import KINDS
 from manifold.records import Bands
@@ -276,6 +277,19 @@ def test_a_material_of_the_library_is_embedded_where_it_lies(model):
         again = model.predict(found.latent, found.colours)
         wi, wo = from_spherical(0.5, 0.0), from_spherical(0.3, 1.0)
         np.testing.assert_allclose(again.eval(wi, wo), model.material(name).eval(wi, wo), rtol=0.3)
+
+
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+def test_the_criterion_of_an_embedding_is_what_it_is_best_at(library, kind):
+    model = Manifold.fit(library, Settings(kind=kind, optimizer="l-bfgs"))
+    brdf, pairs = MeasuredBRDF(measured("syn_metallic_gold")), encoding_pairs()
+    f, errors = brdf.eval(pairs.wi, pairs.wo), {}
+    for criterion in ("decoded", "cube-root"):
+        found = model.embed(brdf, criterion)
+        predicted = model.predict(found.latent, found.colours).eval(pairs.wi, pairs.wo)
+        errors[criterion] = [e(f, predicted, pairs.cosines) for e in (relative_error, cube_root_error)]
+    assert errors["decoded"][0] < errors["cube-root"][0]
+    assert errors["cube-root"][1] < errors["decoded"][1]
 
 
 def test_a_material_with_other_bands_is_not_embedded(model):

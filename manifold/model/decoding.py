@@ -47,9 +47,13 @@ def decoder_at(
 
 
 def encoder_at(
-    pairs: EncodingPairs, space: LatentSpace, materials: MaterialCache, settings: Settings
+    pairs: EncodingPairs,
+    space: LatentSpace,
+    materials: MaterialCache,
+    settings: Settings,
+    criterion: str = "decoded",
 ) -> Encoder:
     """What finds latents of a space from values at direction pairs: of all embedding bands, or band by band."""
     decoder = decoder_at(pairs, space, materials, settings)
     group = len(space.sample_rows(np.arange(1)))
-    return Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior)
+    return Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior, criterion)

@@ -258,17 +258,19 @@ class Manifold:
         ends = self.materials.filled([a, b]) if 0 < t < 1 else [self.material(a), self.material(b)]
         return PredictedBRDF(ends, Combination(mapping_named("identity"), np.array([1.0 - t, t])))
 
-    def embed(self, brdf: BRDF) -> Embedded:
+    def embed(self, brdf: BRDF, criterion: str = "decoded") -> Embedded:
         """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
 
         Args:
             brdf: a material in the bands of the library.
+            criterion: what nearest means, see `manifold.models.criteria`; blends are always found by cube roots.
         Raises:
             BandMismatchError: it has other bands.
+            UsageError: there is no such criterion.
         """
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         pairs = self.space.embedding_pairs()
-        encoder = encoder_at(pairs, self.space, self.materials, self.settings)
+        encoder = encoder_at(pairs, self.space, self.materials, self.settings, criterion)
         return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
 
     def reconstruct(self, brdf: BRDF) -> PredictedBRDF:

@@ -13,6 +13,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import REPOSITORY
 from small_library import NAMES, measured, small_library
@@ -341,7 +342,7 @@ def structures(tmp_path_factory):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "the nearest"),
+        ([], "blended from the materials around"),
         (["--like", "syn_felt_orange"], "like syn_felt_orange"),
         (["--srgb", "#80a0c0"], "sRGB #80a0c0"),
         (["--srgb", "0.5,0.6,0.7", "--physical"], "sRGB 0.5,0.6,0.7"),
@@ -404,7 +405,7 @@ def test_a_file_of_the_library_is_located_at_its_material(run, structures):
     assert code == 0
     assert found["nearest"][0][0] == "syn_satin_gold"
     assert found["relative_error"] < 0.2
-    assert len(found["colours"]) == 3
+    assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
 
 
 def test_mixing_bands_is_refused(run, folder, tmp_path):

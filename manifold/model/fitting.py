@@ -20,6 +20,7 @@ from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.colour_paths import fit_paths
+from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
 
@@ -93,6 +94,7 @@ def _fit_curves(
 def _fit_blends(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
+    require_mu(s.mu)
     brdfs = materials.filled(on_progress=on_progress)
     layout = looks_of(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from manifold.errors import UsageError
+from manifold.mapping import mapping_named
 from manifold.models.kernels import Kernel, kernel_named
 from manifold.models.search import OPTIMIZERS
 
@@ -54,6 +55,7 @@ class Settings:
         for name, value in _KIND_DEFAULTS[self.kind].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
+        mapping_named(self.mapping)  # checks it
         optimizers = _KIND_OPTIMIZERS[self.kind]
         if self.optimizer not in optimizers:
             raise UsageError(

@@ -89,7 +89,8 @@ def choose(
     trials = _Trials(materials, settings)
     most = min(MAX_DIMENSIONS, len(materials) - 2)
     tried: list[Candidate] = []
-    total = len(MAPPINGS) * mapping + most * latent_dim
+    mappings = _mappings(settings)
+    total = len(mappings) * mapping + most * latent_dim
 
     def attempt(name: str, count: int) -> Candidate:
         for known in tried:
@@ -100,9 +101,9 @@ def choose(
             on_progress(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
         return tried[-1]
 
-    best = attempt(settings.mapping if not mapping else next(iter(MAPPINGS)), min(settings.latent_dim, most))
+    best = attempt(settings.mapping if not mapping else mappings[0], min(settings.latent_dim, most))
     if mapping:
-        best = min((attempt(name, best.latent_dim) for name in MAPPINGS), key=lambda c: c.error)
+        best = min((attempt(name, best.latent_dim) for name in mappings), key=lambda c: c.error)
     if latent_dim:
         best = attempt(best.mapping, 1)
         for count in range(2, most + 1):
@@ -113,6 +114,11 @@ def choose(
                 break  # two in a row that did not pay
     chosen = replace(settings, mapping=best.mapping, latent_dim=best.latent_dim)
     return chosen, [replace(c, is_chosen=c is best) for c in tried]
+
+
+def _mappings(settings: Settings) -> tuple[str, ...]:
+    """Those that a kind of manifold can have."""
+    return (settings.mapping,) if settings.kind == "blend" else tuple(MAPPINGS)
 
 
 class _Trials:

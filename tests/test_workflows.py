@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
-from conftest import real_rgl_folder
+from conftest import real_rgl_files
 from mitsuba_reference import measured
 from small_library import small_model
 
@@ -22,21 +23,19 @@ from manifold.synthetic import corpus
 from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 
-FEW = {
-    "syn_satin_gold",
-    "syn_metallic_gold",
-    "syn_paper_white",
-    "syn_gloss_red",
-    *(example.material for example in example_scenes.EXAMPLES.values()),
-}
+FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_gloss_red", "syn_felt_green"}
+SCENE = {"felt": example_scenes.EXAMPLES["felt"]}
 
 
 @pytest.fixture(scope="module")
 def few_materials():
-    """The corpus cut down to a few materials, so that the demo takes seconds."""
+    """The corpus cut down to a few materials, and the demo to the least of every step, so that it takes seconds."""
     few = tuple(m for m in corpus.isotropic_materials() if m.name in FEW)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(corpus, "isotropic_materials", lambda: few)
+        patch.setattr(example_scenes, "EXAMPLES", SCENE)
+        patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
+        patch.setattr(demo_module.ball_pictures, "walk", partial(demo_module.ball_pictures.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
         patch.setattr(demo_module, "TRIED", demo_module.TRIED[:1])
         yield few
@@ -45,6 +44,17 @@ def few_materials():
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory, few_materials):
     return demo_module.run(tmp_path_factory.mktemp("demo"))
+
+
+@pytest.mark.slow
+def test_the_demo_runs_all_its_steps_on_materials_of_every_scene(tmp_path, monkeypatch):
+    names = FEW | {scene.material for scene in example_scenes.EXAMPLES.values()}
+    some = tuple(m for m in corpus.isotropic_materials() if m.name in names)
+    monkeypatch.setattr(corpus, "isotropic_materials", lambda: some)
+    made = demo_module.run(tmp_path)
+    assert all(path.stat().st_size > 0 for path in made.pictures)
+    assert len(made.pictures) == 10
+    assert made.left_out == ()
 
 
 def directions(rng, n):
@@ -122,12 +132,13 @@ def test_predictions_go_into_bsdf_files_only(tmp_path):
         predict(small_model(tmp_path), [0.0, 0.0], tmp_path / "x.png")
 
 
-def test_the_main_job_runs_on_real_files(tmp_path, rng):
-    folder = real_rgl_folder()
-    if folder is None:
+@pytest.mark.parametrize("share", [5, pytest.param(1, marks=pytest.mark.slow)], ids=["every fifth", "all"])
+def test_the_main_job_runs_on_real_files(tmp_path, share):
+    files = real_rgl_files()[::share]
+    if not files:
         pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
     library, model = tmp_path / "library.zarr", tmp_path / "model.h5"
-    result = import_files(library, [folder])
+    result = import_files(library, files)
     assert not result.failed
     fitted = pipeline.embed(library, model, Settings()).model
     assert len(fitted.names) == len(result.imported)
@@ -137,6 +148,8 @@ def test_the_main_job_runs_on_real_files(tmp_path, rng):
     report = pipeline.report(model, picture=tmp_path / "map.png")
     assert report.methods[0].rmse == (0.0,) * len(fitted.names)
     assert not any(report.is_synthetic)
+    if share > 1:
+        return  # too few to learn from
     refitted = next(m for m in report.methods if m.key == "gp_refitted")
     nearest = next(m for m in report.methods if m.key == "nearest")
     assert refitted.median_relative_error < nearest.median_relative_error

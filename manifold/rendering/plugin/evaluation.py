@@ -13,15 +13,8 @@ from manifold.errors import UsageError
 from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
 from manifold.rendering.plugin.mixture import Mixture
 from manifold.rendering.plugin.packed_tables import META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
+from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
 from manifold.rendering.plugin.warp import Family, PackedWarps
-
-
-class _Lobes:
-    """Weights per lane, or the same ones everywhere (None)."""
-
-    def __init__(self, local: Any = None, total: Any = None) -> None:
-        self.local, self.total = local, total
-
 
 _DENSE_NM = 5.0  # between bands, up to which the nearest one stands for a wavelength
 _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
@@ -71,7 +64,6 @@ class Evaluation:
         )
         self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
         self._is_rgb = mixture.bands.is_rgb
-        self._gp, self._is_blend = mixture.gp, mixture.is_blend
         self._is_clipped = mixture.is_clipped
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
         self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
@@ -86,103 +78,17 @@ class Evaluation:
             self._sample_weights = mi.Float(padded.ravel())
         elif mixture.weights is not None:
             self._weights = mi.Float(mixture.weights.astype(np.float32))
-        if self._gp is not None:
-            order = list(mixture.order)
-            self._inverse_K = mi.Float64(np.linalg.inv(self._gp.K)[np.ix_(order, order)].ravel())
-            self._latents = [mi.Float(c.astype(np.float32)) for c in self._gp.X[order].T]
+        self._varying = None if mixture.gp is None else VaryingWeights(mi, dr, mixture)
 
     # -- weights -------------------------------------------------------------------------------------------
 
-    def weights(self, latent: list[Any] | None) -> _Lobes:
+    def weights(self, latent: list[Any] | None) -> Lobes:
         """Weights at latents, a list of Q arrays; of a fixed mixture, its own."""
-        if latent is None or self._gp is None:
-            return _Lobes()
-        return self._blend_weights(latent) if self._is_blend else self._posterior_weights(latent)
+        if latent is None or self._varying is None:
+            return Lobes()
+        return self._varying.at(latent)
 
-    def _squared_distance(self, latent: list[Any], j: Any) -> Any:
-        """From latents to that of material j, in length scales."""
-        pairs = [
-            (x, self._dr.gather(self._mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)
-        ]
-        squared = self._mi.Float64(sum(self._dr.square(x - c) for x, c in pairs))
-        assert self._gp is not None
-        return squared / self._gp.kernel.length_scale**2
-
-    def _blend_weights(self, latent: list[Any]) -> _Lobes:
-        """`models.blending.blend_weights`, in logarithms relative to the nearest material."""
-        mi, dr, n = self._mi, self._dr, self._n
-
-        def cost(j: Any) -> Any:
-            squared = dr.maximum(self._squared_distance(latent, j), 1e-12)
-            return 0.5 * squared + dr.log(squared)
-
-        def nearest(j: Any, least: Any) -> Any:
-            return j + 1, dr.minimum(least, cost(j))
-
-        _, least = dr.while_loop((mi.UInt32(0), mi.Float64(1e300)), lambda j, least: j < n, nearest)
-
-        def fill(j: Any, w: Any, total: Any) -> Any:
-            share = dr.exp(least - cost(j))
-            w[j] = mi.Float(share)
-            return j + 1, w, total + share
-
-        weights = dr.alloc_local(mi.Float, n)
-        _, weights, total = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda j, w, t: j < n, fill
-        )
-
-        def normalise(j: Any, w: Any) -> Any:
-            w[j] = w[j] / mi.Float(total)
-            return j + 1, w
-
-        _, weights = dr.while_loop((mi.UInt32(0), weights), lambda j, w: j < n, normalise)
-        return _Lobes(weights, mi.Float(1.0))
-
-    def _posterior_weights(self, latent: list[Any]) -> _Lobes:
-        """Weights of the Gaussian process; a unit vector at a training latent."""
-        mi, dr = self._mi, self._dr
-        assert self._gp is not None
-        n, kernel = self._n, self._gp.kernel
-        inverse_l2 = 1.0 / kernel.length_scale**2
-        similarity = dr.alloc_local(mi.Float64, n)
-        weights = dr.alloc_local(mi.Float, n)
-
-        def fill(j: Any, k: Any, match: Any) -> Any:
-            pairs = [(x, dr.gather(mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)]
-            d2 = sum(dr.square(x - c) for x, c in pairs)
-            k[j] = kernel.radial(inverse_l2 * mi.Float64(d2), dr)[0]
-            if kernel.linear:
-                k[j] += kernel.slope_of_linear * mi.Float64(sum(x * c for x, c in pairs))
-            return j + 1, k, dr.select((d2 < 1e-12) & (match == n), j, match)
-
-        _, similarity, match = dr.while_loop(
-            (mi.UInt32(0), similarity, mi.UInt32(n)), lambda j, k, m: j < n, fill, labels=("j", "k", "match")
-        )
-
-        def solve(i: Any, w: Any, total: Any) -> Any:
-            def add(j: Any, s: Any) -> Any:
-                return j + 1, dr.fma(dr.gather(mi.Float64, self._inverse_K, i * n + j), similarity[j], s)
-
-            _, s = dr.while_loop((mi.UInt32(0), mi.Float64(0.0)), lambda j, s: j < n, add)
-            w[i] = mi.Float(s)
-            return i + 1, w, total + s
-
-        _, weights, total = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda i, w, t: i < n, solve
-        )
-        rest = mi.Float((1.0 - total) / n)
-
-        def finish(i: Any, w: Any, magnitude: Any) -> Any:
-            v = dr.select(match < n, dr.select(match == i, 1.0, 0.0), w[i] + rest)
-            w[i] = v
-            return i + 1, w, magnitude + dr.abs(v)
-
-        _, weights, magnitude = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float(0.0)), lambda i, w, m: i < n, finish
-        )
-        return _Lobes(weights, magnitude)
-
-    def _weight_and_share(self, lobes: _Lobes, i: Any, active: Any) -> tuple[Any, Any]:
+    def _weight_and_share(self, lobes: Lobes, i: Any, active: Any) -> tuple[Any, Any]:
         mi, dr = self._mi, self._dr
         if lobes.local is not None:
             v = lobes.local[i]
@@ -235,7 +141,7 @@ class Evaluation:
 
     # -- sums over materials -------------------------------------------------------------------------------
 
-    def eval_pdf(self, lobes: _Lobes, wi: Any, wo: Any, wavelengths: Any, active: Any) -> tuple[Any, Any]:
+    def eval_pdf(self, lobes: Lobes, wi: Any, wo: Any, wavelengths: Any, active: Any) -> tuple[Any, Any]:
         """f * cos(theta_o) as a spectrum, and the density of `sample`, both in 1/sr."""
         mi, dr = self._mi, self._dr
         cos_o = mi.Frame3f.cos_theta(wo)
@@ -358,7 +264,7 @@ class Evaluation:
 
     # -- sampling ------------------------------------------------------------------------------------------
 
-    def sample(self, lobes: _Lobes, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+    def sample(self, lobes: Lobes, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
         """Outgoing directions; one that leaves below the horizon is thrown away by its cosine."""
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
@@ -375,7 +281,7 @@ class Evaluation:
         wo = 2.0 * cos_im * m - wi
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
 
-    def _choose(self, lobes: _Lobes, sample1: Any) -> Any:
+    def _choose(self, lobes: Lobes, sample1: Any) -> Any:
         """A material per lane, by its share."""
         mi, dr = self._mi, self._dr
         if lobes.local is None:

@@ -341,6 +341,14 @@ def report(
     all_bands: Annotated[
         bool, typer.Option("--all-bands", help="Measure errors in all bands, not in about 20 of them.")
     ] = False,
+    anchor: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--anchor",
+            help="Also show fits of the very materials: principled, or neural fits in a folder or zip file.",
+            metavar="principled|PATH",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
     ] = None,
@@ -352,8 +360,8 @@ def report(
     results = terminal.Results(json)
     with terminal.progress("Evaluating") as step:
         made = pipeline.report(
-            model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, picture=picture,
-            on_progress=step,
+            model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, anchors=anchor or (),
+            picture=picture, on_progress=step,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())

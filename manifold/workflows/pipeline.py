@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,6 +82,7 @@ def report(
     grid: str = "default",
     compare: bool = False,
     all_bands: bool = False,
+    anchors: Sequence[str] = (),
     picture: Path | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
@@ -93,7 +94,7 @@ def report(
         raise UsageError(
             f"{model}: found {len(loaded.names)} materials, expected at least 3 to leave one out; import more"
         )
-    made = make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands)
+    made = make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands, anchors=anchors)
     if picture is not None:
         figures.save(plot_latents.latent_map(loaded), picture)
     return made

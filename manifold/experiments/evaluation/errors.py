@@ -22,8 +22,8 @@ class MedianAndP90(NamedTuple):
 
     @classmethod
     def of(cls, errors: Array) -> MedianAndP90:
-        """Of errors (N,)."""
-        return cls(float(np.median(errors)), float(np.percentile(errors, 90)))
+        """Of errors (N,); those that are NaN, of materials without a prediction, do not count."""
+        return cls(float(np.nanmedian(errors)), float(np.nanpercentile(errors, 90)))
 
 
 class PredictionErrors:

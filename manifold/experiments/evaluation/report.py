@@ -10,6 +10,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.experiments.evaluation.anchors import anchor
 from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import (
     Encoded,
@@ -135,6 +136,7 @@ def make_report(
     *,
     compare: bool = False,
     all_bands: bool = False,
+    anchors: Sequence[str] = (),
 ) -> Report:
     """Evaluate a model and other methods on a grid of direction pairs.
 
@@ -147,6 +149,7 @@ def make_report(
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
+        anchors: fits of the very materials to show as well; see `anchors.anchor`.
     Raises:
         UsageError: the grid is unknown.
         LibraryError: a material cannot be read.
@@ -156,7 +159,7 @@ def make_report(
     own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
     others = [m for m in gplvm_methods() if m.key not in replaced]
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
-    chosen += others if compare else []
+    chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
     materials, load = wall_clock(lambda: model.load_materials(on_progress))
     data, tabulate = wall_clock(lambda: _tabulate(model, materials, on_progress))
     encoded, encode = wall_clock(lambda: _encode(data, chosen, on_progress))
@@ -254,8 +257,8 @@ def _results(
                 **_summary("ball_delta_e", balls.of(predictions[k])),
                 negative_share=0.0 if sums.is_clipped else sums.negative_share,
                 clipped_share=sums.negative_share if sums.is_clipped else 0.0,
-                reciprocity_error=max(p.reciprocity_error for p in physical[k]),
-                max_albedo=max(p.max_albedo for p in physical[k]),
+                reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical[k]])),
+                max_albedo=float(np.nanmax([p.max_albedo for p in physical[k]])),
                 colour=colours[k],
                 **_calibration(data, method, encoded[k]),
             )

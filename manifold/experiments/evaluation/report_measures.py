@@ -61,8 +61,8 @@ def colour_results(
             )
             rows.append(
                 ColourResult(
-                    illuminant, tuple(delta_e.tolist()), float(np.median(delta_e)), tuple(angle.tolist()),
-                    float(np.median(angle)),
+                    illuminant, tuple(delta_e.tolist()), float(np.nanmedian(delta_e)), tuple(angle.tolist()),
+                    float(np.nanmedian(angle)),
                 )
             )  # fmt: skip
         results.append(tuple(rows))

@@ -106,7 +106,7 @@ def _plausibility(methods: Sequence[MethodResult]) -> list[str]:
     rows = [
         (
             m.title,
-            f"{np.median(m.rmse):.3g}",
+            f"{np.nanmedian(m.rmse):.3g}",
             f"{m.negative_share:.2%}",
             f"{m.reciprocity_error:.3f}",
             f"{m.max_albedo:.2f}",

@@ -1,0 +1,116 @@
+"""Leave-one-out of non-negative combinations beside other methods: three errors of every material, in one table.
+
+    python benchmarks/bench_nonnegative.py FOLDER           # of .bsdf files
+    python benchmarks/bench_nonnegative.py rgl_nbrdf.zip    # of the published neural fits, taken as the truth
+
+Encoded at every sixth direction pair of the default grid, judged at all of them, and by the ball. Results:
+docs/design/nonnegative.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.experiments.evaluation.anchors import anchor
+from manifold.experiments.evaluation.ball_errors import BallErrors
+from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
+from manifold.experiments.evaluation.errors import MedianAndP90
+from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS
+from manifold.experiments.evaluation.method import Method
+from manifold.experiments.evaluation.methods import standard_methods
+from manifold.experiments.evaluation.nonnegative import NUMBERS_PER_BAND, fit_nonnegative
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.io_rgl import read_bsdf
+from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
+from manifold.records import Array
+from manifold.synthetic.neural import NeuralBRDF, read_neural_fits
+
+DEFAULT = ("nearest", "gplvm_6", "monochrome_3_1", "nonnegative_plain", "nonnegative", "nonnegative_pair")
+
+
+class Network:
+    """A neural fit where measured materials are expected."""
+
+    def __init__(self, name: str, brdf: NeuralBRDF) -> None:
+        self.name, self.bands, self.eval = name, brdf.bands, brdf.eval
+
+    def select_bands(self, bands: Sequence[int]) -> Network:
+        """All three: networks are RGB."""
+        return self
+
+    def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
+        """f in 1/sr at K pairs into out (K, 3)."""
+        out[...] = self.eval(pairs.wi, pairs.wo)
+
+
+def load(source: Path) -> list:
+    """The materials of a folder of .bsdf files, or of a zip file of networks."""
+    if source.is_dir() and any(source.glob("*.bsdf")):
+        return [MeasuredBRDF(read_bsdf(path)) for path in sorted(source.glob("*.bsdf"))]
+    return [Network(name, brdf) for name, brdf in read_neural_fits(source).items()]
+
+
+def methods(names: Sequence[str], anchors: Sequence[str]) -> list[Method]:
+    """Methods by their keys, and anchors."""
+    known = {m.key: m for m in standard_methods()}
+    known["nonnegative_plain"] = Method(
+        "nonnegative_plain", "non-negative, cube roots alone", lambda B: NUMBERS_PER_BAND * B,
+        fit_nonnegative(SAMPLE_BANDS, picture=0.0),
+    )  # fmt: skip
+    return [*(known[name] for name in names), *(anchor(name) for name in anchors)]
+
+
+def main() -> None:
+    """Print a row per method."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("source", type=Path)
+    parser.add_argument("--methods", nargs="+", default=DEFAULT, help="keys of the registry of methods")
+    parser.add_argument("--anchors", nargs="*", default=[], help="principled, or a source of neural fits")
+    parser.add_argument("--every", type=int, default=1, help="leave out every so manieth material only")
+    parser.add_argument("--materials", action="store_true", help="also print the errors of every material")
+    arguments = parser.parse_args()
+    materials = load(arguments.source)
+    data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
+    balls = BallErrors(materials, data.bands)
+    print(f"{len(materials)} materials; median / 90th percentile")
+    print(
+        "| method | numbers | linear | cube root | ball CIEDE2000 | seconds per material |\n|---|---|---|---|---|---|"
+    )
+    for method in methods(arguments.methods, arguments.anchors):
+        start = time.perf_counter()
+        splits = leave_out(data.n_materials)[:: arguments.every]
+        found = cross_validate(data, method.fit, splits).combinations
+        seconds = (time.perf_counter() - start) / len(splits)
+        errors = []
+        for (_, out), combination in zip(splits, found, strict=True):
+            i, here = int(out[0]), combination.in_bands(data.bands)
+            f, truth, ball = here.evaluate(data), data.f[i], here.evaluate(balls.values)
+            assert method.key not in ("nonnegative", "nonnegative_pair") or min(f.min(), ball.min()) >= 0.0
+            errors.append(
+                (
+                    relative_error(truth, f, data.cosines),
+                    cube_root_error(truth, f, data.cosines),
+                    balls.delta_e(i, ball),
+                )
+            )
+        cells = [
+            f"{m:.{d}f} / {p:.{d}f}"
+            for (m, p), d in zip(map(MedianAndP90.of, np.array(errors).T), (3, 3, 2), strict=True)
+        ]
+        print(f"| {method.title} | {method.numbers(3)} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)
+        for (_, out), row in zip(splits, errors, strict=True):
+            if arguments.materials:
+                print(f"    {materials[int(out[0])].name:30s} {row[0]:.3f} {row[1]:.3f} {row[2]:.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Fits of the very material, to hold beside predictions that have not seen it: Mitsuba's principled, neural fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.experiments.evaluation.method import Encode, Method
+from manifold.experiments.evaluation.tabulated import Data
+from manifold.fitting import fit_json
+from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.fitting.principled import fit_bsdf
+from manifold.mapping import Identity
+from manifold.model.combination import Combination, Values
+from manifold.records import Array
+from manifold.synthetic.neural import read_neural_fits
+
+PRINCIPLED = "principled"
+_NEURAL_NUMBERS = 675  # weights and biases of the published networks
+
+
+class _Evaluable(Protocol):
+    def eval(self, wi: Array, wo: Array) -> Array: ...
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPrediction(Combination):
+    """A prediction that is a BRDF of its own, and no combination of measured materials.
+
+    Attributes:
+        brdf: in all bands; None where there is no fit, and every value is NaN.
+        bands: which of its bands, shape (B,).
+    """
+
+    brdf: _Evaluable | None = field(kw_only=True)
+    bands: Array = field(kw_only=True)
+
+    @classmethod
+    def of(cls, brdf: _Evaluable | None, n_bands: int) -> FittedPrediction:
+        """All bands of a BRDF."""
+        bands = np.arange(n_bands)
+        return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)
+
+    def in_bands(self, bands: Array) -> FittedPrediction:
+        """The same in some bands (B',)."""
+        return replace(self, bands=self.bands[bands])
+
+    def mapped(self, values: Values) -> Array:
+        """f in 1/sr, shape (P, B)."""
+        if self.brdf is None:
+            return np.full((len(values.wi), len(self.bands)), np.nan)
+        return self.brdf.eval(values.wi, values.wo)[:, self.bands]
+
+
+def anchor(name: str) -> Method:
+    """Fits of the seen materials as a method.
+
+    Args:
+        name: `principled`, or a file, folder or zip file of the published neural fits; materials that these lack
+            have no errors.
+    Raises (when it is fitted):
+        UsageError: there is no such source, or none of its fits is of one of the materials.
+        FileFormatError: the source holds no neural fits, or damaged ones.
+        RendererError: `principled` without Mitsuba.
+    """
+
+    def method(
+        key: str, title: str, numbers: Callable[[int], int], fit: Callable[[Data, Array], Encode]
+    ) -> Method:
+        return Method(key, title, numbers, fit, is_held_out=False, refits=False)
+
+    if name == PRINCIPLED:
+        return method(PRINCIPLED, "principled, fitted to it", lambda B: B + 6, _fit_principled)
+    return method(
+        "neural", "neural fit of it", lambda B: _NEURAL_NUMBERS, lambda data, _: _neural(data, name)
+    )
+
+
+def _fit_principled(data: Data, training: Array) -> Encode:
+    """Mitsuba's principled BSDF by its own samples of the material, in the metric of cube roots."""
+
+    def encode(i: int) -> Combination:
+        material = data.materials[i]
+        content = fit_json.document(fit_bsdf(material), fit_json.Source(material.name))
+        return FittedPrediction.of(FittedBRDF(content), data.n_bands)
+
+    return encode
+
+
+def _neural(data: Data, source: str) -> Encode:
+    fits = read_neural_fits(source, data.materials[0].bands)
+    names = [material.name for material in data.materials]
+    if not set(names) & set(fits):
+        known = ", ".join(sorted(fits)[:3])
+        raise UsageError(f"{source}: no neural fit of any of {', '.join(names[:3])} ... (found {known} ...)")
+    return lambda i: FittedPrediction.of(fits.get(names[i]), data.n_bands)

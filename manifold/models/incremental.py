@@ -72,7 +72,7 @@ class IncrementalObjective:
     def move(self, index: int, delta: float) -> float:
         """Move coordinate `index` of x by delta, better or worse, and return F there."""
         i, q = divmod(index, self._Q)
-        moved = _price(
+        moved = _try_move(
             self._X,
             self._K,
             self._P,
@@ -86,7 +86,7 @@ class IncrementalObjective:
             False,
         )
         self._renew(
-            _commit(self._X, self._K, self._P, self._work, self._state, i, q, self._X[i, q] + delta, moved)
+            _make_move(self._X, self._K, self._P, self._work, self._state, i, q, self._X[i, q] + delta, moved)
         )
         return self.value
 
@@ -122,11 +122,11 @@ def _explore(X, K, P, S, work, state, numbers, steps, heading, lower, upper, ind
             if tried == budget:
                 return index, tried, False
             tried += 1
-            moved = _price(X, K, P, S, work, state, numbers, i, q, target - here, cached)
+            moved = _try_move(X, K, P, S, work, state, numbers, i, q, target - here, cached)
             cached = True
             if moved[-1] < state[_VALUE]:
                 heading[index] = sense
-                has_drifted = _commit(X, K, P, work, state, i, q, target, moved)
+                has_drifted = _make_move(X, K, P, work, state, i, q, target, moved)
                 break
         index += 1
         if has_drifted:
@@ -135,7 +135,7 @@ def _explore(X, K, P, S, work, state, numbers, steps, heading, lower, upper, ind
 
 
 @nb.njit(cache=True)
-def _price(X, K, P, S, work, state, numbers, i, q, delta, cached):
+def _try_move(X, K, P, S, work, state, numbers, i, q, delta, cached):
     """Latent i moved by delta along axis q: t, a, b and c; log|K|, tr(P S), ||X||^2 and F there.
 
     Leaves d, P d and S P d in `work`, and S P e_i, which moves of the same latent share (`cached`).
@@ -187,7 +187,7 @@ def _price(X, K, P, S, work, state, numbers, i, q, delta, cached):
 
 
 @nb.njit(cache=True)
-def _commit(X, K, P, work, state, i, q, target, moved):
+def _make_move(X, K, P, work, state, i, q, target, moved):
     """Make a move in place; whether rows i and another of K P - I show that P has drifted."""
     N = K.shape[0]
     d, Pd, p = work[0], work[1], work[2]

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 
 from manifold.experiments.evaluation.method import Encode, Fit
@@ -19,7 +18,7 @@ from manifold.gpr import GPWeights
 from manifold.mapping import CubeRoot, Mapping
 from manifold.model.combination import Combination
 from manifold.models.kernels import Kernel, SquaredExponential
-from manifold.models.objective import centre_gram
+from manifold.models.objective import LatentObjective, centre_gram
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array
 
@@ -154,22 +153,14 @@ def fit_gram(S: Array, n_materials: int, n_outputs: int, setting: Setting) -> li
 
     def value_and_gradient(z: Array) -> tuple[float, Array]:
         X, scale, kernel = unpack(z)
-        K, slope = kernel.training_and_slope(X * scale)
-        L = dpotrf(K, lower=1, overwrite_a=True)[0]
-        P = np.tril(dpotri(L, lower=1)[0])
-        P = P + np.tril(P, -1).T
-        PS = P @ Sc
-        trace = float(np.trace(PS))
-        dK = 0.5 * P - (0.5 * n / trace) * (PS @ P)
-        pulled = kernel.gradient(X * scale, dK, slope)
-        F = np.sum(np.log(np.diag(L))) + 0.5 * n * np.log(trace / (n * n_outputs))
+        F, pulled, d_mu = LatentObjective(Sc, n_outputs, kernel).with_noise(X * scale)
         F += 0.5 * float(np.sum(prior * X * X))
         G = pulled * scale + prior * X
         parts = [G[:, :Qs].reshape(n_materials, B, Qs).sum(axis=1).ravel(), G[:, Qs:].ravel()]
         if n_ard:
             parts.append(np.sum(pulled * X, axis=0) * scale)
         if learns_mu:
-            parts.append(np.array([np.trace(dK) * kernel.mu]))
+            parts.append(np.array([d_mu * kernel.mu]))
         return float(F), np.concatenate(parts)
 
     bounds: list[tuple[float | None, float | None]] = [(None, None)] * free

@@ -130,8 +130,8 @@ def embed(
     kernel: Annotated[
         str,
         typer.Option(
-            help="How alike neighbours on the map are: se (the smoothest, as published), matern52, matern32, rq; "
-            "each also with +linear, which carries trends beyond the materials.",
+            help="How alike neighbours on the map are: se (the smoothest, as published), matern52, matern32, rq; each "
+            "also with +linear, which carries trends beyond the materials.",
             metavar="NAME",
         ),
     ] = "se",

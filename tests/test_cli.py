@@ -107,6 +107,7 @@ def test_help_loads_nothing_heavy(tmp_path):
         (["predict"], "--latent"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
         (["embed", "--optimizer", "adam"], "l-bfgs"),
+        (["embed", "--kernel", "cubic"], "matern32+linear"),
         (["report", "--grid", "huge"], "hikichi"),
     ],
 )

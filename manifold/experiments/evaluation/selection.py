@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,7 +90,7 @@ def choose(
     trials = _Trials(materials, settings)
     most = min(MAX_DIMENSIONS, len(materials) - 2)
     tried: list[Candidate] = []
-    mappings = _mappings(settings)
+    mappings = _mappings(settings) if mapping else [settings.mapping]
     total = len(mappings) * mapping + most * latent_dim
 
     def attempt(name: str, count: int) -> Candidate:
@@ -101,9 +102,8 @@ def choose(
             on_progress(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
         return tried[-1]
 
-    best = attempt(settings.mapping if not mapping else mappings[0], min(settings.latent_dim, most))
-    if mapping:
-        best = min((attempt(name, best.latent_dim) for name in mappings), key=lambda c: c.error)
+    start = min(settings.latent_dim, most)
+    best = min((attempt(name, start) for name in mappings), key=lambda c: c.error)
     if latent_dim:
         best = attempt(best.mapping, 1)
         for count in range(2, most + 1):
@@ -116,9 +116,13 @@ def choose(
     return chosen, [replace(c, is_chosen=c is best) for c in tried]
 
 
-def _mappings(settings: Settings) -> tuple[str, ...]:
-    """Those that a kind of manifold can have."""
-    return (settings.mapping,) if settings.kind == "blend" else tuple(MAPPINGS)
+def _mappings(settings: Settings) -> list[str]:
+    """Mappings that manifolds of this kind take."""
+    taken = []
+    for name in MAPPINGS:
+        with suppress(UsageError):
+            taken.append(replace(settings, mapping=name).mapping)
+    return taken
 
 
 class _Trials:

@@ -94,7 +94,7 @@ def embed(
         Kind,
         typer.Option(
             help="blend: every place a non-negative combination of the materials around. monochrome: structure on "
-            "the map, colour apart. material: colour and all on the map."
+            "the map, colour apart. material: whole materials as points, as published."
         ),
     ] = Kind.blend,
     latent_dim: Annotated[
@@ -237,8 +237,8 @@ def predict(
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
-    On a monochrome manifold the latent is the structure (gloss, layers); the colour is that of the nearest
-    material unless --like, --reflectance or --srgb says otherwise.
+    The colour is that of the place, unless --like, --reflectance or --srgb chooses another; on a monochrome manifold,
+    whose latent is the structure alone (gloss, layers), it is that of the nearest material.
     """
     from manifold.model import predicted_file
     from manifold.model.colours import ColourChoice

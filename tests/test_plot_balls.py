@@ -56,7 +56,7 @@ def test_balls_have_the_colour_of_their_material(balls):
 
 
 def test_measured_balls_are_rendered_once(model, balls, monkeypatch):
-    monkeypatch.setattr(thumbnails, "of_file", lambda *_: pytest.fail("rendered again"))
+    monkeypatch.setattr(thumbnails, "of_material", lambda *_: pytest.fail("rendered again"))
     again = thumbnails.of_materials(model)
     np.testing.assert_allclose(thumbnails.cropped(again[0]), balls[0], atol=1e-6)
 

@@ -123,7 +123,7 @@ def embed(
     mu: Annotated[
         float | None,
         typer.Option(
-            help="Noise filter: height of the kernel's delta, from 1e-10. [default: 0.001; materials 0.0001]",
+            help="Noise filter: height of the kernel's delta, from 1e-10. [default: 0.0001; monochrome 0.001]",
             metavar="MU",
         ),
     ] = None,
@@ -131,7 +131,8 @@ def embed(
         str,
         typer.Option(
             help="How alike neighbours on the map are: se (the smoothest, as published), matern52, matern32, rq; each "
-            "also with +linear, which carries trends beyond the materials.",
+            "also with +linear, which carries trends beyond the materials. Of blends it only tells how far the data "
+            "reach: their weights stay the same.",
             metavar="NAME",
         ),
     ] = "se",

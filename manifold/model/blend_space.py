@@ -93,18 +93,6 @@ class BlendSpace(LatentSpace):
         """How many numbers describe a material: its place, and a coordinate and a gain per band."""
         return self.X.shape[1] + 2 * n_bands
 
-    def sample_rows(self, materials: Array) -> Array:
-        """Indices of the latents of some materials: a material is one point."""
-        return materials
-
-    def latents_of(self, materials: Array) -> Array:
-        """Places of some materials, shape (n, Q)."""
-        return self.X[materials]
-
-    def own_latents(self, material: int) -> Array:
-        """The place of one material, shape (1, Q)."""
-        return self.X[material : material + 1]
-
     def join(self, X: Array, colours: Array | None) -> Array:
         """X as it is, shape (M, Q): how far the data reach does not depend on colours."""
         return X

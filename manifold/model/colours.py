@@ -16,7 +16,7 @@ from manifold.records import Array
 
 @dataclass(frozen=True)
 class ColourChoice:
-    """What a user asks for; nothing is the reflectance of the nearest material.
+    """What a user asks for; without a choice see `NEAREST`.
 
     Attributes:
         like: name of a material of the model.
@@ -37,7 +37,7 @@ class ColourChoice:
 
 
 NEAREST = ColourChoice()
-"""The reflectance of the nearest material."""
+"""No choice: the colour blended from the materials around or, on a monochrome manifold, the nearest material's."""
 
 
 @dataclass(frozen=True, eq=False)

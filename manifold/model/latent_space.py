@@ -106,17 +106,17 @@ class LatentSpace(ABC):
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material of so many bands."""
 
-    @abstractmethod
     def sample_rows(self, materials: Array) -> Array:
-        """Indices of the training samples of some materials."""
+        """Indices of the training samples of some materials; by default a material is one sample."""
+        return materials
 
-    @abstractmethod
     def latents_of(self, materials: Array) -> Array:
         """Latents of the training samples of some materials, shape (n, Q')."""
+        return self.X[materials]
 
-    @abstractmethod
     def own_latents(self, material: int) -> Array:
         """Latents of one material in every band that has one of its own, shape (1 or B, Q')."""
+        return self.X[material : material + 1]
 
     @abstractmethod
     def join(self, X: Array, colours: Array | None) -> Array:

@@ -73,18 +73,6 @@ class MaterialSpace(LatentSpace):
         """How many numbers describe a material."""
         return self.X.shape[1]
 
-    def sample_rows(self, materials: Array) -> Array:
-        """Indices of the training samples of some materials: a material is one sample."""
-        return materials
-
-    def latents_of(self, materials: Array) -> Array:
-        """Latents of some materials, shape (n, Q)."""
-        return self.X[materials]
-
-    def own_latents(self, material: int) -> Array:
-        """The latent of one material, shape (1, Q)."""
-        return self.X[material : material + 1]
-
     def join(self, X: Array, colours: Array | None) -> Array:
         """X as it is, shape (M, Q): colours are part of a material's place."""
         self.require_colours(colours)

@@ -11,6 +11,7 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
+from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.records import Array, Bands, BsdfFile
@@ -119,7 +120,15 @@ def varying_mixture(model: Manifold) -> Mixture:
     tables = packed_tables.pack([files[k] for k in order], seen)
     names, lobes = tuple(model.names[k] for k in order), np.full(n, 1.0 / n)
     return Mixture(
-        names, tables, model.mapping, bands, None, lobes, model.gp, order, is_blend=model.space.is_nonnegative
+        names,
+        tables,
+        model.mapping,
+        bands,
+        None,
+        lobes,
+        model.gp,
+        order,
+        is_blend=model.space.kind == BlendSpace.kind,
     )
 
 

@@ -56,3 +56,46 @@ def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     nodes = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
     projected = np.repeat(0.5 * (0.5 * wx) * (2.0 * np.pi / n_phi), n_phi)
     return nodes, projected / nodes[:, 2]
+
+
+def from_rusinkiewicz(
+    theta_h: Array, theta_d: Array, phi_d: Array, phi_h: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Direction pair of half and difference angles in radians, broadcast: two arrays (..., 3).
+
+    The half vector is `(theta_h, phi_h)`; wi is `(theta_d, phi_d)` in its frame; wo mirrors wi at it.
+
+    Source: Rusinkiewicz 1998, section 2.
+    """
+    theta_h, theta_d, phi_d, phi_h = np.broadcast_arrays(
+        *(np.asarray(a, dtype=np.float64) for a in (theta_h, theta_d, phi_d, phi_h))
+    )
+    d = np.stack([np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)], axis=-1)
+    mirrored = d * np.array([-1.0, -1.0, 1.0])
+    return tuple(normalize(_rotate_z(_rotate_y(w, theta_h), phi_h)) for w in (d, mirrored))  # type: ignore[return-value]
+
+
+def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
+    """`theta_h, theta_d, phi_d, phi_h` in radians of direction pairs (..., 3); azimuths in (-pi, pi].
+
+    Azimuths are arbitrary where their elevation is 0. Opposite directions have no half vector and give NaN.
+
+    Source: Rusinkiewicz 1998, section 2.
+    """
+    with np.errstate(invalid="ignore"):
+        h = half_vector(wi, wo)
+    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    phi_h = np.arctan2(h[..., 1], h[..., 0])
+    d = _rotate_y(_rotate_z(wi, -phi_h), -theta_h)
+    theta_d = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
+    return theta_h, theta_d, np.arctan2(d[..., 1], d[..., 0]), phi_h
+
+
+def _rotate_y(w: Array, angle: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
+
+
+def _rotate_z(w: Array, angle: Array) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)

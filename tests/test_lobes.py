@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import UsageError
-from manifold.metrics import to_rusinkiewicz
 from manifold.models.lobes import (
     ROUGHNESSES,
     TAILS,

@@ -8,18 +8,16 @@ import reference
 from hypothesis import given
 from hypothesis import strategies as st
 
-from manifold.directions import from_spherical, half_vector
+from manifold.directions import from_rusinkiewicz, from_spherical, half_vector, to_rusinkiewicz
 from manifold.errors import ShapeError, UsageError
 from manifold.metrics import (
     RunningErrors,
     RusinkiewiczGrid,
     cosine_weight,
     cube_root_error,
-    from_rusinkiewicz,
     relative_error,
     rmse,
     spectral_angle,
-    to_rusinkiewicz,
 )
 
 

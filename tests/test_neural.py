@@ -18,10 +18,10 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.cli.main import app
 from manifold.colour.conversion import to_srgb
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.metrics import RusinkiewiczGrid, cosine_weight, to_rusinkiewicz
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.synthetic.corpus import rgl_bands
 from manifold.synthetic.neural import NeuralBRDF, read_neural_fits, write_neural
 

@@ -14,13 +14,14 @@ from scipy.spatial import cKDTree
 
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
+from manifold.directions import to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.fitting.bsdf_evaluation import Evaluator, bsdf_keys, evaluator, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import Minimum, Residuals
-from manifold.metrics import RusinkiewiczGrid, to_rusinkiewicz
+from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array
 from manifold.rendering import backend
 

@@ -1,6 +1,11 @@
+from .dense import DenseTable
+from .readings import Readings, geometry_ma_t12
 from .tensor_file import read_tensors, write_tensors
 
 __all__ = [
+    "DenseTable",
+    "Readings",
+    "geometry_ma_t12",
     "read_tensors",
     "write_tensors",
 ]

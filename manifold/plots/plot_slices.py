@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from manifold.colour.conversion import to_srgb
-from manifold.directions import from_spherical
+from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
-from manifold.metrics import from_rusinkiewicz
 from manifold.plots.figures import new_figure
 from manifold.records import Array, Bands
 

@@ -10,9 +10,8 @@ import numpy as np
 from manifold.brdf import goniometer
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.colour.reflectances import srgb_spectra
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.formats.neural_weights import NeuralWeights, read_neural_weights
-from manifold.metrics import to_rusinkiewicz
 from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.synthetic.analytic import AnalyticBRDF, cosine_hemisphere
 from manifold.synthetic.corpus import rgl_bands, write_files

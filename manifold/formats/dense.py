@@ -1,0 +1,109 @@
+"""Dense tables: values of a BRDF at the product of their angles, as MERL and UTIA files hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from manifold.directions import from_rusinkiewicz, from_spherical
+from manifold.errors import ShapeError
+from manifold.formats.readings import Readings
+from manifold.records import Array, Bands
+
+_AXES = {
+    "half-difference": ("theta_h", "theta_d", "phi_d"),
+    "incident-outgoing": ("theta_i", "phi_i", "theta_o", "phi_o"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DenseTable:
+    """A BRDF at the product of its angles.
+
+    Attributes:
+        name: of the material.
+        instrument: what made it, or the format.
+        coordinates: `half-difference` (theta_h, theta_d, phi_d; isotropic; Rusinkiewicz 1998) or
+            `incident-outgoing` (theta_i, phi_i, theta_o, phi_o).
+        axes: the nodes of each angle in radians, increasing.
+        wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB.
+        values: f in 1/sr, one axis per angle and the bands last; NaN is not measured.
+        notes: what was ambiguous in the file, and how it was taken.
+    """
+
+    name: str
+    instrument: str
+    coordinates: Literal["half-difference", "incident-outgoing"]
+    axes: tuple[Array, ...]
+    wavelengths_nm: Array | None
+    values: Array
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes and order.
+
+        Raises:
+            ShapeError: the coordinates are unknown, nodes do not increase, or values do not fit them.
+        """
+        names = _AXES.get(self.coordinates)
+        if names is None or len(self.axes) != len(names):
+            raise ShapeError(
+                f"{self.name}: {len(self.axes)} axes of '{self.coordinates}', expected "
+                + " or ".join(f"{len(axes)} of '{key}'" for key, axes in _AXES.items())
+            )
+        for name, nodes in zip(names, self.axes, strict=True):
+            if nodes.ndim != 1 or nodes.size == 0 or not np.all(np.isfinite(nodes)):
+                raise ShapeError(f"{self.name}: {name} has shape {nodes.shape}, expected (n,), all finite")
+            if np.any(np.diff(nodes) <= 0):
+                raise ShapeError(f"{self.name}: {name} does not increase, expected ordered nodes")
+        expected = (*(nodes.size for nodes in self.axes), self.bands.count)
+        if self.values.shape != expected:
+            raise ShapeError(f"{self.name}: values have shape {self.values.shape}, expected {expected}")
+        if np.any(np.isinf(self.values)):
+            raise ShapeError(f"{self.name}: an infinite value, expected f in 1/sr, or NaN where not measured")
+
+    @cached_property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return Bands.from_array(self.wavelengths_nm)
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the table has no azimuth of incidence."""
+        return self.coordinates == "half-difference" or self.axes[1].size == 1
+
+    @property
+    def measured(self) -> Array:
+        """Which nodes were measured in all bands, bool, the shape of `values` without its last axis."""
+        return np.asarray(np.isfinite(self.values).all(axis=-1))
+
+    def directions(self, index: Array | None = None) -> tuple[Array, Array]:
+        """wi and wo, each (n, 3), of nodes by their flat index (n,); of all by default, the last angle fastest."""
+        shape = self.values.shape[:-1]
+        index = np.arange(np.prod(shape)) if index is None else np.asarray(index)
+        angles = [nodes[k] for nodes, k in zip(self.axes, np.unravel_index(index, shape), strict=True)]
+        if self.coordinates == "half-difference":
+            return from_rusinkiewicz(*angles)
+        return from_spherical(angles[0], angles[1]), from_spherical(angles[2], angles[3])
+
+    def readings(self, limit: int | None = None, rng: np.random.Generator | None = None) -> Readings:
+        """The measured nodes above the horizon as readings; at most `limit` of them, drawn at random.
+
+        Raises:
+            ShapeError: nothing above the horizon is measured.
+        """
+        index = np.flatnonzero(np.isfinite(self.values).any(axis=-1).reshape(-1))
+        if limit is not None and index.size > 2 * limit:  # about half a MERL table lies below the horizon
+            generator = rng or np.random.default_rng(0)
+            index = np.sort(generator.choice(index, min(index.size, 8 * limit), replace=False))
+        wi, wo = self.directions(index)
+        above = np.flatnonzero((wi[:, 2] > 1e-9) & (wo[:, 2] > 1e-9))
+        if limit is not None and above.size > limit:
+            above = above[np.linspace(0, above.size - 1, limit).astype(int)]
+        rows = self.values.reshape(-1, self.values.shape[-1])[index[above]]
+        return Readings(
+            self.name, self.instrument, wi[above], wo[above], self.wavelengths_nm, rows, notes=self.notes
+        )

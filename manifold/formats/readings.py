@@ -1,0 +1,155 @@
+"""Readings of one sample: values of its BRDF at given directions, from one instrument.
+
+Multi-angle spectrophotometers give a dozen pairs of directions, goniometers thousands. Dense tables, whose nodes are
+a product of angles, are `manifold.formats.dense.DenseTable`; `DenseTable.readings` lists them as readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from manifold.directions import from_spherical, require_directions
+from manifold.errors import ShapeError
+from manifold.records import Array, Bands
+
+# Anchor leg and aspecular angle in degrees, in the instrument's order.
+_MA_T12 = (
+    *((45, aspecular) for aspecular in (-15, 15, 25, 45, 75, 110)),
+    *((15, aspecular) for aspecular in (-45, -30, -15, 15, 45, 80)),
+)
+MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
+"""The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What an instrument says of one sample. P direction pairs, B bands.
+
+    Attributes:
+        name: of the sample.
+        instrument: as the file names it, or the format where it names none.
+        wi: unit vectors in the local frame (z is the normal), shape (P, 3).
+        wo: unit vectors, shape (P, 3).
+        wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB, B = 3.
+        values: f in 1/sr, shape (P, B); NaN is not measured; noise may make values slightly negative.
+        weights: relative reliability of each pair, at least 0, shape (P,); all 1 by default.
+        notes: what was ambiguous in the file, and how it was taken; one sentence each.
+        texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
+    """
+
+    name: str
+    instrument: str
+    wi: Array
+    wo: Array
+    wavelengths_nm: Array | None
+    values: Array
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+    notes: tuple[str, ...] = ()
+    texture: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        """Check shapes and values, and make arrays read-only.
+
+        Raises:
+            ShapeError: directions are not unit vectors above the horizon (P, 3), values not (P, B), or infinite;
+                wavelengths do not increase; weights are not (P,), negative or not finite; P = 0.
+        """
+        wi, wo = (require_directions(w, f"{self.name}: {n}") for n, w in (("wi", self.wi), ("wo", self.wo)))
+        if wi.ndim != 2 or wi.shape != wo.shape or wi.shape[0] == 0:
+            raise ShapeError(f"{self.name}: wi has shape {wi.shape}, wo {wo.shape}, expected (P, 3), P > 0")
+        if np.any(wi[:, 2] < 0.0) or np.any(wo[:, 2] < 0.0):
+            raise ShapeError(f"{self.name}: a direction lies below the horizon, expected z >= 0; drop it")
+        nm = None if self.wavelengths_nm is None else np.asarray(self.wavelengths_nm, dtype=np.float64)
+        expected = (wi.shape[0], Bands.from_array(nm).count)
+        values = np.asarray(self.values, dtype=np.float64)
+        if values.shape != expected:
+            raise ShapeError(f"{self.name}: values have shape {values.shape}, expected {expected}")
+        if np.any(np.isinf(values)):
+            raise ShapeError(f"{self.name}: an infinite value, expected f in 1/sr, or NaN where not measured")
+        weights = np.asarray(self.weights, dtype=np.float64)
+        if weights.size == 0:
+            weights = np.ones(expected[0])
+        if weights.shape != expected[:1] or not np.all(np.isfinite(weights)) or np.any(weights < 0.0):
+            raise ShapeError(
+                f"{self.name}: weights have shape {weights.shape}, expected {expected[:1]}, at least 0"
+            )
+        for name, array in (("wi", wi), ("wo", wo), ("values", values), ("weights", weights)):
+            object.__setattr__(self, name, _frozen(array))
+        object.__setattr__(self, "wavelengths_nm", None if nm is None else _frozen(nm))
+        object.__setattr__(self, "texture", MappingProxyType(dict(self.texture)))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def __len__(self) -> int:
+        """P."""
+        return int(self.wi.shape[0])
+
+    @cached_property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return Bands.from_array(self.wavelengths_nm)
+
+    @property
+    def measured(self) -> Array:
+        """Which values were measured, bool, shape (P, B)."""
+        return np.isfinite(self.values)
+
+    def select_bands(self, bands: Sequence[int]) -> Readings:
+        """The same readings in some of their bands, by increasing index.
+
+        Raises:
+            ShapeError: they are RGB and not all three are taken, or the indices do not increase.
+        """
+        index = list(bands)
+        if self.wavelengths_nm is None and index != [0, 1, 2]:
+            raise ShapeError(f"{self.name}: bands {index} of linear sRGB, expected all three")
+        nm = None if self.wavelengths_nm is None else self.wavelengths_nm[index]
+        return replace(self, wavelengths_nm=nm, values=self.values[:, index])
+
+    def select_pairs(self, pairs: Array) -> Readings:
+        """The readings at some of their pairs, by index (n,) or mask (P,), in the order given."""
+        return replace(
+            self, wi=self.wi[pairs], wo=self.wo[pairs], values=self.values[pairs], weights=self.weights[pairs]
+        )
+
+    def with_note(self, note: str) -> Readings:
+        """The same readings with one more note."""
+        return replace(self, notes=(*self.notes, note))
+
+
+def geometry_ma_t12() -> tuple[Array, Array]:
+    """The 12 direction pairs of an MA-T12 (X-Rite): wi and wo, each (12, 3), in the order of `MA_T12_NAMES`.
+
+    wi is the anchor leg, at 45 or 15 degrees and azimuth 180 degrees, so that the mirror direction lies at azimuth 0.
+    """
+    pairs = [aspecular_pair(anchor, aspecular) for anchor, aspecular in _MA_T12]
+    return np.array([wi for wi, _ in pairs]), np.array([wo for _, wo in pairs])
+
+
+def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float = 0.0) -> tuple[Array, Array]:
+    """Directions wi (3,) and wo (3,) of an anchor leg and an aspecular angle, in degrees.
+
+    The aspecular angle is counted from the mirror direction towards the normal, in the plane of incidence turned
+    about the mirror direction by `azimuth_deg` (0: in plane).
+
+    Source: ASTM E2194, E2539.
+    """
+    wi = from_spherical(np.deg2rad(anchor_deg), np.pi)
+    offset, azimuth = np.deg2rad(aspecular_deg), np.deg2rad(azimuth_deg)
+    mirror = from_spherical(np.deg2rad(anchor_deg), 0.0)
+    towards_normal = from_spherical(np.deg2rad(anchor_deg - 90.0), 0.0)
+    aside = np.array([0.0, 1.0, 0.0])
+    turned = np.cos(azimuth) * towards_normal + np.sin(azimuth) * aside
+    return wi, np.cos(offset) * mirror + np.sin(offset) * turned
+
+
+def _frozen(array: Array) -> Array:
+    """A read-only contiguous copy."""
+    copy = np.array(array, order="C")
+    copy.flags.writeable = False
+    return copy

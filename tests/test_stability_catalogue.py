@@ -161,7 +161,7 @@ def test_without_hashes_of_materials_turned_bits_are_silently_wrong(bed, monkeyp
 
 def test_without_the_hash_of_latents_turned_bits_are_silently_wrong(bed, monkeypatch):
     assert tried(bed, "flipped_latents", "prediction").outcome == REFUSED
-    monkeypatch.setattr(model_file, "hash_arrays", lambda arrays: "")
+    monkeypatch.setattr(model_file, "_digest", lambda content: bytes(32))
     with TestBed() as fresh:  # whose model is written without the hash
         assert tried(fresh, "flipped_latents", "prediction").outcome == WRONG
 

@@ -1,12 +1,21 @@
-"""Models as HDF5 files without pickles.
+"""Models as HDF5 files that are read without HDF5: damage is found before anything is made of the bytes.
 
-A file holds latents, a few settings, and what the kind of latent space needs beside them. The measured data stay in
-the library, which is named by its place relative to the model and by the hash of its content.
+    bytes 0 to 511      the user block: magic, format version, place of the record, SHA-256 of all other bytes
+    the rest            HDF5, for other programs: the arrays in `space`, and `record`
+
+`record` is JSON in UTF-8: names, settings, statistics, the library, and dtype, shape and place of each array, which are
+little-endian and contiguous. The measured data stay in the library, which is named by its place relative to the model
+and by the hash of its content.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import math
 import os
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,13 +23,19 @@ from typing import Any
 import h5py
 import numpy as np
 
-from manifold import atomic
-from manifold.errors import ManifoldError, ModelError
-from manifold.library.identity import hash_arrays
+from manifold import atomic, small_files
+from manifold.errors import ModelError, UsageError
 from manifold.records import Array
 
 FORMAT = "manifold-model"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+
+MAGIC = b"manifold model\r\n"
+_HEADER = struct.Struct("<16sIQQ")  # magic, version, offset and length of the record
+_DIGEST = slice(_HEADER.size, _HEADER.size + 32)
+_USER_BLOCK = 512  # the least that HDF5 takes
+_MOST_BYTES = 1 << 30
+HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +63,14 @@ def write_model(path: Path, record: ModelRecord) -> None:
 
     Raises:
         UsageError: the file cannot be written.
+        ModelError: a value is not finite.
     """
-    with atomic.replacing(path) as partial, h5py.File(partial, "w") as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = FORMAT_VERSION
-        # Relative to the model, so that a folder with both can be moved.
-        file.attrs["library"] = os.path.relpath(record.library.resolve(), path.resolve().parent)
-        file.attrs["library_hash"] = record.library_hash
-        file.create_group("settings").attrs.update(record.settings)
-        file.create_group("statistics").attrs.update(record.statistics)
-        file.create_dataset("names", data=np.array(record.names, dtype=h5py.string_dtype()))
-        space = file.create_group("space")
-        for name, array in record.arrays.items():
-            space.create_dataset(name, data=array)
-        space.attrs["sha256"] = _digest(record.arrays)
+    content = _sealed(record, path)  # in memory, since HDF5 ends the process where a disk is full
+    try:
+        _opened(content, path)
+    except ValueError as error:
+        raise ModelError(f"{path}: cannot be written ({error}); fit again with other settings") from error
+    atomic.write_bytes(path, content)
 
 
 def read_model(path: Path) -> ModelRecord:
@@ -72,33 +81,20 @@ def read_model(path: Path) -> ModelRecord:
     """
     if not path.exists():
         raise ModelError(f"{path}: no such model; `manifold embed --model {path}` makes one")
-    if not path.is_file() or not h5py.is_hdf5(path):
-        what = "a folder" if path.is_dir() else "no HDF5 file, or cut off at its beginning"
-        raise ModelError(f"{path}: {what}, expected a model; `manifold embed` makes one")
+    if path.is_dir():
+        raise ModelError(f"{path}: a folder, expected a model; `manifold embed` makes one")
     try:
-        with h5py.File(path, "r") as file:
-            if file.attrs.get("format") != FORMAT:
-                raise ModelError(f"{path}: an HDF5 file, but no manifold model; `manifold embed` makes one")
-            version = int(file.attrs["format_version"])
-            if version != FORMAT_VERSION:
-                raise ModelError(
-                    f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
-                )
-            arrays = {name: _finite(name, dataset[...]) for name, dataset in file["space"].items()}
-            # Models written before there was a hash have none.
-            if file["space"].attrs.get("sha256", _digest(arrays)) != _digest(arrays):
-                raise ValueError("its arrays do not have the hash that they were written with")
-            return ModelRecord(
-                library=Path(os.path.normpath(path.resolve().parent / str(file.attrs["library"]))),
-                library_hash=str(file.attrs["library_hash"]),
-                names=tuple(file["names"].asstr()[...].tolist()),
-                settings={name: _plain(value) for name, value in file["settings"].attrs.items()},
-                statistics={name: float(value) for name, value in file["statistics"].attrs.items()},
-                arrays=arrays,
-            )
-    except ManifoldError:
-        raise
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        content = small_files.read_bytes(path, advice="name a model", most=_MOST_BYTES)
+    except UsageError as error:
+        raise ModelError(str(error)) from error
+    if not content.startswith(MAGIC):
+        what = "an HDF5 file" if content.startswith(HDF5_MAGIC) else "no HDF5 file, or damaged at its start"
+        raise ModelError(
+            f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; embed again with this version"
+        )
+    try:
+        return _opened(content, path)
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, struct.error) as error:
         raise damaged(path, error) from error
 
 
@@ -108,18 +104,91 @@ def damaged(path: Path, error: Exception) -> ModelError:
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
 
 
-def _digest(arrays: dict[str, Array]) -> str:
-    """Hash of arrays as `read_model` gives them back."""
-    return hash_arrays({name: np.asarray(arrays[name], dtype=np.float64) for name in sorted(arrays)})
+def _sealed(record: ModelRecord, path: Path) -> bytes:
+    """The bytes of a model file."""
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", userblock_size=_USER_BLOCK) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        space = file.create_group("space")
+        arrays = [
+            _placed(name, space.create_dataset(name, data=np.asarray(array, dtype="<f8", order="C")))
+            for name, array in record.arrays.items()
+        ]
+        values = {
+            # Relative to the model, so that a folder with both can be moved.
+            "library": os.path.relpath(record.library.resolve(), path.resolve().parent),
+            "library_hash": record.library_hash,
+            "names": record.names,
+            "settings": record.settings,
+            "statistics": record.statistics,
+            "arrays": arrays,
+        }
+        text = json.dumps(values, default=_plain).encode()
+        place = _placed("record", file.create_dataset("record", data=np.frombuffer(text, np.uint8)))
+    content = bytearray(memory.getvalue())
+    _HEADER.pack_into(content, 0, MAGIC, FORMAT_VERSION, place["offset"], len(text))
+    content[_DIGEST] = _digest(content)
+    return bytes(content)
+
+
+def _placed(name: str, dataset: h5py.Dataset) -> dict[str, Any]:
+    """Where in the file an array begins, and how it is read."""
+    offset = dataset.id.get_offset() if dataset.size else 0
+    return {"name": name, "shape": dataset.shape, "offset": offset}
+
+
+def _opened(content: bytes, path: Path) -> ModelRecord:
+    _, version, offset, length = _HEADER.unpack_from(content)
+    if version != FORMAT_VERSION:
+        raise ModelError(
+            f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
+        )
+    if content[_DIGEST] != _digest(content):
+        raise ValueError("its bytes do not have the hash that they were written with")
+    values = json.loads(content[offset : offset + length], parse_constant=_refuse)
+    names = [str(name) for name in values["names"]]
+    if len(set(names)) < len(names):
+        raise ValueError("a material is named twice")
+    return ModelRecord(
+        library=Path(os.path.normpath(path.resolve().parent / str(values["library"]))),
+        library_hash=str(values["library_hash"]),
+        names=tuple(names),
+        settings=dict(values["settings"]),
+        statistics={name: _finite(float(value), name) for name, value in values["statistics"].items()},
+        arrays={str(entry["name"]): _array(content, entry) for entry in values["arrays"]},
+    )
+
+
+def _array(content: bytes, entry: dict[str, Any]) -> Array:
+    shape = tuple(int(size) for size in entry["shape"])
+    count = math.prod(shape)
+    if min(shape, default=0) < 0 or 8 * count > len(content):
+        raise ValueError(f"array '{entry['name']}' has shape {shape}, more than the file holds")
+    values = np.frombuffer(content, "<f8", count, int(entry["offset"])).reshape(shape)
+    return _finite(values.astype(np.float64), str(entry["name"]))
+
+
+def _digest(content: bytes | bytearray) -> bytes:
+    """SHA-256 of all bytes but those that it stands in."""
+    view = memoryview(content)
+    digest = hashlib.sha256(view[: _DIGEST.start])
+    digest.update(view[_DIGEST.stop :])
+    return digest.digest()
 
 
 def _plain(value: Any) -> Any:
-    """A NumPy scalar or HDF5 string as a Python value."""
-    return value.item() if isinstance(value, np.generic) else value
+    """A NumPy scalar as a Python value."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a model cannot hold {type(value).__name__}")
 
 
-def _finite(name: str, array: Array) -> Array:
-    array = np.asarray(array, dtype=np.float64)
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"dataset '{name}' has values that are not finite")
-    return array
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _finite(values: Any, name: str) -> Any:
+    if not np.all(np.isfinite(values)):
+        raise ValueError(f"'{name}' has values that are not finite")
+    return values

@@ -52,13 +52,7 @@ def restore(path: Path, stored: ModelRecord, library: Library) -> tuple[Settings
         ModelError: they do not fit each other, or the library.
     """
     try:
-        known = dict(stored.settings)
-        if (
-            "kernel" not in known
-        ):  # written before kernels could be chosen; `dls` was the name of several starts
-            known["kernel"] = "se"
-            known["optimizer"] = {"dls": "multistart"}.get(known["optimizer"], known["optimizer"])
-        settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
+        settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), library.bands.count)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:

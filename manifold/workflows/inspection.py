@@ -13,10 +13,9 @@ from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
+from manifold.model.model_file import HDF5_MAGIC, MAGIC
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend, libllvm
-
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def inspect(
         return _inspect_library(path, verify, on_progress)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
-    if path.suffix in (".h5", ".hdf5") or _begins_with(path, _HDF5_MAGIC):
+    if path.suffix in (".h5", ".hdf5") or _begins_with(path, MAGIC, HDF5_MAGIC):
         return _inspect_model(path, library)
     return _inspect_file(read_bsdf(path), path)
 
@@ -91,12 +90,12 @@ def inspect_renderer() -> Inspection:
     return Inspection("Renderer", rows, document, (table,) if libraries else ())
 
 
-def _begins_with(path: Path, magic: bytes) -> bool:
+def _begins_with(path: Path, *magic: bytes) -> bool:
     if not path.is_file():  # reading a pipe or a device may never end
         return False
     try:
         with path.open("rb") as stream:
-            return stream.read(len(magic)) == magic
+            return stream.read(max(map(len, magic))).startswith(magic)
     except OSError:
         return False  # whoever reads it next says why
 

@@ -120,9 +120,8 @@ def _older_model(folder: Path, versions: float) -> None:
     """Give a model the version that it had some versions ago."""
     path = folder / "model.h5"
     content = path.read_bytes()
-    found = content.index(model_file.FORMAT_VERSION.to_bytes(8, "little"), content.index(b"format_version"))
-    version = (model_file.FORMAT_VERSION - int(versions)).to_bytes(8, "little")
-    path.write_bytes(content[:found] + version + content[found + 8 :])
+    version = (model_file.FORMAT_VERSION - int(versions)).to_bytes(4, "little")
+    path.write_bytes(model_file.MAGIC + version + content[len(model_file.MAGIC) + 4 :])
 
 
 def _cut_file(folder: Path, share: float) -> None:

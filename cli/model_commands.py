@@ -220,7 +220,14 @@ def predict(
     srgb: SrgbOption = None,
     physical: Annotated[
         bool,
-        typer.Option("--physical", help="Make it reciprocal, with no negative values and albedo at most 1."),
+        typer.Option(
+            "--physical",
+            help="Make the file reciprocal within 5 %, without negative values, albedo at most 1; refines its grids.",
+        ),
+    ] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Write it, too, where it returns more than 1.05 times its light."),
     ] = False,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")
@@ -254,6 +261,7 @@ def predict(
             library=library,
             colour=ColourChoice(like, reflectance, srgb),
             physical=physical,
+            force=force,
             resolution=resolution,
             n_theta_i=n_theta_i,
             on_progress=step,
@@ -272,9 +280,11 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
         "uncertainty": f"{made.std:.3f} (posterior over prior standard deviation)",
         "nearest": [f"{name} ({distance:.2f})" for name, distance in made.nearest],
         "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
-        "negative values": f"{physical.negative_share:.2%}" + ", zero in the file" * (made.clipped_share > 0),
+        "negative values": "none"
+        if not made.clipped_share
+        else f"{made.clipped_share:.2%}, zero in the file",
         "reciprocity error": f"{physical.reciprocity_error:.2%}",
-        "largest albedo": f"{physical.max_albedo:.3f} (to 75 degrees), of the file {made.file_albedo:.3f} (to 85)",
+        "largest albedo": f"{physical.max_albedo:.3f} (incidences to 85 degrees)",
         "time": f"{made.seconds:.2f} s after loading",
     }
     if made.diagnostics:

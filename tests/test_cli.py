@@ -372,8 +372,8 @@ def test_a_physical_prediction_is_physical(run, structures):
     _, out, _ = run(*arguments, cwd=structures)
     found = json.loads(out)["plausibility"]
     assert found["negative_share"] == 0
-    assert found["reciprocity_error"] < 1e-12
-    assert found["max_albedo"] < 1.02
+    assert found["reciprocity_error"] <= 0.05
+    assert found["max_albedo"] <= 1.0
 
 
 @pytest.mark.parametrize(

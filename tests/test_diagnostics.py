@@ -39,10 +39,3 @@ def test_unmeasured_cells_are_diagnosed_from_one_percent_on():
     assert diagnostics.of_unmeasured(0.005) == ()
     (sentence,) = diagnostics.of_unmeasured(0.12)
     assert "12 %" in sentence
-
-
-def test_a_file_that_is_brighter_than_its_prediction_is_diagnosed():
-    assert diagnostics.of_file(0.9, 1.04) == ()
-    assert diagnostics.of_file(1.5, 1.6) == ()
-    (sentence,) = diagnostics.of_file(0.9, 2.0)
-    assert "directional albedo 2.00, that of the prediction itself 0.90" in sentence

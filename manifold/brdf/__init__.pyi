@@ -1,14 +1,15 @@
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
-from .physical import PhysicalBRDF
+from .physical import ReciprocalBRDF, physical_file
 from .unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 
 __all__ = [
     "BRDF",
     "DirectionPairs",
     "MeasuredBRDF",
-    "PhysicalBRDF",
+    "ReciprocalBRDF",
     "fill_unmeasured",
+    "physical_file",
     "unmeasured_cells",
     "unmeasured_share",
 ]

@@ -8,6 +8,8 @@ Source: Dupuy & Jakob 2018, sections 4 and 5; the power iteration is Dupuy et al
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
@@ -16,7 +18,7 @@ from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, Bands, BsdfFile
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
 # Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
@@ -189,22 +191,14 @@ def measure(
         ndf, sigma = _anisotropic_ndf(_require_light(retro, name))
     ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
 
-    shape = (len(phi_i), len(theta_i))
-    vndf = np.empty((*shape, WARP_NODES, WARP_NODES), dtype=np.float32)
+    vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
     dense_ndf = np.broadcast_to(ndf[:1], (WARP_NODES, WARP_NODES)) if isotropic else ndf
-    for p, t in np.ndindex(shape):
+    for p, t in np.ndindex(vndf.shape[:2]):
         vndf[p, t] = _visible_normals(dense_ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
-    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
-
-    spectra = np.empty((*shape, resolution, resolution, brdf.bands.count), dtype=np.float32)
-    measured = np.empty((*shape, resolution, resolution), dtype=bool)
-    for p, t in np.ndindex(shape):
-        spectra[p, t], measured[p, t] = _measure_incidence(
-            brdf, warp, ndf, sigma, float(phi_i[p]), float(theta_i[t]), isotropic, resolution
-        )
+    spectra, measured = _at_nodes(brdf, ndf, sigma, vndf, phi_i, theta_i, resolution)
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)
-    luminance = np.maximum(luminance_of(spectra, brdf.bands), 0.0).astype(np.float32)
+    spectra = np.moveaxis(spectra, -1, 2)
     wavelengths = brdf.bands.wavelengths_nm
     return BsdfFile(
         name=name,
@@ -216,11 +210,39 @@ def measure(
         sigma=sigma,
         ndf=ndf,
         vndf=vndf,
-        luminance=luminance,
-        spectra=np.moveaxis(spectra, -1, 2),
+        luminance=luminance(spectra, brdf.bands),
+        spectra=spectra,
         jacobian=True,
         valid=pack_valid(measured, version),
     )
+
+
+def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
+    """The file with the values of another BRDF of the same bands at its nodes, its warps kept."""
+    spectra, _ = _at_nodes(
+        brdf, file.ndf, file.sigma, file.vndf, file.phi_i_rad, file.theta_i_rad, file.spectra.shape[-1]
+    )
+    spectra = np.moveaxis(spectra, -1, 2)
+    return replace(file, spectra=spectra, luminance=luminance(spectra, file.bands))
+
+
+def luminance(spectra: Array, bands: Bands) -> Array:
+    """The `luminance` of a file, shape (P, T, H, W), from its `spectra`, shape (P, T, B, H, W)."""
+    return np.maximum(luminance_of(np.moveaxis(spectra, 2, -1), bands), 0.0).astype(np.float32)
+
+
+def _at_nodes(
+    brdf: BRDF, ndf: Array, sigma: Array, vndf: Array, phi_i: Array, theta_i: Array, n: int
+) -> tuple[Array, Array]:
+    """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
+    warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
+    shape = (len(phi_i), len(theta_i), n, n)
+    spectra, measured = np.empty((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
+    for p, t in np.ndindex(shape[:2]):
+        spectra[p, t], measured[p, t] = _measure_incidence(
+            brdf, warp, ndf, sigma, float(phi_i[p]), float(theta_i[t]), len(phi_i) == 1, n
+        )
+    return spectra, measured
 
 
 def _require_light(retro: Array, name: str) -> Array:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical, hemisphere_quadrature
-from manifold.records import Array
+from manifold.records import Array, BsdfFile
 
 Evaluate = Callable[[Array, Array], Array]
 """Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
 
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
+_FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
 
 AZIMUTHS_DEG = tuple(range(0, 360, 45))
 """From where anisotropic BRDFs are seen; isotropic ones look alike from all."""
@@ -30,7 +31,8 @@ class Plausibility:
             the hemisphere and that around the mirror direction, where a narrow lobe can be negative unseen.
         reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
             of both. Measured materials have one too.
-        max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees.
+        max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees; of a file, of
+            0, 5, ... 85 degrees.
 
     Anisotropic BRDFs are seen from eight azimuths, isotropic ones from one.
     """
@@ -66,6 +68,17 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
         Plausibility(float(n), float(r), float(a))
         for n, r, a in zip(negative, reciprocity, albedo, strict=True)
     ]
+
+
+def plausibility_of_file(file: BsdfFile) -> Plausibility:
+    """Measure what a renderer interpolates in a file: its albedo at incidences from 0 to 85 degrees."""
+    measured = MeasuredBRDF(file)
+    return replace(plausibility(measured), max_albedo=float(largest_albedo(measured).max()))
+
+
+def largest_albedo(measured: MeasuredBRDF) -> Array:
+    """Largest directional albedo of each band over incidences of 0, 5, ... 85 degrees, shape (B,)."""
+    return measured.albedo(_incident(_FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0)
 
 
 def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:

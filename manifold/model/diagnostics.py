@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
@@ -9,7 +10,6 @@ MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_MISSED = 0.02  # of a reflectance
 MOST_UNMEASURED = 0.01  # of the cells that should hold something
-_BRIGHTER = 1.1  # of a file against what it was written from; elsewhere interpolation errs by a few per cent
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
 
 
@@ -46,13 +46,13 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
     return tuple(diagnostics)
 
 
-def of_file(predicted_albedo: float, file_albedo: float) -> tuple[str, ...]:
-    """Of a written prediction, by its largest albedo beside that of what it was written from."""
-    if file_albedo <= max(MOST_ALBEDO, _BRIGHTER * predicted_albedo):
+def of_projection(found: Plausibility | None) -> tuple[str, ...]:
+    """Of a file that was to be physical, by what was measured on it; of none, nothing."""
+    if found is None or found.reciprocity_error <= RECIPROCITY_ERROR:
         return ()
     return (
-        f"the file is not energy-conserving: directional albedo {file_albedo:.2f}, that of the prediction itself "
-        f"{predicted_albedo:.2f}; write more --incidences, or render it with --direct",
+        f"not reciprocal: the file's f(wi, wo) and f(wo, wi) still differ by {100.0 * found.reciprocity_error:.0f} %, "
+        f"expected at most {100.0 * RECIPROCITY_ERROR:.0f} %; write more --resolution and --incidences",
     )
 
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from manifold import __version__, atomic
 from manifold.brdf import goniometer
-from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.physical import PhysicalBRDF
-from manifold.brdf.plausibility import Plausibility, plausibility
-from manifold.directions import from_spherical
+from manifold.brdf.physical import physical_file
+from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
@@ -26,8 +22,6 @@ from manifold.records import Array, Progress
 
 PREDICTED = "Predicted at latent"
 """How the descriptions of predicted files begin."""
-
-_FILE_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0, 80.0, 85.0)  # where the albedo of a written file is looked at
 
 
 @dataclass(frozen=True)
@@ -45,11 +39,10 @@ class Prediction:
         is_extrapolation: whether the data say little at this latent.
         nearest: the three nearest materials with their distances.
         weights: the materials with the largest weights, by magnitude, in this colour.
-        plausibility: of the prediction, before negative values are clipped for the file.
-        file_albedo: largest directional albedo of the written file, over bands and incidences.
+        plausibility: of the written file, read back.
+        clipped_share: share of the predicted values that were negative, and are zero in the file.
         diagnostics: what a user should know before trusting it, in sentences.
-        clipped_share: share of the file's values that were negative and became zero.
-        seconds: evaluating and writing, without loading the library.
+        seconds: evaluating, checking and writing, without loading the library.
     """
 
     latent: tuple[float, ...]
@@ -63,9 +56,8 @@ class Prediction:
     nearest: tuple[tuple[str, float], ...]
     weights: tuple[tuple[str, float], ...]
     plausibility: Plausibility
-    file_albedo: float
-    diagnostics: tuple[str, ...]
     clipped_share: float
+    diagnostics: tuple[str, ...]
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
@@ -83,6 +75,7 @@ def predict(
     library: Path | None = None,
     colour: ColourChoice = NEAREST,
     physical: bool = False,
+    force: bool = False,
     resolution: int = 32,
     n_theta_i: int = 8,
     on_progress: Progress | None = None,
@@ -95,12 +88,14 @@ def predict(
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
-        physical: project to non-negative, reciprocal, and albedo at most 1.
-        resolution: nodes per axis of the outgoing grid.
-        n_theta_i: incident elevations.
+        physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
+        force: write a file, too, that returns more than 1.05 times its light.
+        resolution: nodes per axis of the outgoing grid; with `physical`, at least.
+        n_theta_i: incident elevations; with `physical`, at least.
         on_progress: called while measured materials are read.
     Raises:
-        UsageError: the name of the output does not end in `.bsdf`, or the file cannot be written.
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or it would return
+            more than 1.05 times its light.
         LatentError: the latent does not have Q finite coordinates.
     """
     name = material_name(output)
@@ -114,8 +109,9 @@ def predict(
     start = time.perf_counter()
     chosen = choose_colour(model, x, colour)
     brdf = model.predict(x, chosen.colours)
-    clipped = ClippedBRDF(PhysicalBRDF(brdf) if physical else brdf)
-    file = goniometer.measure(
+    clipped = ClippedBRDF(brdf)
+    measure = physical_file if physical else goniometer.measure
+    file = measure(
         clipped,
         name,
         description=_describe(model, x, chosen.words, physical),
@@ -123,11 +119,14 @@ def predict(
         n_theta_i=n_theta_i,
         version=(1, 0) if model.bands.is_rgb else (3, 1),
     )
+    found = plausibility_of_file(file)
+    if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
+        raise UsageError(
+            f"{output}: would return {found.max_albedo:.2f} times its light at an incidence to 85 degrees, expected at "
+            f"most {diagnostics.MOST_ALBEDO}; scale it with --physical, write more --incidences, or --force it"
+        )
     write_bsdf(output, file)
     seconds = time.perf_counter() - start
-    found = plausibility(clipped if physical else brdf)
-    incident = from_spherical(np.deg2rad(_FILE_INCIDENCES_DEG), 0.0)
-    file_albedo = float(MeasuredBRDF(file).albedo(incident).max())
     is_extrapolation = bool(model.is_extrapolation(x, chosen.colours))
     return Prediction(
         latent=tuple(float(v) for v in x),
@@ -141,11 +140,12 @@ def predict(
         nearest=tuple(model.nearest(x, 3)),
         weights=tuple(model.largest_weights(x, 5, chosen.colours)),
         plausibility=found,
-        file_albedo=file_albedo,
-        diagnostics=diagnostics.of_prediction(is_extrapolation, found, chosen.missed)
-        + diagnostics.of_file(found.max_albedo, file_albedo)
-        + diagnostics.of_unmeasured(model.unmeasured_share(x)),
         clipped_share=clipped.clipped_share,
+        diagnostics=diagnostics.of_prediction(
+            is_extrapolation, replace(found, negative_share=clipped.clipped_share), chosen.missed
+        )
+        + diagnostics.of_projection(found if physical else None)
+        + diagnostics.of_unmeasured(model.unmeasured_share(x)),
         seconds=seconds,
     )
 

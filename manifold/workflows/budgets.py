@@ -260,7 +260,9 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
         Path(properties[n]) if n in properties else None for n in ("reflectance", "library")
     )
     colour = ColourChoice(properties.get("like"), reflectance, properties.get("srgb"))
-    predicted_file.predict(Path(properties["model"]), latent, path, library=library, colour=colour)
+    predicted_file.predict(
+        Path(properties["model"]), latent, path, library=library, colour=colour, force=True
+    )
     return path
 
 

@@ -78,5 +78,5 @@ def picture_of_prediction_fit(
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        predicted_file.predict(model, latent, path, library=library, colour=colour)
+        predicted_file.predict(model, latent, path, library=library, colour=colour, force=True)
         return picture_of_fit(fit, path, output)

@@ -166,7 +166,9 @@ def latent_source(
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        predicted_file.predict(model, latent, path, library=library, colour=colour, on_progress=on_progress)
+        predicted_file.predict(
+            model, latent, path, library=library, colour=colour, force=True, on_progress=on_progress
+        )
         source = file_source(path)
         yield Source(name, source.material, source.is_rgb, "predicted file")
 

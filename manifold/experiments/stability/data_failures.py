@@ -100,7 +100,7 @@ def _predicted(spoil: Spoil, t: float) -> Callable[[TestBed, float], Measurement
         x = model.between(*_PAIR, t)
         with tempfile.TemporaryDirectory() as folder:
             made = predicted_file.predict(
-                model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6
+                model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6, force=True
             )
         whole = _whole(bed).interpolate(*_PAIR, t)
         return Measurement(bed.error(model.predict(x), whole), made.diagnostics)

@@ -1,0 +1,247 @@
+"""BRDFs of dense tables and of a goniometer's readings: interpolated, exact at their own nodes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import QhullError, cKDTree
+
+from manifold.brdf.pairs import DirectionPairs, flat_samples
+from manifold.directions import from_spherical, hemisphere_quadrature, require_directions, to_rusinkiewicz
+from manifold.errors import UsageError
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.records import Array, Bands
+
+_LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
+_HORIZON_COSINE = 1e-3
+
+
+class TabulatedBRDF(ABC):
+    """What tables of both kinds share; values below the horizon are 0. Sampling is by the cosine."""
+
+    _bands: Bands
+    _isotropic: bool
+
+    @abstractmethod
+    def _interpolate(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr of flat pairs (n, 3) above the horizon, shape (n, B)."""
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return self._bands
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether turning both directions about the normal changes nothing."""
+        return self._isotropic
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
+        pairs = DirectionPairs(wi, wo)
+        above = (pairs.wi[:, 2] > 0.0) & (pairs.wo[:, 2] > 0.0)
+        f = np.zeros((len(pairs), self._bands.count))
+        f[above] = self._interpolate(pairs.wi[above], pairs.wo[above])
+        return f.reshape(*pairs.shape, self._bands.count)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo, float)[..., 2], 0.0)[..., None]
+
+    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
+        """Directions (..., 3) by the cosine for uniform variates (..., 2), and their pdf (...) in 1/sr."""
+        _, u, shape = flat_samples(wi, u)
+        wo = from_spherical(np.arcsin(np.sqrt(u[:, 0])), 2.0 * np.pi * u[:, 1])
+        return wo.reshape(*shape, 3), wo[:, 2].reshape(shape) / np.pi
+
+    def pdf(self, wi: Array, wo: Array) -> Array:
+        """Density of `sample` in 1/sr, shape (...)."""
+        pairs = DirectionPairs(wi, wo)
+        return (np.maximum(pairs.wo[:, 2], 0.0) / np.pi).reshape(pairs.shape)
+
+    def albedo(self, wi: Array) -> Array:
+        """Directional albedo, shape (..., B)."""
+        nodes, weights = hemisphere_quadrature(32, 64)
+        wi = require_directions(wi, "wi")
+        return np.einsum("k,...kb->...b", weights, self.eval_cos(wi[..., None, :], nodes))
+
+
+class DenseBRDF(TabulatedBRDF):
+    """A dense table, linear between its nodes; nodes that were not measured hold the nearest that was."""
+
+    def __init__(self, table: DenseTable) -> None:
+        """Fill what was not measured.
+
+        Raises:
+            UsageError: nothing was measured.
+        """
+        measured = table.measured
+        if not np.any(measured):
+            raise UsageError(f"{table.name}: nothing was measured, so there is nothing to interpolate")
+        values = table.values
+        if not np.all(measured):
+            nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
+            values = values[tuple(nearest)]
+        self._bands, self._isotropic = table.bands, table.is_isotropic
+        self._coordinates, self._axes, self._values = table.coordinates, table.axes, values
+
+    def _interpolate(self, wi: Array, wo: Array) -> Array:
+        if self._coordinates == "half-difference":
+            theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
+            return self._blend([(theta_h, None), (theta_d, None), (phi_d, np.pi)])
+        theta_i, phi_i = _angles(wi)
+        theta_o, phi_o = _angles(wo)
+        if self._isotropic:
+            phi_o, phi_i = phi_o - phi_i + self._axes[1][0], np.full_like(phi_i, self._axes[1][0])
+        return self._blend([(theta_i, None), (phi_i, 2 * np.pi), (theta_o, None), (phi_o, 2 * np.pi)])
+
+    def _blend(self, angles: list[tuple[Array, float | None]]) -> Array:
+        """Linear interpolation in all angles (n,), those with a period wrapped round."""
+        corners = [(np.zeros(angles[0][0].shape, dtype=int), np.ones(angles[0][0].shape))]
+        for axis, (angle, period) in zip(self._axes, angles, strict=True):
+            low, high, t = _bracket(axis, angle, period)
+            size = axis.size
+            corners = [
+                (index * size + end, weight * w)
+                for index, weight in corners
+                for end, w in ((low, 1 - t), (high, t))
+            ]
+        flat = self._values.reshape(-1, self._bands.count)
+        return np.asarray(sum(weight[:, None] * flat[index] for index, weight in corners))
+
+
+def _bracket(axis: Array, angle: Array, period: float | None) -> tuple[Array, Array, Array]:
+    """Indices of the nodes on both sides of each angle (n,), and how far between them it lies."""
+    if period is None or axis.size == 1:
+        place = np.interp(angle, axis, np.arange(axis.size))
+        low = np.minimum(place.astype(int), max(axis.size - 2, 0))
+        return low, np.minimum(low + 1, axis.size - 1), place - low
+    turned = (angle - axis[0]) % period
+    place = np.interp(turned, np.append(axis - axis[0], period), np.arange(axis.size + 1))
+    low = np.minimum(place.astype(int), axis.size - 1)
+    return low, (low + 1) % axis.size, place - low
+
+
+class ReadingsBRDF(TabulatedBRDF):
+    """A goniometer's readings: a hemisphere of directions at each of several incidences.
+
+    Between two incidences values are blended at the same half vector, so that highlights move with the incidence and
+    do not appear twice. Steeper incidences than any measured are read with light and view exchanged.
+    """
+
+    def __init__(self, readings: Readings) -> None:
+        """Group the readings by incidence.
+
+        Raises:
+            UsageError: they do not cover hemispheres: too few, or all in one plane.
+        """
+        whole = np.isfinite(readings.values).all(axis=1)
+        wi, wo, values = readings.wi[whole], readings.wo[whole], readings.values[whole]
+        theta, phi = _angles(wi)
+        phi = np.where(theta < 1e-6, 0.0, phi)
+        keys = np.round(np.stack([theta, phi], axis=1), 5)
+        incidences, group = np.unique(keys, axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        self._bands = readings.bands
+        oblique = incidences[incidences[:, 0] > 1e-6]
+        self._isotropic = len(np.unique(oblique[:, 0])) == len(oblique)
+        self._slices = []
+        for k, (_, azimuth) in enumerate(incidences):
+            rows = group == k
+            turn = azimuth if self._isotropic else 0.0
+            place = _disk(wo[rows], -turn)
+            if self._isotropic:
+                place, f = _both_sides(place, values[rows])
+            else:
+                f = values[rows]
+            self._slices.append(_Slice.made(place, f, f"{readings.name}: {len(readings)} readings"))
+        self._rings = [np.flatnonzero(incidences[:, 0] == t) for t in np.unique(incidences[:, 0])]
+        self._thetas = np.unique(incidences[:, 0])
+        self._phis = incidences[:, 1]
+
+    def _interpolate(self, wi: Array, wo: Array) -> Array:
+        swap = (wi[:, 2] < np.cos(self._thetas[-1]) - 1e-9) & (wo[:, 2] > wi[:, 2])
+        wi, wo = np.where(swap[:, None], wo, wi), np.where(swap[:, None], wi, wo)
+        theta, phi = _angles(wi)
+        h = wi + wo
+        h /= np.linalg.norm(h, axis=1, keepdims=True)
+        low, high, t = _bracket(self._thetas, theta, None)
+        f = np.zeros((len(wi), self._bands.count))
+        for ring in range(len(self._rings)):
+            weight = (1 - t) * (low == ring) + t * (high == ring)
+            rows = np.flatnonzero(weight > 0)
+            if rows.size:
+                f[rows] += weight[rows, None] * self._ring(ring, phi[rows], h[rows])
+        return f
+
+    def _ring(self, ring: int, phi: Array, h: Array) -> Array:
+        """Values (n, B) at an elevation of incidence, for azimuths (n,) and half vectors (n, 3)."""
+        theta, members = float(self._thetas[ring]), self._rings[ring]
+        if self._isotropic:
+            return self._slices[members[0]](_disk(_mirrored(from_spherical(theta, phi), h), -phi))
+        low, high, t = _bracket(self._phis[members], phi, 2 * np.pi)
+        f = np.zeros((len(phi), self._bands.count))
+        for k, member in enumerate(members):
+            weight = (1 - t) * (low == k) + t * (high == k)
+            rows = np.flatnonzero(weight > 0)
+            if rows.size:
+                wi = from_spherical(theta, np.full(rows.size, self._phis[member]))
+                f[rows] += weight[rows, None] * self._slices[member](_disk(_mirrored(wi, h[rows]), 0.0))
+        return f
+
+
+class _Slice:
+    """Values on the disk of outgoing directions: linear on triangles, the nearest outside them."""
+
+    def __init__(self, place: Array, values: Array) -> None:
+        self._inside = LinearNDInterpolator(place, values)
+        self._tree, self._values = cKDTree(place), values
+
+    @classmethod
+    def made(cls, place: Array, values: Array, what: str) -> _Slice:
+        """A slice of places (n, 2) and values (n, B). Raises UsageError where no triangle can be made."""
+        remedy = "do not make a BRDF by themselves; `manifold complete` completes them through a library"
+        if len(place) < _LEAST_PER_INCIDENCE:
+            raise UsageError(f"{what}, {len(place)} at one incidence, {remedy}")
+        try:
+            return cls(place, values)
+        except QhullError:
+            raise UsageError(f"{what}, all in the plane of incidence, {remedy}") from None
+
+    def __call__(self, place: Array) -> Array:
+        values = self._inside(place)
+        outside = np.isnan(values).any(axis=1)
+        if np.any(outside):
+            values[outside] = self._values[self._tree.query(place[outside])[1]]
+        return values
+
+
+def _angles(w: Array) -> tuple[Array, Array]:
+    """Elevation from the normal and azimuth in radians, of (..., 3)."""
+    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
+
+
+def _disk(w: Array, turn: Array | float) -> Array:
+    """Directions (n, 3), turned about the normal, as points of a disk whose radius is the elevation."""
+    theta, phi = _angles(w)
+    return np.stack([theta * np.cos(phi + turn), theta * np.sin(phi + turn)], axis=-1)
+
+
+def _mirrored(wi: Array, h: Array) -> Array:
+    """wi mirrored at the half vectors (n, 3), kept at the horizon where it falls below."""
+    wo = 2.0 * np.einsum("ni,ni->n", wi, h)[:, None] * h - wi
+    wo[:, 2] = np.maximum(wo[:, 2], _HORIZON_COSINE)
+    return wo / np.linalg.norm(wo, axis=1, keepdims=True)
+
+
+def _both_sides(place: Array, values: Array) -> tuple[Array, Array]:
+    """Both halves of the disk of an isotropic sample of which one was measured."""
+    side = place[:, 1]
+    if np.all(side > -1e-6) or np.all(side < 1e-6):
+        off = np.abs(side) > 1e-6
+        return np.concatenate([place, place[off] * [1.0, -1.0]]), np.concatenate([values, values[off]])
+    return place, values

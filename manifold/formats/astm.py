@@ -1,0 +1,259 @@
+"""Tables in the manner of ASTM E1392: `KEY value` lines, a line `VARS theta_i,phi_i,theta_s,phi_s,...`, then rows.
+
+Radians about the normal, BRDF in 1/sr, as goniometers such as the Mini-Diff V2 (Light Tec, Synopsys) write them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.directions import from_spherical
+from manifold.formats.csv_table import band_heads
+from manifold.formats.readings import Readings
+from manifold.formats.text import Place, decode, find_separator, read_lines, split_cells
+from manifold.formats.tristimulus import xyz_to_linear_srgb
+from manifold.records import Array
+
+_REMEDY = "export the table again"
+_MOST_ROWS = 5_000_000
+_PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
+_STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
+_UNNAMED_NM = 550.0
+_ANGLES = {
+    "theta_i": ("thetai", "thetain", "ti", "incidenttheta", "thi"),
+    "phi_i": ("phii", "phiin", "incidentphi"),
+    "theta_o": ("thetas", "thetar", "thetao", "thetaout", "ts", "scattertheta", "theta"),
+    "phi_o": ("phis", "phir", "phio", "phiout", "scatterphi", "phi"),
+}
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """What the columns of the rows are, in their order: names of angles, and heads of bands."""
+
+    names: list[str]
+    bands: list[str]
+    is_degrees: bool | None
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning has a `VARS` line, or the header of one."""
+    text = decode(head)
+    return re.search(r"^\s*(VARS|NUM_POINTS|LAB_NAME)\b", text, re.MULTILINE | re.IGNORECASE) is not None
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of the table, one record.
+
+    Raises:
+        FileFormatError: no `VARS`, unknown columns, rows of other lengths, fewer rows than announced, or a cell
+            that is no finite number; the error names the line.
+        UsageError: the file cannot be read.
+    """
+    place = Place(path, _REMEDY)
+    lines = read_lines(path)
+    start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS\b", line, re.IGNORECASE)), None)
+    if start is None:
+        raise place.error("no line VARS found, expected one that names the columns")
+    header = _header(lines[:start])
+    columns = _columns(re.sub(r"(?i)^\s*VARS\b[\s:=]*", "", lines[start]), place, f"line {start + 1}")
+    is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
+    table, notes, columns = _rows(lines, start + 1, columns, place)
+    announced = header.get("NUM_POINTS")
+    if announced is not None:
+        expected = place.count(announced, "NUM_POINTS", _MOST_ROWS)
+        if len(table) < expected:
+            raise place.error(
+                f"{len(table)} rows, expected {expected} as NUM_POINTS says: the file is cut off"
+            )
+        if len(table) > expected:
+            notes.append(f"NUM_POINTS says {expected}, the file holds {len(table)} rows: all are taken")
+    name = header.get("SAMPLE_NAME") or path.stem
+    instrument = header.get("SYSTEM_NAME") or "goniometer (ASTM table)"
+    return [_readings(table, columns, name, instrument, is_mini_diff, notes, place)]
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    """Keys in upper case and values without quotes."""
+    header = {}
+    for line in lines:
+        key, _, value = line.strip().replace("\t", " ").partition(" ")
+        if key:
+            header[key.upper().rstrip(":=")] = value.strip().lstrip(":=").strip().strip('"').strip()
+    return header
+
+
+def _columns(text: str, place: Place, where: str) -> _Columns:
+    heads = split_cells(text, find_separator([text]))
+    names, bands = [], []
+    for head in heads:
+        plain = (
+            re.sub(r"[^a-z]", "", re.sub(r"\(.*?\)|\[.*?\]", "", head.lower()))
+            .removesuffix("deg")
+            .removesuffix("rad")
+        )
+        angle = next((name for name, spellings in _ANGLES.items() if plain in spellings), None)
+        if angle is not None and angle in names:
+            raise place.error(f"{angle} appears twice, expected each angle once", where)
+        if angle is None:
+            bands.append(head)
+        names.append(angle or head)
+    missing = [name for name in ("theta_i", "theta_o") if name not in names]
+    if missing or not bands:
+        raise place.error(
+            f"columns {', '.join(heads[:8])}, expected theta_i, phi_i, theta_s, phi_s and bands such as 465nm",
+            where,
+        )
+    degrees = None
+    if re.search(r"deg|°", text, re.IGNORECASE):
+        degrees = True
+    elif re.search(r"rad\b", text, re.IGNORECASE):
+        degrees = False
+    return _Columns(names, bands, degrees)
+
+
+def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tuple[Array, list[str], _Columns]:
+    """The table of numbers, notes, and the columns with what `VARS` leaves out."""
+    numbered = [
+        (k, line) for k, line in enumerate(lines[start:], start=start + 1)
+        if line.strip() and not line.lstrip().startswith(("#", "!"))
+    ]  # fmt: skip
+    while numbered and re.fullmatch(r"\s*(END|EOF|DATA_?END)\s*", numbered[-1][1], re.IGNORECASE):
+        numbered.pop()
+    if numbered and re.fullmatch(r"\s*(DATA|BEGIN|DATA_?BEGIN)\s*", numbered[0][1], re.IGNORECASE):
+        numbered = numbered[1:]
+    if not numbered:
+        raise place.error("no rows below VARS, expected one per direction pair")
+    if len(numbered) > _MOST_ROWS:
+        raise place.error(f"{len(numbered)} rows, expected at most {_MOST_ROWS}")
+    separator = find_separator([line for _, line in numbered[:20]])
+    width = len(split_cells(numbered[0][1], separator))
+    notes: list[str] = []
+    if width == len(columns.names) + 1 and "phi_o" not in columns.names:
+        after = columns.names.index("theta_o") + 1
+        columns = _Columns(
+            [*columns.names[:after], "phi_o", *columns.names[after:]], columns.bands, columns.is_degrees
+        )
+        notes.append(
+            f"VARS names {width - 1} columns, rows have {width}: the one behind theta_s is taken as phi_s"
+        )
+    if width != len(columns.names):
+        raise place.error(
+            f"{width} cells, expected {len(columns.names)} as VARS says", f"line {numbered[0][0]}"
+        )
+    table = np.empty((len(numbered), width))
+    for row, (line_number, line) in zip(table, numbered, strict=True):
+        cells = split_cells(line, separator)
+        if len(cells) != width:
+            raise place.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
+        row[:] = place.numbers(cells, line_number)
+    return table, notes, columns
+
+
+def _readings(
+    table: Array,
+    columns: _Columns,
+    name: str,
+    instrument: str,
+    is_mini_diff: bool,
+    notes: list[str],
+    place: Place,
+) -> Readings:
+    angle = {
+        key: table[:, columns.names.index(key)] if key in columns.names else np.zeros(len(table))
+        for key in _ANGLES
+    }
+    is_degrees = columns.is_degrees
+    if is_degrees is None:
+        is_degrees = bool(np.max(np.abs([angle["theta_i"], angle["theta_o"]])) > 0.5 * np.pi + 0.01)
+        if is_degrees:
+            notes.append("angles beyond pi / 2: taken as degrees")
+    if is_degrees:
+        angle = {key: np.deg2rad(values) for key, values in angle.items()}
+    for key in ("theta_i", "theta_o"):
+        worst = float(np.max(np.abs(angle[key])))
+        if worst > np.pi + 1e-6:
+            raise place.error(f"{key} reaches {np.rad2deg(worst):.4g} degrees, expected at most 90")
+    keep = (np.abs(angle["theta_i"]) <= 0.5 * np.pi + 1e-4) & (np.abs(angle["theta_o"]) <= 0.5 * np.pi + 1e-4)
+    if not np.all(keep):
+        notes.append(f"{int((~keep).sum())} rows of transmitted light (beyond 90 degrees) are left out")
+    if is_mini_diff:
+        padded = keep & (np.abs(angle["theta_o"]) > _PADDING_FROM + 1e-4)
+        keep &= ~padded
+        if np.any(padded):
+            notes.append(f"{int(padded.sum())} rows beyond 75 degrees are padding of the Mini-Diff, not data")
+    if not np.any(keep):
+        raise place.error("no rows of reflected light, expected theta below 90 degrees")
+    if "phi_i" not in columns.names:
+        notes.append("no phi_i: the mirror direction is taken at phi_s = 0")
+        angle["phi_i"] = np.full(len(table), np.pi)
+    wi, wo = (_upper(from_spherical(angle[f"theta_{s}"][keep], angle[f"phi_{s}"][keep])) for s in "io")
+    first = [k for k, head in enumerate(columns.names) if head not in _ANGLES]
+    nm, values = _bands(columns.bands, table[keep][:, first], notes, place)
+    weights = np.ones(len(wi))
+    if is_mini_diff:
+        weights[np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
+    if np.any(values < 0):
+        notes.append(
+            f"{int((values < 0).sum())} values are negative, down to {values.min():.3g}: noise, kept"
+        )
+    return Readings(name, instrument, wi, wo, nm, values, weights, tuple(notes))
+
+
+def _upper(w: Array) -> Array:
+    """Directions with rounding below the horizon taken away."""
+    w[:, 2] = np.maximum(w[:, 2], 0.0)
+    return w
+
+
+def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> tuple[Array | None, Array]:
+    """Wavelengths, increasing, or None for linear sRGB, and the values in their order."""
+    letters = [re.sub(r"[^a-z]", "", head.lower()).removeprefix("brdf") for head in heads]
+    for space in ("rgb", "xyz"):
+        words = [{"red": "r", "green": "g", "blue": "b"}.get(letter, letter) for letter in letters]
+        if sorted(words) == sorted(space):
+            values = values[:, [words.index(letter) for letter in space]]
+            if space == "xyz":
+                notes.append("CIE XYZ, converted to linear sRGB")
+                values = xyz_to_linear_srgb(values)
+            return None, values
+    nm = []
+    for head in heads:
+        found = re.search(r"(\d+(\.\d+)?)\s*(nm|um|µm|micron)?", head, re.IGNORECASE)
+        unit = (found[3] or "nm").lower() if found else "nm"
+        if found is None and len(heads) == 1:
+            notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+            return np.array([_UNNAMED_NM]), values
+        if found is None:
+            raise place.error(f"band '{head[:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z")
+        nm.append(float(found[1]) * (1.0 if unit == "nm" else 1000.0))
+    order = np.argsort(nm)
+    ascending = np.array(nm)[order]
+    if np.any(np.diff(ascending) <= 0) or ascending[0] <= 0:
+        raise place.error(f"bands {', '.join(heads[:6])}, expected different wavelengths")
+    return ascending, values[:, order]
+
+
+def write(path: Path, readings: Readings) -> None:
+    """The table in radians, azimuths from 0 to 2 pi, in order of the readings; NaN rows are left out."""
+    rows = np.flatnonzero(np.isfinite(readings.values).all(axis=1))
+    lines = [
+        f'SAMPLE_NAME "{readings.name}"', f'SYSTEM_NAME "{readings.instrument}"', 'MEAS_NAME "BRDF"',
+        f"NUM_POINTS {rows.size}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),
+    ]  # fmt: skip
+    table = np.hstack([_angles(readings)[rows], readings.values[rows]])
+    lines += [",".join(f"{value:.9g}" for value in row) for row in table]
+    atomic.write_text(path, "\n".join(lines) + "\n")
+
+
+def _angles(readings: Readings) -> Array:
+    columns = []
+    for w in (readings.wi, readings.wo):
+        columns.append(np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2]))
+        columns.append(np.arctan2(w[:, 1], w[:, 0]) % (2.0 * np.pi))
+    return np.stack(columns, axis=1)

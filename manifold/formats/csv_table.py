@@ -1,0 +1,123 @@
+"""CSV files of readings: the table of a spectrophotometer's workbook, or directions in degrees beside f in 1/sr.
+
+Separators are `;`, tab, `|` or comma; with the first three, decimal commas are numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.formats.readings import Readings
+from manifold.formats.spectro_table import read_table
+from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
+from manifold.records import Array
+
+_REMEDY = "export the table again with columns Geometry, 400, 410, ..."
+_TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning is a table of readings."""
+    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return False
+    lines = [line for line in decode(head).splitlines() if line.strip()][:60]
+    for line in lines:
+        words = line.lower()
+        if ("geometr" in words or re.search(r"theta\W?_?i", words)) and _separator(line) is not None:
+            return "vars" not in words
+    return any(
+        _separator(line) is not None and sum(c.isdigit() for c in line) > 20 and "as" in line
+        for line in lines
+    )
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of every sample of a CSV file.
+
+    Raises:
+        FileFormatError: there is no header, or a cell is not what its column holds; the error names it.
+        UsageError: the file cannot be read.
+    """
+    place = Place(path, _REMEDY)
+    text = decode(read_bytes(path, LARGEST_TEXT))
+    lines = text.splitlines()
+    candidates = [_separator(line) for line in lines[:60] if line.strip() and not line.startswith("#")]
+    found = [s for s in candidates if s is not None]
+    if not found:
+        raise place.error("no separated cells found, expected a table")
+    separator = max(set(found), key=found.count)
+    try:
+        plain = io.StringIO("\n".join("" if line.startswith("#") else line for line in lines))
+        rows = [[cell.strip() for cell in row] for row in csv.reader(plain, delimiter=separator)]
+    except csv.Error as error:
+        raise place.error(f"not a table ({error})") from None
+    rows = [_repaired(row, separator) for row in rows]
+    texture = {
+        line[1:].partition(":")[0].strip(): line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("#") and any(word in line.lower() for word in _TEXTURE)
+    }
+    name, instrument = path.stem, "spectrophotometer (CSV)"
+    for line in lines[:40]:
+        key, _, value = line.lstrip("# ").partition(":")
+        if line.startswith("#") and value.strip():
+            name = value.strip() if key.strip().lower() == "name" else name
+            instrument = value.strip() if key.strip().lower() == "instrument" else instrument
+    found_readings = read_table(rows, place, name, instrument)
+    if texture and len(found_readings) == 1:
+        from dataclasses import replace
+
+        return [replace(found_readings[0], texture=texture)]
+    return found_readings
+
+
+def write(path: Path, readings: Readings) -> None:
+    """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured."""
+    out = io.StringIO()
+    out.write(f"# name: {_line(readings.name)}\n# instrument: {_line(readings.instrument)}\n")
+    out.write("# BRDF in 1/sr; angles in degrees about the normal\n")
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", *band_heads(readings)])
+    for angles, row in zip(angles_deg(readings), readings.values, strict=True):
+        writer.writerow([*(f"{a:.9g}" for a in angles), *("" if np.isnan(v) else f"{v:.9g}" for v in row)])
+    atomic.write_text(path, out.getvalue())
+
+
+def angles_deg(readings: Readings) -> Array:
+    """theta_i, phi_i, theta_o, phi_o in degrees of every pair, azimuths from 0 to 360, shape (P, 4)."""
+    columns = []
+    for w in (readings.wi, readings.wo):
+        columns.append(np.rad2deg(np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2])))
+        columns.append(np.rad2deg(np.arctan2(w[:, 1], w[:, 0])) % 360.0)
+    return np.stack(columns, axis=1)
+
+
+def band_heads(readings: Readings) -> list[str]:
+    """`465nm` or `R`, `G`, `B`."""
+    nm = readings.bands.wavelengths_nm
+    return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]
+
+
+def _separator(line: str) -> str | None:
+    counts = {s: line.count(s) for s in (";", "\t", "|", ",")}
+    for separator in (";", "\t", "|"):
+        if counts[separator] >= 2:
+            return separator
+    return "," if counts[","] >= 2 else None
+
+
+def _repaired(row: list[str], separator: str) -> list[str]:
+    """Cells without trailing empty ones, which programs leave behind."""
+    while len(row) > 1 and not row[-1] and separator != ",":
+        row = row[:-1]
+    return row
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,203 @@
+"""CxF3 files (ISO 17972-1): reflectance spectra of objects at multi-angle geometries, through colour-cxf.
+
+A geometry is a `BRDFAngle` (illumination angle, aspecular angle, optional azimuth) or a `SingleAngle` of the
+spectrum's colour specification, or the spectrum's own name. 1.0 is the perfect diffuser.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import atomic
+from manifold.formats.geometry_names import geometry_directions, geometry_name
+from manifold.formats.readings import MA_T12_NAMES, Readings, aspecular_pair
+from manifold.formats.text import Place, decode, read_bytes
+from manifold.records import Array
+
+_REMEDY = "export CxF3 with multi-angle reflectance again"
+_LARGEST = 100_000_000  # bytes
+_MOST_SPECTRA = 100_000
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning is a CxF document of any version."""
+    text = decode(head).lstrip().lower()
+    return text.startswith("<") and ("cxf" in text) and "html" not in text[:200]
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of every object that has reflectance spectra at directional geometries.
+
+    Raises:
+        FileFormatError: another version of CxF, not well formed, or no such spectra.
+        UsageError: the file cannot be read.
+    """
+    place = Place(path, _REMEDY)
+    document = _parse(read_bytes(path, _LARGEST), place)
+    resources = document.resources
+    if resources is None or resources.object_collection is None:
+        raise place.error("no objects found, expected CxF3 resources with an ObjectCollection")
+    collection = resources.color_specification_collection
+    specifications = {s.id: s for s in collection.color_specification} if collection is not None else {}
+    found = []
+    for item in resources.object_collection.object_value:
+        readings = _object(item, specifications, place, path.stem)
+        if readings is not None:
+            found.append(readings)
+    if not found:
+        raise place.error(
+            "no reflectance at directional geometries, expected ReflectanceSpectrum with BRDFAngle or SingleAngle"
+        )
+    return found
+
+
+def _parse(data: bytes, place: Place) -> Any:
+    from colour_cxf import cxf3
+    from xsdata.formats.dataclass.parsers import XmlParser
+    from xsdata.formats.dataclass.parsers.config import ParserConfig
+
+    head = decode(data[:4000]).lower()
+    if "<!doctype" in head or b"<!ENTITY" in data:
+        raise place.error("a document type with entities, expected plain CxF3")
+    if "cxf" in head and "cxf3" not in head:
+        raise place.error("CxF of an older version, expected CxF3 (colorexchangeformat.com/CxF3-core)")
+    config = ParserConfig(fail_on_unknown_properties=False, fail_on_converter_warnings=True)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return XmlParser(config=config).from_bytes(data.strip(), cxf3.CxF)
+    except MemoryError:
+        raise
+    except Exception as error:  # xsdata raises whatever its parsers do
+        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        raise place.error(f"not a readable CxF3 document ({reason})") from None
+
+
+def _object(item: Any, specifications: dict[Any, Any], place: Place, default: str) -> Readings | None:
+    """Readings of one object, or None where it has no directional reflectance."""
+    choices = item.color_values.choice if item.color_values is not None else []
+    spectra = [c for c in choices if type(c).__name__ == "ReflectanceSpectrum"]
+    if len(spectra) > _MOST_SPECTRA:
+        raise place.error(f"{len(spectra)} spectra of one object, expected at most {_MOST_SPECTRA}")
+    wi, wo, values, wavelengths = [], [], [], []
+    instrument, seen = "spectrophotometer (CxF3)", dict.fromkeys(specifications, 0)
+    left_out = 0
+    for index, spectrum in enumerate(spectra):
+        where = f"object '{(item.name or default)[:40]}', spectrum {index + 1}"
+        specification = specifications.get(spectrum.color_specification)
+        measurement = specification.measurement_spec if specification is not None else None
+        pair = _geometry(spectrum, measurement, seen)
+        if pair is None:
+            left_out += 1
+            continue
+        nm = _wavelengths(spectrum, measurement, place, where)
+        row = np.asarray(spectrum.value, dtype=float)
+        if not np.all(np.isfinite(row)):
+            raise place.error("a value that is not finite, expected reflectance, 1.0 being white", where)
+        wi.append(pair[0])
+        wo.append(pair[1])
+        values.append(row)
+        wavelengths.append(nm)
+        device = measurement.device if measurement is not None else None
+        if device is not None:
+            instrument = " ".join(filter(None, (device.manufacturer, device.model))) or instrument
+    if not values:
+        return None
+    bands, table = _common_bands(wavelengths, values)
+    notes = [f"{left_out} spectra without a directional geometry are left out"] if left_out else []
+    texture: dict[str, Any] = {
+        collection.name or f"tags {k}": {tag.name: tag.value for tag in collection.tag}
+        for k, collection in enumerate(item.tag_collection)
+    }
+    return Readings(
+        item.name or default, instrument, np.array(wi), np.array(wo), bands, table / np.pi,
+        notes=tuple(notes), texture=texture,
+    )  # fmt: skip
+
+
+def _geometry(spectrum: Any, measurement: Any, seen: dict[Any, int]) -> tuple[Array, Array] | None:
+    """Directions of a spectrum. A specification of several angles is used one after the other."""
+    geometry = measurement.geometry_choice if measurement is not None else None
+    choice: Any = geometry.choice if geometry is not None else None
+    kind = type(choice).__name__
+    if kind == "MultiAngleType" and choice.brdfangle:
+        turn = seen.get(spectrum.color_specification, 0)
+        seen[spectrum.color_specification] = turn + 1
+        named = [a for a in choice.brdfangle if a.notation and a.notation == spectrum.name]
+        angle = named[0] if named else choice.brdfangle[turn % len(choice.brdfangle)]
+        if angle.illumination_angle is not None and angle.aspecular is not None:
+            wi, wo = aspecular_pair(abs(angle.illumination_angle), angle.aspecular, angle.azimuth or 0.0)
+            return (wi, wo) if wi[2] > 0.0 and wo[2] > 0.0 else None
+        return geometry_directions(angle.notation or "")
+    if (
+        kind == "SingleAngleType"
+        and choice.illumination_angle is not None
+        and choice.measurement_angle is not None
+    ):
+        lit, seen_at = abs(choice.illumination_angle), abs(choice.measurement_angle)
+        # 45/0: the aspecular angle from the mirror direction to the other leg, on the normal's side.
+        return aspecular_pair(lit, lit - seen_at) if max(lit, seen_at) < 90.0 else None
+    return geometry_directions(spectrum.name or "")
+
+
+def _wavelengths(spectrum: Any, measurement: Any, place: Place, where: str) -> Array:
+    wavelength_range = measurement.wavelength_range if measurement is not None else None
+    start = spectrum.start_wl
+    if start is None and wavelength_range is not None:
+        start = wavelength_range.start_wl
+    step = wavelength_range.increment if wavelength_range is not None else 10
+    if start is None or not step or step <= 0 or start <= 0 or not spectrum.value:
+        raise place.error("no wavelengths or no values, expected StartWL, Increment and reflectance", where)
+    return start + step * np.arange(len(spectrum.value), dtype=float)
+
+
+def _common_bands(wavelengths: list[Array], values: list[Array]) -> tuple[Array, Array]:
+    """All wavelengths (B,) of the spectra, and values (P, B), NaN where a spectrum has none."""
+    bands = np.unique(np.concatenate(wavelengths))
+    table = np.full((len(values), bands.size), np.nan)
+    for row, nm, value in zip(table, wavelengths, values, strict=True):
+        row[np.searchsorted(bands, nm)] = value
+    return bands, table
+
+
+def write(path: Path, readings: Readings) -> None:
+    """Readings at the 12 geometries of an MA-T12 as CxF3; 10 nm steps are taken from the first two bands."""
+    from colour_cxf import cxf3, write_cxf
+
+    nm = readings.bands.wavelengths_nm or ()
+    specifications, spectra = [], []
+    for name, row in zip(MA_T12_NAMES, readings.values, strict=True):
+        anchor, _, aspecular = name.partition("as")
+        angle = cxf3.Brdfangle(
+            illumination_angle=float(anchor), aspecular=float(aspecular),
+            notation=geometry_name(float(anchor), float(aspecular)),
+        )  # fmt: skip
+        measurement = cxf3.MeasurementSpec(
+            measurement_type=cxf3.MeasurementType(cxf3.EspectrumType.SPECTRUM_REFLECTANCE),
+            geometry_choice=cxf3.GeometryChoice(choice=cxf3.MultiAngleType([angle])),
+            wavelength_range=cxf3.WavelengthRange(start_wl=int(nm[0]), increment=int(nm[1] - nm[0])),
+            device=cxf3.Device(model=readings.instrument),
+        )
+        specifications.append(cxf3.ColorSpecification(measurement_spec=measurement, id=f"M0_{name}"))
+        spectra.append(
+            cxf3.ReflectanceSpectrum(
+                value=[float(v) for v in np.pi * row], color_specification=f"M0_{name}", start_wl=int(nm[0])
+            )
+        )
+    item = cxf3.Object(
+        color_values=cxf3.ColorValues(choice=list(spectra)),
+        name=readings.name,
+        id="o1",
+        object_type="Standard",
+    )
+    document = cxf3.CxF(
+        resources=cxf3.Resources(
+            object_collection=cxf3.ObjectCollection([item]),
+            color_specification_collection=cxf3.ColorSpecificationCollection(specifications),
+        )
+    )
+    atomic.write_text(path, write_cxf(document).decode("utf-8"))

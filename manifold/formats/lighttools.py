@@ -1,0 +1,257 @@
+"""LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
+
+Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
+relative to azimuth 0 differs between programs: it is found from the brightest side.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.directions import from_spherical
+from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.formats.text import Place, decode
+from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
+from manifold.records import Array
+
+_PADDING_FROM = 75.0  # degrees, of a Mini-Diff
+_USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell
+_MIRROR_CONE = np.cos(np.deg2rad(15.0))
+_TELLING = 1.15  # by this factor the brightest side is brighter than the next
+_UNNAMED_NM = 550.0
+_MOST_BLOCKS = 100_000
+
+
+@dataclass
+class _Block:
+    """One table and what is said of it."""
+
+    aoi: float = 0.0
+    poi: float = 0.0
+    wavelength: float | None = None
+    tristimulus: int | None = None
+    is_front: bool = True
+    is_brdf: bool = True
+    values: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
+    text = decode(head).lower()
+    if not re.search(r"^\s*scatter_?(azimuth|radial)", text, re.MULTILINE):
+        return False
+    return re.search(r"^\s*(angleofincidence|samplerotation)", text, re.MULTILINE) is None
+
+
+def read(path: Path) -> list[Readings]:
+    """Reflectance of the front side.
+
+    Raises:
+        FileFormatError: a list or table is cut off or holds what is no number, or nothing is reflected.
+        UsageError: the file cannot be read.
+    """
+    words = Words(path)
+    azimuths, radials, blocks, heading = _blocks(words)
+    notes: list[str] = []
+    left = sum(not (b.is_front and b.is_brdf) for b in blocks)
+    if left:
+        notes.append(f"{left} blocks of transmission or of the back are left out")
+    blocks = [b for b in blocks if b.is_front and b.is_brdf]
+    if not blocks:
+        raise words.place.error(
+            "no block of front reflectance, expected AOI, POI, Wavelength, TIS and a table"
+        )
+    nm, incidences, values = _stack(blocks, notes, words.place)
+    rows = grid_rows(azimuths, radials)
+    phi, theta = (a.reshape(-1)[rows] for a in np.meshgrid(azimuths, radials, indexing="ij"))
+    keep = (theta >= 0.0) & (theta <= 90.0)
+    values, theta, phi = values[:, rows][:, keep], theta[keep], phi[keep]
+    if re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) and _is_ramp(theta, phi, values):
+        inside = theta <= _PADDING_FROM + 1e-6
+        notes.append(
+            f"{int((~inside).sum())} directions beyond 75 degrees are padding of the Mini-Diff, not data"
+        )
+        values, theta, phi = values[:, inside], theta[inside], phi[inside]
+    offset = _incident_azimuth(incidences, theta, phi, values, notes)
+    # Isotropic: incidence at azimuth 180, as elsewhere.
+    is_isotropic = len({poi for _, poi in incidences}) == 1
+    turn = 180.0 - incidences[0][1] - offset if is_isotropic else 0.0
+    wo = from_spherical(np.deg2rad(theta), np.deg2rad(phi + turn))
+    wo[:, 2] = np.maximum(wo[:, 2], 0.0)
+    wi = np.repeat(
+        [from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + turn)) for aoi, poi in incidences],
+        len(wo),
+        axis=0,
+    )
+    wi[:, 2] = np.maximum(wi[:, 2], 0.0)
+    values = values.reshape(-1, values.shape[-1])
+    if nm is None:
+        values = xyz_to_linear_srgb(values)
+    return [
+        Readings(
+            path.stem, "Mini-Diff (LightTools text)" if "diff" in heading.lower() else "LightTools BSDF",
+            wi, np.tile(wo, (len(incidences), 1)), nm, values, notes=tuple(notes),
+        )
+    ]  # fmt: skip
+
+
+def _blocks(words: Words) -> tuple[Array, Array, list[_Block], str]:
+    azimuths = radials = np.zeros(0)
+    blocks: list[_Block] = []
+    block = _Block()
+    heading = " ".join(decode(words.place.path.open("rb").read(4000)).split("\n")[:20])
+    while (word := words.next()) is not None:
+        key = plain(word)
+        if key == "scatterazimuth":
+            azimuths = words.angles(word)
+        elif key == "scatterradial":
+            radials = words.angles(word)
+        elif key == "aoi":
+            block.aoi = words.number(word)
+        elif key == "poi":
+            block.poi = words.number(word)
+        elif key == "wavelength":
+            block.wavelength = words.number(word)
+        elif key == "side":
+            block.is_front = not words.rest().lower().startswith("back")
+        elif key == "scattertype":
+            block.is_brdf = not words.rest().lower().startswith("btdf")
+        elif key == "tristimulusvalue":
+            block.tristimulus = XYZ_TO_BAND.get(plain(words.rest()))
+        elif key == "tis":
+            words.number(word)
+            if not azimuths.size or not radials.size:
+                raise words.place.error("a table before ScatterAzimuth and ScatterRadial", words.line)
+            block.values = words.table(azimuths, radials, f"values of AOI {block.aoi:g}")
+            blocks.append(block)
+            if len(blocks) > _MOST_BLOCKS:
+                raise words.place.error(f"more than {_MOST_BLOCKS} blocks")
+            block = _Block(block.aoi, block.poi, block.wavelength, None, block.is_front, block.is_brdf)
+        elif key == "dataend":
+            break
+        elif re.match(r"[+-]?[\d.]", word):
+            raise words.place.error(
+                f"found '{word[:24]}', expected a key such as AOI: a table is too long", words.line
+            )
+        elif key != "databegin":
+            words.rest()  # keys that say nothing of values
+    return azimuths, radials, blocks, heading
+
+
+def _stack(
+    blocks: list[_Block], notes: list[str], place: Place
+) -> tuple[Array | None, list[tuple[float, float]], Array]:
+    """Wavelengths, or None for XYZ; incidences; values (incidences, azimuths * radials, B)."""
+    is_xyz = any(b.tristimulus is not None for b in blocks)
+    labels: list[float] = []
+    for b in blocks:
+        if is_xyz and b.tristimulus is None:
+            raise place.error(
+                "blocks with and without TristimulusValue, expected X, Y and Z of every incidence"
+            )
+        labels.append(float(b.tristimulus or 0) if is_xyz else (b.wavelength or 0.0))
+    bands = sorted(set(labels))
+    incidences = sorted({(b.aoi, b.poi) for b in blocks})
+    if any(not 0.0 <= aoi <= 90.0 for aoi, _ in incidences):
+        raise place.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
+    if len(bands) * len(incidences) != len(blocks):
+        raise place.error(
+            f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} incidences"
+        )
+    values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
+    for b, label in zip(blocks, labels, strict=True):
+        values[incidences.index((b.aoi, b.poi)), :, bands.index(label)] = b.values.reshape(-1)
+    if np.any(np.isnan(values)):
+        raise place.error("two blocks of the same incidence and band, expected one of each")
+    if is_xyz:
+        notes.append("CIE XYZ, converted to linear sRGB")
+        if len(bands) != 3:
+            raise place.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
+        return None, incidences, values
+    if bands == [0.0]:
+        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+        return np.array([_UNNAMED_NM]), incidences, values
+    nm = np.array(bands)
+    if nm[0] <= 0:
+        raise place.error(f"wavelength {nm[0]:g}, expected nanometres")
+    return (nm * 1000.0 if nm[-1] < 100.0 else nm), incidences, values
+
+
+def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
+    """Whether values fall linearly to zero from 75 to 90 degrees."""
+    beyond = (theta >= _PADDING_FROM) & (phi == phi[-1])
+    at, ramp = theta[beyond], values[:, beyond]
+    if at.size < 4 or not np.isclose(at[-1], 90.0) or at[0] > _PADDING_FROM + 1.0:
+        return False
+    line = ramp[:, :1] * ((90.0 - at) / (90.0 - at[0]))[:, None]
+    return bool(np.allclose(ramp, line, rtol=0.02, atol=0.02 * float(np.abs(ramp).max() + 1e-300)))
+
+
+def _incident_azimuth(
+    incidences: list[tuple[float, float]], theta: Array, phi: Array, values: Array, notes: list[str]
+) -> float:
+    """Azimuth of incidence relative to POI in degrees, of four: the one whose mirror direction is brightest."""
+    oblique = [k for k, (aoi, _) in enumerate(incidences) if 10.0 <= aoi <= 70.0]
+    offsets = (90.0, 270.0, 180.0, 0.0)
+    if not oblique:
+        return _USUAL_AZIMUTH
+    wo = from_spherical(np.deg2rad(theta), np.deg2rad(phi))
+    brightness = values.mean(axis=-1)
+    scores = []
+    for offset in offsets:
+        score = 0.0
+        for k in oblique:
+            aoi, poi = incidences[k]
+            mirror = from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + 180.0))
+            cone = wo @ mirror > _MIRROR_CONE
+            score += (
+                float(brightness[k, cone].mean() / max(brightness[k].mean(), 1e-300)) if np.any(cone) else 0.0
+            )
+        scores.append(score)
+    order = np.argsort(scores)[::-1]
+    if scores[order[0]] < _TELLING * scores[order[1]]:
+        notes.append(
+            "which side is the mirror direction does not show: incidence is taken at azimuth POI + 90"
+        )
+        return _USUAL_AZIMUTH
+    best = offsets[int(order[0])]
+    notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the brightest side")
+    return best
+
+
+def write(path: Path, table: DenseTable) -> None:
+    """Blocks of every incidence and wavelength; linear sRGB becomes CIE XYZ. Incidence lies at azimuth 90."""
+    theta_i, phi_i, theta_o, phi_o = (np.rad2deg(a) for a in table.axes)
+    values = np.nan_to_num(table.values)
+    if table.bands.is_rgb:
+        values = linear_srgb_to_xyz(values)
+    closed = np.append(phi_o, phi_o[0] + 360.0)
+    lines = [
+        "#LightTools BSDF", f"#{table.name}", "Symmetry Asymmetric",
+        f"SpectralContent {'XYZ' if table.bands.is_rgb else 'Monochrome'}", f"ScatterAzimuth {closed.size}",
+        angle_line(closed), f"ScatterRadial {theta_o.size}", angle_line(theta_o), "DataBegin",
+    ]  # fmt: skip
+    nm = table.bands.wavelengths_nm
+    turn = -int(np.argmin(np.abs(phi_o - 90.0)))  # wi of the table at azimuth 180, of the file at 90
+    for i, aoi in enumerate(theta_i):
+        for j, poi in enumerate(phi_i if phi_i.size > 1 else [0.0]):
+            for b in range(values.shape[-1]):
+                kind = f"Wavelength {nm[b]:g}" if nm is not None else f"TristimulusValue Tris{'XYZ'[b]}"
+                lines += [f"AOI {aoi:.6g}", f"POI {poi:.6g}", "Side Front", kind, "ScatterType BRDF"]
+                rows = np.roll(
+                    values[i, j, :, :, b].T, turn if phi_i.size == 1 else 0, axis=0
+                )  # [azimuth, radial]
+                cosine = np.cos(np.deg2rad(theta_o)) * np.sin(np.deg2rad(theta_o))
+                tis = float(
+                    (rows * cosine).mean(axis=0).sum() * 2 * np.pi * np.deg2rad(np.gradient(theta_o)).mean()
+                )
+                lines.append(f"TIS {tis:.6g}")
+                lines += [" ".join(f"{v:.7g}" for v in row) for row in [*rows, rows[0]]]
+    atomic.write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")

@@ -1,0 +1,177 @@
+"""Text files of pab-opto goniophotometers: one file per incidence, rows `theta phi value` in degrees.
+
+`#incident_angle theta phi`, or `#intheta` and `#inphi`; `#format: theta phi DSF` or `BSDF`, DSF = BSDF cos(theta_o).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.directions import from_spherical
+from manifold.errors import FileFormatError
+from manifold.formats.readings import Readings
+from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
+from manifold.formats.tristimulus import xyz_to_linear_srgb
+from manifold.records import Array
+
+_REMEDY = "export the measurement again"
+_MOST_ROWS = 5_000_000
+_UNNAMED_NM = 550.0
+_LEAST_COSINE = 1e-3  # DSF / cos(theta_o) says nothing nearer to the horizon
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning has comments as these files have."""
+    text = decode(head).lower()
+    return (
+        re.search(r"^\s*#\s*(incident_angle|intheta|inphi|format\s*:\s*theta)", text, re.MULTILINE)
+        is not None
+    )
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of one incidence.
+
+    Raises:
+        FileFormatError: no incidence, an unknown quantity, or a row that is not `theta phi value`.
+        UsageError: the file cannot be read.
+    """
+    place = Place(path, _REMEDY)
+    lines = read_lines(path)
+    header = _header(lines)
+    theta_i, phi_i = _incidence(header, place)
+    quantity = (header.get("format", "theta phi BSDF").split() or ["BSDF"])[-1].upper()
+    if quantity not in ("DSF", "BSDF", "BRDF"):
+        raise place.error(
+            f"format '{header.get('format', '')[:40]}', expected theta phi DSF or theta phi BSDF"
+        )
+    table = _rows(lines, place)
+    notes: list[str] = []
+    theta, phi = np.deg2rad(table[:, 0]), np.deg2rad(table[:, 1])
+    values = table[:, 2:]
+    if theta_i > 90.0:  # lit from behind: the sample is turned over
+        theta_i, theta = 180.0 - theta_i, np.pi - theta
+        notes.append("incidence beyond 90 degrees: the sample is turned over")
+    above = np.cos(theta) > _LEAST_COSINE
+    if not np.all(above):
+        notes.append(f"{int((~above).sum())} rows at or below the horizon are left out")
+    if not np.any(above):
+        raise place.error("no reflected light, expected rows on the side of incidence")
+    theta, phi, values = theta[above], phi[above], values[above]
+    if quantity == "DSF":
+        values = values / np.cos(theta)[:, None]
+    nm: Array | None = None
+    if values.shape[1] == 3 and "xyz" in header.get("colorimetry", "xyz").lower():
+        values = xyz_to_linear_srgb(values)
+        notes.append("CIE XYZ, converted to linear sRGB")
+    elif values.shape[1] == 1:
+        nm = np.array([_wavelength(header, notes)])
+    else:
+        raise place.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
+    wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
+    name = header.get("sample_name") or path.stem
+    return [Readings(name, "pab-opto", wi, from_spherical(theta, phi), nm, values, notes=tuple(notes))]
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    header: dict[str, str] = {}
+    for line in lines:
+        if line.lstrip().startswith("#"):
+            key, value = re.match(r"#+\s*([\w-]*)\s*[:=]?\s*(.*)", line.strip()).groups()  # type: ignore[union-attr]
+            header.setdefault(key.lower(), value.strip().strip('"'))
+    return header
+
+
+def _incidence(header: dict[str, str], place: Place) -> tuple[float, float]:
+    """theta and phi of incidence in degrees."""
+    texts = header.get("incident_angle", "").replace(",", " ").split()
+    if len(texts) < 2 and "intheta" in header:
+        texts = [header["intheta"], header.get("inphi", "0")]
+    values = [number(text) for text in texts[:2]]
+    if len(values) < 2 or values[0] is None or values[1] is None:
+        raise place.error("no incidence found, expected a line '#incident_angle theta phi' in degrees")
+    if not 0.0 <= values[0] <= 180.0:
+        raise place.error(f"incident theta is {values[0]:g}, expected 0 to 180 degrees")
+    return values[0], values[1]
+
+
+def _wavelength(header: dict[str, str], notes: list[str]) -> float:
+    nm = number(header.get("wavelength", "").lower().removesuffix("nm"))
+    if nm is None or nm <= 0:
+        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+        return _UNNAMED_NM
+    return nm
+
+
+def _rows(lines: list[str], place: Place) -> Array:
+    rows = [
+        (k, line)
+        for k, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows or len(rows) > _MOST_ROWS:
+        raise place.error(f"{len(rows)} rows, expected 1 to {_MOST_ROWS}")
+    separator = find_separator([line for _, line in rows[:20]])
+    width = len(split_cells(rows[0][1], separator))
+    if width < 3:
+        raise place.error(f"{width} cells, expected theta, phi and a value", f"line {rows[0][0]}")
+    table = np.empty((len(rows), width))
+    for row, (line_number, line) in zip(table, rows, strict=True):
+        cells = split_cells(line, separator)
+        if len(cells) != width:
+            raise place.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
+        row[:] = place.numbers(cells, line_number)
+    if np.any(table[:, 0] < 0.0) or np.any(table[:, 0] > 180.0):
+        raise place.error("a theta outside 0 to 180 degrees, expected degrees from the normal")
+    return table
+
+
+def merge(parts: Sequence[Readings]) -> Readings:
+    """One record of the files of several incidences of one sample.
+
+    Raises:
+        FileFormatError: they have different bands.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        if part.bands != first.bands:
+            raise FileFormatError(f"{part.name}: {part.bands}, expected {first.bands} as in {first.name}")
+    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+    wi, wo, values, weights = (
+        np.concatenate([getattr(part, key) for part in parts]) for key in ("wi", "wo", "values", "weights")
+    )
+    return replace(first, wi=wi, wo=wo, values=values, weights=weights, notes=notes)
+
+
+def write(path: Path, readings: Readings, *, dsf: bool = False) -> None:
+    """A file of one incidence: the first of the readings decides which; one band, or linear sRGB is refused.
+
+    Raises:
+        FileFormatError: the readings have several bands.
+    """
+    if readings.bands.count != 1:
+        raise FileFormatError(f"{path.name}: {readings.bands}, expected one band; select one")
+    wi = readings.wi[0]
+    rows = np.flatnonzero(np.isclose(readings.wi, wi).all(axis=1) & readings.measured[:, 0])
+    theta_i, phi_i = _degrees(wi[None])[0]
+    nm = (readings.bands.wavelengths_nm or (0.0,))[0]
+    lines = [
+        f"#sample_name {readings.name}", f"#incident_angle {theta_i:.9g} {phi_i:.9g}", f"#intheta {theta_i:.9g}",
+        f"#inphi {phi_i:.9g}", f"#wavelength {nm:g}", f"#datapoints_in_file: {rows.size}",
+        f"#format: theta phi {'DSF' if dsf else 'BSDF'}",
+    ]  # fmt: skip
+    values = readings.values[rows, 0] * (readings.wo[rows, 2] if dsf else 1.0)
+    for (theta, phi), value in zip(_degrees(readings.wo[rows]), values, strict=True):
+        lines.append(f"{theta:.9g}\t{phi:.9g}\t{value:.9g}")
+    atomic.write_text(path, "\n".join(lines) + "\n")
+
+
+def _degrees(w: Array) -> Array:
+    theta = np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2])
+    return np.rad2deg(np.stack([theta, np.arctan2(w[:, 1], w[:, 0]) % (2.0 * np.pi)], axis=1))

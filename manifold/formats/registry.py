@@ -1,0 +1,148 @@
+"""Formats of instruments, told apart by their content: what reads a file, whatever its name.
+
+A format is a module with `sniff(head) -> bool` and `read(path) -> list of records`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from manifold.errors import FileFormatError, UsageError
+from manifold.formats import (
+    astm,
+    csv_table,
+    cxf,
+    lighttools,
+    ma_t12,
+    merl,
+    pab_opto,
+    utia,
+    zemax,
+)
+from manifold.formats.dense import DenseTable
+from manifold.formats.foreign import name_format
+from manifold.formats.readings import Readings
+from manifold.formats.tensor_file import printable
+from manifold.formats.text import read_bytes
+
+Record = Readings | DenseTable
+_SNIFFED = 16384
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format.
+
+    Attributes:
+        name: for people.
+        sniff: whether a file's first bytes are of it.
+        read: all samples of a file.
+    """
+
+    name: str
+    sniff: Callable[[bytes], bool]
+    read: Callable[[Path], Sequence[Record]]
+
+
+# In order: what begins with magic numbers first, what only looks plausible last.
+FORMATS = (
+    Format("spectrophotometer workbook (.xlsx)", ma_t12.sniff, ma_t12.read),
+    Format("MERL", merl.sniff, merl.read),
+    Format("CxF3", cxf.sniff, cxf.read),
+    Format("pab-opto text", pab_opto.sniff, pab_opto.read),
+    Format("Zemax BSDF text", zemax.sniff, zemax.read),
+    Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
+    Format("ASTM table", astm.sniff, astm.read),
+    Format("CSV table", csv_table.sniff, csv_table.read),
+    Format("UTIA", utia.sniff, utia.read),
+)
+
+
+def identify(path: Path | str) -> Format | None:
+    """The format that a file's content is of, or None.
+
+    Raises:
+        UsageError: it is missing, no regular file, or cannot be read.
+    """
+    path = Path(path)
+    if not path.is_file():
+        read_bytes(path)  # says what it is
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_SNIFFED)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    for candidate in FORMATS:
+        if candidate.sniff(head):
+            return candidate
+    return None
+
+
+def read_all(path: Path | str) -> list[Record]:
+    """Every sample of an instrument's file, in its order.
+
+    Raises:
+        FileFormatError: the file is of no known format, or not what its format says.
+        UsageError: it is missing, no regular file, or cannot be read.
+    """
+    path = Path(path)
+    known = identify(path)
+    if known is None:
+        with path.open("rb") as stream:
+            head = stream.read(_SNIFFED)
+        what = name_format(head) if head else "an empty file"
+        raise FileFormatError(
+            f"{printable(path.name, 255)}: found {what}, expected readings or a BRDF of an instrument "
+            "(`manifold info --help` lists the formats)"
+        )
+    return list(known.read(path))
+
+
+def read(path: Path | str, sample: str | None = None) -> Record:
+    """One sample of an instrument's file.
+
+    Args:
+        path: of any known format.
+        sample: which, by name; may be left out where there is only one.
+    Raises:
+        UsageError: there are several and none is named, or none has this name.
+        FileFormatError: as `read_all`.
+    """
+    found = read_all(path)
+    names = [record.name for record in found]
+    if sample is None and len(found) == 1:
+        return found[0]
+    listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    if sample is None:
+        raise UsageError(f"{path}: holds {len(names)} samples ({listed}); name one with --sample")
+    if sample not in names:
+        raise UsageError(f"{path}: no sample '{sample}', expected one of {listed}")
+    return found[names.index(sample)]
+
+
+def read_readings(path: Path | str, sample: str | None = None, limit: int | None = None) -> Readings:
+    """One sample as readings; dense tables give their measured nodes, at most `limit` of them.
+
+    Raises: as `read`.
+    """
+    record = read(path, sample)
+    return record.readings(limit) if isinstance(record, DenseTable) else record
+
+
+def merge(records: Sequence[Record]) -> Record:
+    """One record of several files of one sample, such as pab-opto's, one per incidence.
+
+    Raises:
+        UsageError: dense tables cannot be merged.
+        FileFormatError: the bands differ.
+    """
+    if len(records) == 1:
+        return records[0]
+    readings = [r for r in records if isinstance(r, Readings)]
+    if len(readings) != len(records):
+        raise UsageError(
+            f"{len(records)} files, {len(records) - len(readings)} of them dense tables; give one of these"
+        )
+    return pab_opto.merge(readings)

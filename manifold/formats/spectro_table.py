@@ -1,0 +1,247 @@
+"""Tables of multi-angle spectrophotometers: rows of geometries, columns of wavelengths, or the other way round.
+
+What workbooks and CSV files share: cells in, readings out. Values are reflectance factors R, f = R / pi.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from manifold.directions import from_spherical
+from manifold.formats.geometry_names import geometry_directions, parse_geometry
+from manifold.formats.readings import Readings
+from manifold.formats.text import Place, number
+from manifold.records import Array
+
+Cell = str | float | int | None
+_HEADER_ROWS = 60  # a header stands at the top, below titles
+_LEAST_NM, _MOST_NM = 200.0, 5000.0
+_WAVELENGTH = re.compile(
+    r"^\D{0,12}?(?P<nm>\d{3,4}([.,]\d+)?)\s*(nm|\(nm\)|\[nm\])?\s*(\(.*\)|\[.*\]|%)?$", re.IGNORECASE
+)
+_ANGLES = (
+    ("theta_i", ("thetai", "thetain", "incidenttheta", "intheta", "aoi", "incidence")),
+    ("phi_i", ("phii", "phiin", "incidentphi", "inphi", "poi")),
+    ("theta_o", ("thetao", "thetas", "thetar", "thetaout", "outgoingtheta", "theta")),
+    ("phi_o", ("phio", "phis", "phir", "phiout", "outgoingphi", "phi")),
+)
+PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
+
+
+@dataclass(frozen=True)
+class _Header:
+    """A table's header: where it stands, and what its columns are."""
+
+    row: int
+    bands: dict[int, float]  # column: nm; RGB channels are 0, 1, 2 with is_rgb
+    is_rgb: bool
+    geometry: int | None
+    angles: dict[str, int]
+    name: int | None
+    unit: str  # `f`, `percent` or `factor`
+
+
+def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrument: str) -> list[Readings]:
+    """Readings of every sample of a table, in its order.
+
+    Args:
+        rows: cells; texts that are numbers count as numbers.
+        place: of errors.
+        name: of the sample where the table has no column of names.
+        instrument: for the record.
+    Raises:
+        FileFormatError: no header is found, or a cell is not what its column holds.
+    """
+    header = _find_header(rows)
+    if header is None:
+        turned = [list(column) for column in zip(*_rectangular(rows), strict=True)] if rows else []
+        header = _find_header(turned)
+        if header is None:
+            raise place.error(
+                "no table of reflectance found, expected columns of wavelengths beside a column of geometries "
+                "such as 45as15, or of theta_i, phi_i, theta_o, phi_o"
+            )
+        rows = turned
+    order = sorted(header.bands, key=lambda column: header.bands[column])
+    nm = [header.bands[column] for column in order]
+    if any(b <= a for a, b in pairwise(nm)):
+        raise place.error(
+            "two columns of the same wavelength, expected different ones", f"row {header.row + 1}"
+        )
+    samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
+    last = name
+    for index in range(header.row + 1, len(rows)):
+        row = rows[index]
+        where = f"row {index + 1}"
+        if not any(_text(cell) for cell in row):
+            continue
+        directions = _directions(row, header, place, where)
+        if directions is None:
+            if any(number(_text(row[c])) is not None for c in order if c < len(row)):
+                raise place.error("values without a geometry, expected one such as 45as15", where)
+            continue  # a footnote, a title
+        if header.name is not None and header.name < len(row) and _text(row[header.name]):
+            last = _text(row[header.name])
+        values = [_value(row, column, place, f"{where}, column {column + 1}") for column in order]
+        samples.setdefault(last, []).append((*directions, values))
+    if not samples:
+        raise place.error(
+            "a header but no rows of readings, expected one per geometry", f"row {header.row + 1}"
+        )
+    return [_sample(key, instrument, found, header, nm) for key, found in samples.items()]
+
+
+def _sample(
+    name: str, instrument: str, rows: list[tuple[Array, Array, list[float]]], header: _Header, nm: list[float]
+) -> Readings:
+    wi, wo = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+    values = np.array([row[2] for row in rows])
+    notes: list[str] = []
+    wi, wo, values, repeats = _mean_of_repeats(wi, wo, values)
+    if repeats:
+        notes.append(f"{repeats} rows repeat a geometry: their means are taken")
+    if header.unit != "f":
+        percent = header.unit == "percent"
+        mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+        off = values[mirror < np.cos(np.deg2rad(40.0))]
+        if not percent and off.size and np.nanmax(off) > PERCENT_FROM:
+            percent = True
+            notes.append("no unit given: values above 2 away from the mirror direction, taken as percent")
+        elif header.unit == "unknown" and not percent:
+            notes.append("no unit given: taken as reflectance factors, 1 being the perfect diffuser")
+        values = values / (100.0 * np.pi if percent else np.pi)
+    if np.any(np.isnan(values)):
+        notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
+    return Readings(
+        name, instrument, wi, wo, None if header.is_rgb else np.array(nm), values, notes=tuple(notes)
+    )
+
+
+def _mean_of_repeats(wi: Array, wo: Array, values: Array) -> tuple[Array, Array, Array, int]:
+    """Readings with one row per direction pair, in order of first appearance, and how many rows went into others."""
+    keys = np.round(np.hstack([wi, wo]), 9)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    if first.size == len(keys):
+        return wi, wo, values, 0
+    measured = np.isfinite(values)
+    totals = np.zeros((first.size, values.shape[1]))
+    counts = np.zeros_like(totals)
+    np.add.at(totals, inverse, np.where(measured, values, 0.0))
+    np.add.at(counts, inverse, measured)
+    means = np.divide(totals, counts, out=np.full_like(totals, np.nan), where=counts > 0)
+    order = np.argsort(first)
+    return wi[first[order]], wo[first[order]], means[order], len(keys) - first.size
+
+
+def _find_header(rows: Sequence[Sequence[Cell]]) -> _Header | None:
+    for index, row in enumerate(rows[:_HEADER_ROWS]):
+        header = _parse_header(index, row, rows[index + 1 : index + 4])
+        if header is not None:
+            return header
+    return None
+
+
+def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell]]) -> _Header | None:
+    texts = [_text(cell) for cell in row]
+    plain = [re.sub(r"[^a-z]", "", re.sub(r"\(.*?\)|\[.*?\]", "", text.lower())) for text in texts]
+    angles = {name: k for name, spellings in _ANGLES for k, text in enumerate(plain) if text in spellings}
+    has_angles = {"theta_i", "theta_o"} <= set(angles)
+    geometry = _geometry_column(plain, below)
+    if geometry is None and not has_angles:
+        return None
+    taken = {geometry, *angles.values()}
+    bands = {
+        k: nm for k, text in enumerate(texts) if k not in taken and (nm := _wavelength(text)) is not None
+    }
+    is_rgb = False
+    if not bands:
+        bands = {plain.index(c): float(k) for k, c in enumerate("rgb") if c in plain}
+        is_rgb = len(bands) == 3
+        if not is_rgb:
+            return None
+    name = next((k for k, text in enumerate(plain) if text in ("name", "sample", "samplename", "id")), None)
+    joined = " ".join(texts).lower()
+    if "1/sr" in joined or "sr^-1" in joined or "sr-1" in joined or (has_angles and "brdf" in joined):
+        unit = "f"
+    elif "%" in joined or "percent" in joined:
+        unit = "percent"
+    else:
+        unit = "f" if has_angles and geometry is None else "unknown"
+    return _Header(index, bands, is_rgb, geometry, angles, name, unit)
+
+
+def _geometry_column(heads: list[str], below: Sequence[Sequence[Cell]]) -> int | None:
+    """The column that is called so, or holds nothing but geometries in the next rows."""
+    for k, head in enumerate(heads):
+        cells = [_text(row[k]) for row in below if k < len(row) and _text(row[k])]
+        if head.startswith("geometr") or (cells and all(parse_geometry(cell) is not None for cell in cells)):
+            return k
+    return None
+
+
+def _wavelength(text: str) -> float | None:
+    found = _WAVELENGTH.match(text)
+    if found is None:
+        return None
+    nm = float(found["nm"].replace(",", "."))
+    return nm if _LEAST_NM <= nm <= _MOST_NM else None
+
+
+def _directions(row: Sequence[Cell], header: _Header, place: Place, where: str) -> tuple[Array, Array] | None:
+    if header.geometry is not None and header.geometry < len(row):
+        text = _text(row[header.geometry])
+        if not text:
+            return None
+        found = geometry_directions(text)
+        if found is None and parse_geometry(text) is not None:
+            raise place.error(
+                f"geometry '{text[:24]}' lies below the horizon, expected one such as 45as15", where
+            )
+        if found is None and any(c.isdigit() for c in text) and "as" in text.lower():
+            raise place.error(f"found geometry '{text[:24]}', expected one such as 45as15", where)
+        return found
+    if not header.angles:
+        return None
+    texts = {name: _text(row[k]) if k < len(row) else "" for name, k in header.angles.items()}
+    if not any(texts.values()):
+        return None
+    angle = {name: np.deg2rad(place.number(text, f"{where}, {name}")) for name, text in texts.items()}
+    for name in ("theta_i", "theta_o"):
+        if abs(angle[name]) > 0.5 * np.pi + 1e-6:
+            raise place.error(
+                f"{name} is {np.rad2deg(angle[name]):g}, expected degrees from -90 to 90", where
+            )
+    wi = from_spherical(angle["theta_i"], angle.get("phi_i", np.pi))
+    wo = from_spherical(angle["theta_o"], angle.get("phi_o", 0.0))
+    wi[2], wo[2] = max(wi[2], 0.0), max(wo[2], 0.0)
+    return wi, wo
+
+
+def _value(row: Sequence[Cell], column: int, place: Place, where: str) -> float:
+    if column >= len(row):
+        raise place.error(f"the row ends after {len(row)} cells, expected a value", where)
+    text = _text(row[column])
+    if text.lower() in ("", "-", "n/a", "---"):
+        return float("nan")
+    return place.number(text, where)
+
+
+def _text(cell: Cell) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return repr(cell)
+    return str(cell).strip()
+
+
+def _rectangular(rows: Sequence[Sequence[Cell]]) -> list[list[Cell]]:
+    width = max((len(row) for row in rows), default=0)
+    if width * len(rows) > 5_000_000:
+        return []
+    return [[*row, *[None] * (width - len(row))] for row in rows]

@@ -1,0 +1,142 @@
+"""Text files of instruments: decoding, lines, separators and strict numbers."""
+
+from __future__ import annotations
+
+import codecs
+import os
+import re
+import stat
+from pathlib import Path
+
+from manifold.errors import FileFormatError, UsageError
+from manifold.formats.tensor_file import printable
+
+LARGEST_TEXT = 400_000_000
+"""Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
+
+_BOMS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+_MINUS = str.maketrans(
+    {"\u2212": "-", "\u2013": "-", "\u2010": "-", "\u2011": "-", "\u00a0": " ", "\u202f": " "}
+)
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
+
+
+def read_bytes(path: Path, limit: int = LARGEST_TEXT) -> bytes:
+    """The whole file.
+
+    Raises:
+        UsageError: it is missing, not a regular file, or cannot be read.
+        FileFormatError: it is longer than `limit` bytes.
+    """
+    try:
+        status = os.stat(path)
+        if not stat.S_ISREG(status.st_mode):
+            raise UsageError(f"{path}: is no regular file; name the file itself")
+        if status.st_size > limit:
+            raise FileFormatError(
+                f"{path.name}: has {status.st_size / 1e6:.0f} MB, expected at most {limit / 1e6:.0f}; "
+                "give an instrument's file"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+
+
+def decode(data: bytes) -> str:
+    """Text of a file: by its byte order mark, else UTF-8, else Latin-1; minus signs and spaces of typesetters plain."""
+    for mark, encoding in _BOMS:
+        if data.startswith(mark):
+            return data.decode(encoding, "replace").translate(_MINUS)
+    if b"\0" in data[:400]:  # UTF-16 without a mark
+        encoding = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"
+        return data.decode(encoding, "replace").translate(_MINUS)
+    try:
+        return data.decode("utf-8").translate(_MINUS)
+    except UnicodeDecodeError:
+        return data.decode("latin-1").translate(_MINUS)
+
+
+def read_lines(path: Path) -> list[str]:
+    """The lines of a text file, however they end. Raises: as `read_bytes`."""
+    return re.split(r"\r\n|\r|\n", decode(read_bytes(path)))
+
+
+class Place:
+    """Where in a file one reads: errors name file, line and cell."""
+
+    def __init__(self, path: Path, remedy: str) -> None:
+        """Remember the file and what to do about its errors."""
+        self.path, self.remedy = path, remedy
+
+    def error(self, found: str, where: str | None = None) -> FileFormatError:
+        """An error of one line: `FILE, WHERE: FOUND; REMEDY`."""
+        place = printable(self.path.name or str(self.path), 255) + (f", {where}" if where else "")
+        return FileFormatError(f"{place}: {found}; {self.remedy}")
+
+    def number(self, text: str, where: str) -> float:
+        """A finite number, with a decimal point or comma, or an error that names its place."""
+        value = number(text)
+        if value is None:
+            raise self.error(f"found '{printable(text.strip(), 24)}', expected a finite number", where)
+        return value
+
+    def numbers(self, cells: list[str], line: int) -> list[float]:
+        """`number` of every cell of a line, counted from 1."""
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            values = []
+        if not values or not all(abs(value) < 1e300 for value in values):
+            return [self.number(cell, f"line {line}, cell {k}") for k, cell in enumerate(cells, start=1)]
+        return values
+
+    def count(self, text: str, where: str, largest: int) -> int:
+        """A whole number from 1 to `largest`."""
+        value = number(text)
+        if value is None or value != int(value) or not 1 <= value <= largest:
+            raise self.error(
+                f"found a count of '{printable(text.strip(), 24)}', expected a whole number from 1 to {largest}",
+                where,
+            )
+        return int(value)
+
+
+def number(text: str) -> float | None:
+    """The finite number that a text is, or None; Fortran's exponent D and a decimal comma are accepted."""
+    text = text.strip().strip('"').strip()
+    if _NUMBER.fullmatch(text) is None:
+        return None
+    value = float(text.replace(",", ".").replace("d", "e").replace("D", "e"))
+    return value if abs(value) < 1e300 else None
+
+
+def split_cells(line: str, separator: str | None) -> list[str]:
+    """Cells of a line without quotes; runs of blanks separate where `separator` is None."""
+    if separator is None:
+        return line.replace('"', " ").split()
+    cells = [cell.strip().strip('"').strip() for cell in line.split(separator)]
+    while cells and not cells[-1]:  # trailing separators
+        cells.pop()
+    return cells
+
+
+def find_separator(lines: list[str]) -> str | None:
+    """What separates the cells of a table's lines: `;`, tab, `|`, comma, or None for blanks.
+
+    A comma is a separator only where nothing else is: between digits it may be a decimal comma.
+    """
+    for separator in (";", "\t", "|"):
+        counts = [line.count(separator) for line in lines]
+        if counts and min(counts) >= 1:
+            return separator
+    counts = [line.count(",") for line in lines]
+    if counts and min(counts) >= 1:
+        # Decimal commas between blanks: every cell is a number with at most one comma.
+        if all(len(line.split()) > 1 and all(number(c) is not None for c in line.split()) for line in lines):
+            return None
+        return ","
+    return None

@@ -1,0 +1,85 @@
+"""UTIA files, `.bin`: anisotropic BRDFs in linear sRGB at 6 x 48 incident and 6 x 48 outgoing directions.
+
+float64 without a header, index `plane * 288^2 + 288 (48 ti + pi) + 48 tv + pv`; elevations by 15 degrees from 0 to 75,
+azimuths by 7.5.
+
+Source: Filip & Vavra 2014, "Template-based sampling of anisotropic BRDFs".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.errors import ShapeError
+from manifold.formats.dense import DenseTable
+from manifold.formats.text import Place, read_bytes
+from manifold.records import Array
+
+SHAPE = (6, 48, 6, 48)
+SIZE = 8 * 3 * 288 * 288
+_LARGEST_VALUE = 1e6  # in 1/sr; bytes of other files are numbers of any size
+
+
+def axes() -> tuple[Array, Array, Array, Array]:
+    """theta_i (6,), phi_i (48,), theta_o (6,), phi_o (48,) in radians."""
+    theta, phi = np.deg2rad(15.0 * np.arange(6)), np.deg2rad(7.5 * np.arange(48))
+    return theta, phi, theta, phi
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the first values are those of a BRDF. The length of the file decides when it is read."""
+    count = len(head) // 8
+    if count < 288:
+        return False
+    values = np.frombuffer(head, "<f8", count)
+    with np.errstate(invalid="ignore"):
+        plausible = (
+            np.isfinite(values)
+            & (np.abs(values) < _LARGEST_VALUE)
+            & ((values == 0) | (np.abs(values) > 1e-12))
+        )
+    return bool(plausible.mean() > 0.99 and np.any(values > 0) and np.mean(values >= 0) > 0.5)
+
+
+def read(path: Path) -> list[DenseTable]:
+    """The table; linear sRGB.
+
+    Raises:
+        FileFormatError: another length, or a value that is not finite.
+        UsageError: the file cannot be read.
+    """
+    place = Place(path, "download the file again")
+    data = read_bytes(path, 2 * SIZE)
+    if len(data) != SIZE:
+        raise place.error(
+            f"has {len(data)} bytes, expected {SIZE} of a UTIA file: it is cut off or another file"
+        )
+    planes = np.frombuffer(data, "<f8").reshape(3, *SHAPE)
+    bad = ~np.isfinite(planes) | (np.abs(planes) > 1e12)
+    if np.any(bad):
+        plane, *node = (int(k[0]) for k in np.nonzero(bad))
+        raise place.error(
+            f"{'RGB'[plane]} at node {tuple(node)} is {planes[(plane, *node)]:.3g}, expected f in 1/sr"
+        )
+    values = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+    notes = ("values are taken as f in 1/sr, linear sRGB",)
+    return [DenseTable(path.stem, "UTIA", "incident-outgoing", axes(), None, values, notes)]
+
+
+def write(path: Path, table: DenseTable) -> None:
+    """A UTIA file of a table in linear sRGB at UTIA's nodes.
+
+    Raises:
+        ShapeError: the table has other nodes or bands.
+        UsageError: the file cannot be written.
+    """
+    if table.values.shape != (*SHAPE, 3) or not table.bands.is_rgb:
+        raise ShapeError(
+            f"{table.name}: values have shape {table.values.shape}, expected {(*SHAPE, 3)} of sRGB"
+        )
+    planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
+    with atomic.replacing(path) as partial:
+        partial.write_bytes(planes.astype("<f8").tobytes())

@@ -1,0 +1,155 @@
+"""Zemax text `.bsdf`: sample rotations, incidences, then tables of azimuths x radial angles about the mirror direction.
+
+Azimuth 0 points from the mirror direction towards the normal. `Monochrome`, or `XYZ` in three parts.
+
+Source: Zemax, "BSDF data interchange file format specification".
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from manifold import atomic
+from manifold.directions import from_spherical
+from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
+from manifold.formats.readings import Readings
+from manifold.formats.text import decode
+from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
+from manifold.records import Array
+
+_UNNAMED_NM = 550.0
+_LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning has Zemax' lists of angles."""
+    text = decode(head).lower()
+    return re.search(r"^\s*(angleofincidence|samplerotation)\b", text, re.MULTILINE) is not None
+
+
+def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 0.0) -> tuple[Array, Array]:
+    """wi (3,) and wo (..., 3) of an incidence and angles about its mirror direction, all in radians, broadcast.
+
+    wi lies at azimuth 180 degrees plus the sample's rotation.
+    """
+    x, y, z = np.moveaxis(from_spherical(radial, azimuth), -1, 0)
+    c, s = np.cos(theta_i), np.sin(theta_i)
+    # About the y axis: radial 0 becomes the mirror direction, azimuth 0 points from there to the normal.
+    turned = np.stack([-x * c + z * s, -y, x * s + z * c], axis=-1)
+    cr, sr = np.cos(rotation), np.sin(rotation)
+    wo = np.stack(
+        [
+            cr * turned[..., 0] - sr * turned[..., 1],
+            sr * turned[..., 0] + cr * turned[..., 1],
+            turned[..., 2],
+        ],
+        -1,
+    )
+    return from_spherical(theta_i, np.pi + rotation), wo
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of the reflected directions above the horizon.
+
+    Raises:
+        FileFormatError: transmission, a list or table that is cut off or holds what is no number.
+        UsageError: the file cannot be read.
+    """
+    words = Words(path)
+    lists: dict[str, Array] = {}
+    header: dict[str, str] = {}
+    parts: dict[int, list[Array]] = {}
+    band = 0
+    while (word := words.next()) is not None:
+        key = plain(word)
+        if key in _LISTS:
+            lists[key] = words.angles(word)
+        elif key in XYZ_TO_BAND or key == "monochrome":
+            band = XYZ_TO_BAND.get(key, 0)
+        elif key == "tis":
+            words.number(word)
+            missing = [k for k in _LISTS[1:] if k not in lists]
+            if missing:
+                raise words.place.error(f"a table before {missing[0]}", words.line)
+            parts.setdefault(band, []).append(
+                words.table(lists["scatterazimuth"], lists["scatterradial"], "values of a table")
+            )
+        elif re.match(r"[+-]?[\d.]", word):
+            raise words.place.error(
+                f"found '{word[:24]}', expected a key such as TIS: a table is too long", words.line
+            )
+        elif key not in ("databegin", "dataend"):
+            header[key] = words.rest()
+    if header.get("scattertype", "BRDF").upper().startswith("BTDF"):
+        raise words.place.error("a BTDF, expected reflectance (ScatterType BRDF)")
+    rotations = lists.get("samplerotation", np.zeros(1))
+    incidences = [(r, t) for r in rotations for t in lists.get("angleofincidence", [])]
+    counts = {len(part) for part in parts.values()}
+    if counts != {len(incidences)} or set(parts) not in ({0}, {0, 1, 2}):
+        found = ", ".join(str(count) for count in sorted(counts)) or "no"
+        raise words.place.error(
+            f"{found} tables, expected {len(incidences)}, one per incidence: the file is cut off"
+        )
+    return [_readings(path, incidences, lists, [np.array(parts[b]) for b in sorted(parts)])]
+
+
+def _readings(
+    path: Path, incidences: list[tuple[float, float]], lists: dict[str, Array], parts: list[Array]
+) -> Readings:
+    azimuths, radials = lists["scatterazimuth"], lists["scatterradial"]
+    rows = grid_rows(azimuths, radials)
+    azimuth, radial = (np.deg2rad(a.reshape(-1)[rows]) for a in np.meshgrid(azimuths, radials, indexing="ij"))
+    values = np.stack([part.reshape(len(part), -1)[:, rows] for part in parts], axis=-1)
+    wi, wo, kept = [], [], []
+    for (rotation, theta), block in zip(incidences, values, strict=True):
+        w, out = directions(np.deg2rad(theta), radial, azimuth, np.deg2rad(rotation))
+        above = out[:, 2] > 1e-6
+        wi.append(np.tile(np.maximum(w, [-1.0, -1.0, 0.0]), (int(above.sum()), 1)))
+        wo.append(out[above])
+        kept.append(block[above])
+    notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
+    nm: Array | None = None
+    table = np.concatenate(kept)
+    if table.shape[1] == 3:
+        table = xyz_to_linear_srgb(table)
+        notes.append("CIE XYZ, converted to linear sRGB")
+    else:
+        nm = np.array([_UNNAMED_NM])
+        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+    return Readings(
+        path.stem, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes)
+    )
+
+
+def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, values: Array) -> None:
+    """Tables of one sample rotation.
+
+    Args:
+        path: where to.
+        name: of the sample.
+        theta_i, azimuth, radial: radians, shapes (T,), (A,), (R,).
+        values: f in 1/sr, shape (T, A, R, B): B = 3 is linear sRGB and becomes CIE XYZ, B = 1 is monochrome.
+    """
+    values = np.nan_to_num(values)
+    if values.shape[-1] == 3:
+        values = linear_srgb_to_xyz(values)
+    lines = [
+        f"# {name}", "Source Measured", "Symmetry Asymmetrical",
+        f"SpectralContent {'XYZ' if values.shape[-1] == 3 else 'Monochrome'}", "ScatterType BRDF",
+        "SampleRotation 1", "0", f"AngleOfIncidence {theta_i.size}", angle_line(np.rad2deg(theta_i)),
+        f"ScatterAzimuth {azimuth.size}", angle_line(np.rad2deg(azimuth)), f"ScatterRadial {radial.size}",
+        angle_line(np.rad2deg(radial)), "",
+    ]  # fmt: skip
+    for b in range(values.shape[-1]):
+        lines += ["Monochrome" if values.shape[-1] == 1 else f"Tristimulus{'XYZ'[b]}", "DataBegin"]
+        for theta, block in zip(theta_i, values[..., b], strict=True):
+            _, wo = directions(theta, radial[None, :], azimuth[:, None])
+            weight = np.sin(radial) * np.maximum(wo[..., 2], 0.0)
+            tis = float((block * weight).mean(axis=0).sum() * 2 * np.pi * np.gradient(radial).mean())
+            lines.append(f"TIS {tis:.6g}")
+            lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
+        lines.append("DataEnd")
+    atomic.write_text(path, "\n".join(lines) + "\n")

@@ -78,5 +78,4 @@ def write(path: Path, table: DenseTable) -> None:
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)
-    with atomic.replacing(path) as partial:
-        partial.write_bytes(_HEADER.pack(*SHAPE) + np.moveaxis(planes, -1, 0).astype("<f8").tobytes())
+    atomic.write_bytes(path, _HEADER.pack(*SHAPE) + np.moveaxis(planes, -1, 0).astype("<f8").tobytes())

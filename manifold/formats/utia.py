@@ -81,5 +81,4 @@ def write(path: Path, table: DenseTable) -> None:
             f"{table.name}: values have shape {table.values.shape}, expected {(*SHAPE, 3)} of sRGB"
         )
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
-    with atomic.replacing(path) as partial:
-        partial.write_bytes(planes.astype("<f8").tobytes())
+    atomic.write_bytes(path, planes.astype("<f8").tobytes())

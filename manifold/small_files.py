@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
-from manifold.errors import UsageError
+from manifold.errors import FileFormatError, UsageError
 
 MOST_TEXT = 16 << 20
 """Bytes of a text: scenes, fits and spectra of people have kilobytes."""
@@ -47,6 +49,29 @@ def read_text(path: Path, *, advice: str, most: int = MOST_TEXT) -> str:
         return read_bytes(path, advice=advice, most=most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _cannot_read(path, "no text in UTF-8", advice) from error
+
+
+def read_json(path: Path, expected: str) -> Any:
+    """The content of a JSON file.
+
+    Args:
+        path: the file.
+        expected: what it should be, in words.
+    Raises:
+        UsageError: as `read_bytes`.
+        FileFormatError: it is no JSON.
+    """
+    try:
+        text = read_bytes(path, advice=f"name {expected}", most=MOST_TEXT).decode()
+        return json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError as error:
+        raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error
+    except ValueError as error:  # no UTF-8, no JSON, or a number of thousands of digits
+        raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _cannot_read(path: Path, reason: str, advice: str) -> UsageError:

@@ -317,7 +317,7 @@ def test_scenes_that_cannot_be_budgeted_say_why(tmp_path):
 
     plain = {"type": "sphere", "bsdf": {"type": "diffuse"}}
     fails(UsageError, "no measured materials", scene(ball=plain))
-    fails(UsageError, r"cannot be read .*name a Mitsuba scene", tmp_path / "none.xml")
+    fails(UsageError, r"no such file; name a Mitsuba scene", tmp_path / "none.xml")
     fails(FileFormatError, r"scene.xml: .*expected a Mitsuba scene", "<scene version='3.0.0'><shape")
     fails(FileFormatError, "found <model>, expected <scene>", "<model/>")
     fails(FileFormatError, "no dictionary of the type scene", {"type": "sphere"})

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -72,8 +76,111 @@ def test_scenes_nested_without_end_are_refused(tmp_path, name):
     path = tmp_path / name
     text = "[" * n + "]" * n if path.suffix == ".json" else "<scene>" * n + "</scene>" * n
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FileFormatError, match=f"{name}: nested more than 100 deep"):
+    with pytest.raises(FileFormatError, match=f"{name}: nested (more than 100 deep|too deeply)"):
         SceneDocument.read(path)
+
+
+def test_types_that_are_no_plain_names_of_plugins_are_refused(tmp_path, monkeypatch):
+    """Mitsuba would load `plugins/TYPE.so`, from the folders of the scene and from the current one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plugins").mkdir()
+    for path in (tmp_path / "evil.so", tmp_path / "plugins" / "evil.so"):
+        path.write_text("no library")
+    (tmp_path / "evil.xml").write_text('<bsdf type="../evil"/>', encoding="utf-8")
+    for part in (
+        '<bsdf type="../evil"/>',
+        '<bsdf type="evil"/>',
+        '<path value="."/><bsdf type="evil"/>',
+        '<default name="t" value="../evil"/><bsdf type="$t"/>',
+        '<bsdf type="$t"/>',
+        '<include filename="evil.xml"/>',
+        '<shape type="sphere"><bsdf type="twosided"><bsdf type=""/></bsdf></shape>',
+    ):
+        with pytest.raises(FileFormatError, match=r"type .*(expected the plain name|is no plugin)"):
+            SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+    for bad in ("../evil", "evil", [], {}, 7, None, "a\0b", "../" * 5000):
+        content = {"type": "scene", "a": {"type": "sphere", "bsdf": [{"type": bad}]}}
+        with pytest.raises(FileFormatError):
+            SceneDocument.read(content)
+
+
+def test_plugins_registered_in_this_process_are_taken(tmp_path):
+    mi = backend.mitsuba("rgb", backend.Backend("scalar"))
+    mi.register_bsdf("tested_here", lambda properties: None)
+    part = '<bsdf type="tested_here"/>'
+    SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+
+
+IN_A_FOLDER = """
+from manifold.rendering import backend
+mi = backend.mitsuba("rgb", backend.Backend("scalar"))
+print(type(mi.load_dict({"type": "diffuse"})).__name__)
+"""
+
+
+def test_plugins_of_the_current_folder_do_not_take_the_place_of_mitsubas(tmp_path):
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "diffuse.so").write_text("no library")
+    ended = subprocess.run(
+        [sys.executable, "-c", IN_A_FOLDER], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_scenes_that_grow_without_end_are_refused_at_once(tmp_path):
+    chain = "".join(f'<default name="d{k}" value="{f"$d{k - 1}" * 10}"/>' for k in range(1, 40))
+    laughs = xml(tmp_path / "laughs.xml", '<default name="d0" value="ha"/>', chain, SENSOR)
+    for k in range(14):
+        xml(tmp_path / f"level{k}.xml", f'<include filename="level{k + 1}.xml"/>' * 6)
+    xml(tmp_path / "level14.xml", SENSOR)
+    began = time.monotonic()
+    with pytest.raises(FileFormatError, match="characters come from defaults"):
+        SceneDocument.read(laughs)
+    with pytest.raises(FileFormatError, match="included files"):
+        SceneDocument.read(tmp_path / "level0.xml")
+    assert time.monotonic() - began < 5.0  # it takes 0.1 s; without limits, for ever
+
+
+@pytest.mark.parametrize("name", ["zero", "pipe", "sparse.xml"])
+def test_what_has_no_end_is_not_read(tmp_path, name):
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "sparse.xml").open("wb") as stream:
+        stream.truncate(100 << 30)
+    spectrum = f'<emitter type="constant"><spectrum name="radiance" filename="{name}"/></emitter>'
+    texture = f'<bsdf type="normalmap"><string name="filename" value="{name}"/></bsdf>'
+    for part in (f'<include filename="{name}"/>', spectrum, texture):
+        with pytest.raises(UsageError, match=name):
+            SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+    with pytest.raises(UsageError, match=name):
+        SceneDocument.read(tmp_path / name)
+
+
+def test_a_texture_that_announces_more_than_fits_in_memory_is_refused(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\0\x0f\xff\xff" * 2 + b"\x08\x02\0\0\0"
+    )
+    part = '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>'
+    with pytest.raises(FileFormatError, match="1048575 x 1048575 pixels"):
+        SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
+
+
+def test_values_that_end_mitsubas_process_or_no_number_are_refused(tmp_path):
+    path = tmp_path / "scene.json"
+    for text in (
+        '{"type": "scene", "a": {"b": [null]}}',
+        '{"type": "scene", "a": NaN}',
+        '{"type": "scene", "a": ' + "9" * 5000 + "}",
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(FileFormatError, match=r"scene\.json"):
+            SceneDocument.read(path)
+    size = f'<film type="hdrfilm"><integer name="width" value="{"9" * 4000}"/></film>'
+    sensor = f'<sensor type="perspective">{size}</sensor>'
+    document = SceneDocument.read(xml(tmp_path / "scene.xml", sensor, BALL.format("x")))
+    with pytest.raises(UsageError, match="size of the film") as caught:
+        _ = document.film_size
+    assert len(str(caught.value)) < 500
 
 
 def test_includes_that_cannot_be_followed_say_why(tmp_path):
@@ -82,7 +189,7 @@ def test_includes_that_cannot_be_followed_say_why(tmp_path):
             SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, *parts))
         assert "\n" not in str(caught.value)
 
-    fails(UsageError, r"none.xml: cannot be read .*scene.xml includes it", '<include filename="none.xml"/>')
+    fails(UsageError, r"none.xml: no such file; .*scene.xml includes it", '<include filename="none.xml"/>')
     fails(FileFormatError, "include each other, scene.xml last", '<include filename="scene.xml"/>')
     (tmp_path / "torn.xml").write_text("<scene><shape", encoding="utf-8")
     fails(FileFormatError, r"torn.xml: .*expected a Mitsuba scene", '<include filename="torn.xml"/>')

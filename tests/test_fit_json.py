@@ -61,6 +61,36 @@ def evaluate(bsdf, wi, wo):
     return np.array(rows)
 
 
+@pytest.mark.parametrize("kind", ["../evil", "evil", "plugins/evil"])
+def test_a_fit_that_names_another_library_is_refused(fitted, tmp_path, monkeypatch, kind):
+    """Mitsuba would load the native code in `plugins/TYPE.so`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plugins").mkdir()
+    for path in (tmp_path / "evil.so", tmp_path / "plugins" / "evil.so"):
+        path.write_text("no library")
+    text = fitted.read_text(encoding="utf-8").replace('"principled"', json.dumps(kind))
+    (tmp_path / "evil.fit.json").write_text(text, encoding="utf-8")
+    for use in (fit_json.read, fit_json.read_bsdf):
+        with pytest.raises(FileFormatError, match=r"type .*(plain name|no plugin)"):
+            use(tmp_path / "evil.fit.json")
+    family = {"type": kind, "parameters": [{"name": "a", "minimum": 0.0, "maximum": 1.0, "default": 0.5}]}
+    (tmp_path / "family.json").write_text(json.dumps(family), encoding="utf-8")
+    with pytest.raises(UsageError, match=r"type .*(plain name|no plugin)"):
+        fits.family_of(None, tmp_path / "family.json")
+
+
+def test_a_fit_that_somebody_changed_is_read_but_fitted_again(satin, fitted, tmp_path):
+    target = tmp_path / "satin.fit.json"
+    shutil.copy(fitted, target)
+    assert fits.fit_files([satin], target, SETTINGS)[0].was_there
+    content = json.loads(target.read_text(encoding="utf-8"))
+    content["values"]["roughness"] = content["mitsuba"]["roughness"] = 0.9
+    target.write_text(json.dumps(content), encoding="utf-8")
+    assert fit_json.read(target)["values"]["roughness"] == 0.9
+    assert not fits.fit_files([satin], target, SETTINGS)[0].was_there
+    assert fit_json.read(target)["values"] == fit_json.read(fitted)["values"]
+
+
 def test_the_json_recreates_the_fitted_bsdf(satin, fitted):
     samples = from_file(measured("syn_satin_gold"))
     whole = evaluator(SETTINGS.family, samples.wi, samples.wo, 3)
@@ -100,7 +130,7 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
     assert content["source"]["file"] == satin.name
     assert content["hyperparameters"]["noise"] == SETTINGS.noise
     assert content["minima"][0]["values"] == content["values"]
-    assert set(fit_check.schema()["required"]) == set(content)
+    assert {*fit_check.schema()["required"], "sha256"} == set(content)  # which earlier fits lack
     assert not list(fitted.parent.glob(".*"))
 
 

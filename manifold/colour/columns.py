@@ -7,18 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UsageError
+from manifold import small_files
+from manifold.errors import FileFormatError
 from manifold.records import Array
 
 
 def read_columns(path: Path, what: str) -> tuple[Array, Array]:
     """Wavelengths in nm, increasing, and values of a text file of two columns."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise UsageError(
-            f"{path}: {error.strerror}; expected a text file of wavelengths and {what}s"
-        ) from error
+    advice = f"expected a text file of wavelengths and {what}s"
+    content = small_files.read_bytes(path, advice=advice, most=small_files.MOST_TEXT)
+    lines = content.decode("utf-8-sig", errors="replace").splitlines()
     rows: list[tuple[float, float]] = []
     for number, line in enumerate(lines, start=1):
         cells = _numbers(line)

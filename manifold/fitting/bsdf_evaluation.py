@@ -16,6 +16,7 @@ from manifold.errors import UsageError
 from manifold.fitting.bsdf_parameters import BsdfFamily, Layout
 from manifold.records import Array
 from manifold.rendering import backend
+from manifold.rendering.plugin_names import require_plugins, types_of
 
 _LANES = 1 << 20  # of one wavefront; more are evaluated one after the other
 
@@ -92,6 +93,7 @@ def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = 
 
 
 def _load(mi: Any, content: dict[str, Any]) -> Any:
+    require_plugins(types_of(content), "description of a BSDF")
     try:
         # Equal textures would become one, and their parameters with them.
         loaded = mi.load_dict(content, optimize=False)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic
-from manifold.errors import FileFormatError, UsageError
+from manifold import __version__, atomic, small_files
 from manifold.fitting import fit_check
 from manifold.fitting.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily
 from manifold.fitting.principled import FitResult
+from manifold.rendering.plugin_names import require_plugins, types_of
 
 FORMAT_VERSION = 1
 PROGRAM = f"manifold {__version__}"
@@ -43,7 +44,7 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
     """A fit as plain values, as the schema describes them."""
     wavelengths = result.bands.wavelengths_nm
     spectral = dict(result.values) | result.spectra
-    return {
+    content = {
         "format": "manifold fit",
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
@@ -69,6 +70,17 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
         "variant": result.variant,
         "seconds": result.seconds,
     }
+    return content | {"sha256": _digest(content)}
+
+
+def is_untouched(content: dict[str, Any]) -> bool:
+    """Whether plain values are as `document` made them: nobody changed them since."""
+    return content.get("sha256") == _digest(content)
+
+
+def _digest(content: dict[str, Any]) -> str:
+    rest = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def write(path: Path, result: FitResult, source: Source) -> None:
@@ -88,35 +100,10 @@ def read(path: Path) -> dict[str, Any]:
         UsageError: there is no such file.
         FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
     """
-    content = load_json(path, "the JSON of a fit")
+    content = small_files.read_json(path, "the JSON of a fit")
     fit_check.require_fit(content, path.name)
+    require_plugins(types_of([content["mitsuba"], content["mitsuba_spectral"]]), path.name)
     return content
-
-
-def load_json(path: Path, expected: str) -> Any:
-    """The content of a JSON file.
-
-    Args:
-        path: the file.
-        expected: what it should be, in words.
-    Raises:
-        UsageError: there is no such file, or it cannot be read.
-        FileFormatError: it is no JSON.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError as error:
-        raise UsageError(f"{path}: no such file; name {expected}") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); name {expected}") from error
-    except RecursionError as error:
-        raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error
-    except ValueError as error:  # no UTF-8, no JSON, or a number of thousands of digits
-        raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
-
-
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 def read_bsdf(path: Path) -> Any:

@@ -28,6 +28,7 @@ MAGIC = b"tensor_file\0"
 _PREAMBLE = struct.Struct("<12sBBI")
 _SMALLEST_FIELD = 14  # bytes of a field's header: empty name, no axes
 _MAX_AXES = 32  # numpy's own limit was this for decades; RGL files have at most 5
+_MOST_BYTES = 4 << 30
 _MAX_FIELDS = 1024  # RGL files have 13; without a limit the names of a large damaged file fill the memory
 _MAX_NAME = 0xFFFF  # bytes
 _ALIGNMENT = 8
@@ -128,6 +129,11 @@ def _map(path: Path, context: ErrorContext) -> mmap.mmap:
                 raise context.error(
                     f"has {size} bytes, expected an RGL tensor file",
                     remedy="it is empty or cut off: fetch it again",
+                )
+            if size > _MOST_BYTES:
+                raise context.error(
+                    f"has {size} bytes, expected at most {_MOST_BYTES}",
+                    remedy="the largest files of the database have 111 MB",
                 )
             return mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
     except (OSError, ValueError) as error:

@@ -12,9 +12,12 @@ variant mean nothing in another. Neither survives a fork: use spawned processes.
 from __future__ import annotations
 
 import os
+import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +89,49 @@ def _import_mitsuba() -> Any:
             f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
             "it has a wheel for"
         ) from error
+    _require_own_plugins_first(mitsuba)
     return mitsuba
+
+
+@cache
+def _require_own_plugins_first(mi: Any) -> None:
+    """Before the current folder, where `plugins/diffuse.so` would be loaded in place of Mitsuba's own."""
+    mi.file_resolver().prepend(str(Path(mi.__file__).parent))
+
+
+@cache
+def own_plugins() -> frozenset[str]:
+    """The names of Mitsuba's own plugins. Raises: RendererError, where Mitsuba is missing."""
+    folder = Path(_import_mitsuba().__file__).parent / "plugins"
+    return frozenset(path.name.partition(".")[0] for path in folder.iterdir())
+
+
+def is_registered(name: str) -> bool:
+    """Whether this process has registered a plugin of that name from Python; no library is loaded to find out."""
+    mi = sys.modules.get("mitsuba")
+    if mi is None or mi.variant() is None:
+        return False
+    folders = [Path(), *(Path(str(folder)) for folder in mi.file_resolver())]
+    if any(
+        (folder / "plugins").is_dir() and any((folder / "plugins").glob(f"{name}.*")) for folder in folders
+    ):
+        return False
+    return mi.PluginManager.instance().plugin_type(name) != mi.ObjectType.Unknown
+
+
+@contextmanager
+def searching(folders: Sequence[Path]) -> Iterator[None]:
+    """Let Mitsuba look for the files of a scene in folders, after its own."""
+    resolver = _import_mitsuba().file_resolver()
+    before = [str(folder) for folder in resolver]
+    for folder in folders:
+        resolver.append(str(folder))
+    try:
+        yield
+    finally:
+        resolver.clear()
+        for name in before:
+            resolver.append(name)
 
 
 _chosen: Backend | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,8 @@ from manifold.rendering import backend
 SUFFIXES = (".exr", ".png")
 _DISPLAY_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _KNEE = 0.7
+_MOST_PIXELS = 1 << 26  # of the largest render
+_HEADER_BYTES = 1 << 16
 
 
 def tone_map(linear: Array) -> Array:
@@ -68,6 +72,7 @@ def read_image(path: Path) -> Array:
     """
     if not path.is_file():
         raise UsageError(f"{path}: no such file; name a picture (.exr, .hdr, .pfm, .png, .jpg)")
+    require_size(path)
     mi = backend.mitsuba_of_any_variant()
     try:
         bitmap = mi.Bitmap(str(path))
@@ -80,6 +85,37 @@ def read_image(path: Path) -> Array:
     if linear.ndim != 3 or not np.all(np.isfinite(linear)):
         raise FileFormatError(f"{path}: pixels that are not finite; render it again")
     return linear
+
+
+def require_size(path: Path) -> None:
+    """Raise FileFormatError where a picture announces more pixels than fit in memory; other files pass.
+
+    A few bytes can announce any size, and Mitsuba takes the memory for it before it sees that they end.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER_BYTES)
+    sizes = [struct.unpack(">II", head[16:24])] if head.startswith(b"\x89PNG") and len(head) >= 24 else []
+    if head.startswith(b"\x76\x2f\x31\x01"):  # OpenEXR
+        boxes = re.finditer(rb"(?:data|display)Window\0box2i\0\x10\0\0\0(.{16})", head, re.DOTALL)
+        corners = (struct.unpack("<4i", box[1]) for box in boxes)
+        sizes += [(x1 - x0 + 1, y1 - y0 + 1) for x0, y0, x1, y1 in corners]
+    if head.startswith(b"\xff\xd8"):  # JPEG: frames, and what looks like one
+        frames = re.finditer(rb"\xff[\xc0-\xc3]\0.\x08(.{4})", head, re.DOTALL)
+        sizes += [struct.unpack(">HH", frame[1]) for frame in frames]
+    if head.startswith(b"BM") and len(head) >= 26:
+        sizes += [struct.unpack("<ii", head[18:26])]
+    text = re.search(
+        rb"^[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})$|^P[Ff6]\s+(\d{1,9})\s+(\d{1,9})\s", head, re.M
+    )
+    if text is not None:  # Radiance, PFM, PPM
+        width, height = (int(value) for value in text.groups() if value is not None)
+        sizes += [(width, height)]
+    for width, height in sizes:
+        most = max(_MOST_PIXELS, 8 * path.stat().st_size)
+        if abs(width * height) > most:
+            raise FileFormatError(
+                f"{path}: announces {width} x {height} pixels, expected at most {most} for its size; export it again"
+            )
 
 
 def read_display(path: Path) -> Array:

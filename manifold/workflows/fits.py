@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from manifold import atomic
+from manifold import atomic, small_files
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
@@ -27,6 +27,7 @@ from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import Progress
 from manifold.rendering import backend
+from manifold.rendering.plugin_names import require_plugins, types_of
 
 _KILLED = (
     "not fitted, since a process was killed (out of memory?); use fewer --jobs, and run again for the rest"
@@ -97,7 +98,9 @@ def read_family(path: Path) -> BsdfFamily:
         UsageError: the file is missing, or is no such description.
     """
     try:
-        return BsdfFamily.from_json(fit_json.load_json(path, "a JSON description of a BSDF"))
+        content = small_files.read_json(path, "a JSON description of a BSDF")
+        require_plugins(types_of(content), str(path))
+        return BsdfFamily.from_json(content)
     except ManifoldError as error:
         raise UsageError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
@@ -305,4 +308,5 @@ def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, A
         content = fit_json.read(target)
     except ManifoldError:
         return None  # not a fit, or of another version: it is written anew
-    return content if content["source"]["sha256"] == source.sha256 and settings.made(content) else None
+    is_same = content["source"]["sha256"] == source.sha256 and settings.made(content)
+    return content if is_same and fit_json.is_untouched(content) else None

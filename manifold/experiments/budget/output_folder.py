@@ -81,6 +81,8 @@ class OutputFolder:
     def copy(self, source: Path, name: str) -> Path:
         """Copy a file into the folder; its path there. Raises: as `atomic.replacing`."""
         target = self.path / name
+        if target.is_symlink():  # which would be followed
+            target.unlink()
         with atomic.replacing(target) as partial:
             shutil.copyfile(source, partial)
         return target

@@ -16,9 +16,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from manifold import atomic
+from manifold import atomic, small_files
 from manifold.errors import UsageError
 from manifold.experiments.budget import scene_files
+from manifold.rendering import backend, images
+from manifold.rendering.plugin_names import require_plugins, types_of
 
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -29,6 +31,7 @@ KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """What measured materials are called, and their properties."""
 
 _FILES = ("filename", "model", "library", "reflectance")
+_LARGEST_FILM = 1 << 16
 _FILM_SIZE = (768, 576)  # Mitsuba's own default
 _NUMBERS = {"float": float, "integer": int}
 
@@ -59,7 +62,7 @@ class SceneDocument:
         """
         self._content, self.origin = content, origin
         self._is_xml = isinstance(content, ET.Element)
-        self._defaults = _defaults(content) if isinstance(content, ET.Element) else {}
+        require_plugins(_types(content), origin)
         self._resolve(folder)
         found = [_material(self._properties(node)) for node in _bsdfs(content)]
         for material in found:
@@ -109,9 +112,11 @@ class SceneDocument:
             raise UsageError(
                 f"{self.origin}: size of the film: {error}; expected numbers of pixels"
             ) from error
-        if min(width, height) < 1:
+        if min(width, height) < 1 or max(width, height) > _LARGEST_FILM:
+            found = f"{width} x {height}" if max(width, height) <= _LARGEST_FILM else "more"
             raise UsageError(
-                f"{self.origin}: size of the film: found {width} x {height}, expected at least 1 x 1 pixels"
+                f"{self.origin}: size of the film: found {found}, expected at least 1 x 1 pixels and at most "
+                f"{_LARGEST_FILM} x {_LARGEST_FILM}"
             )
         return width, height
 
@@ -124,7 +129,9 @@ class SceneDocument:
         content = self._with(bsdfs, film)
         try:
             if isinstance(content, ET.Element):
-                return mi.load_string(ET.tostring(content, encoding="unicode"))
+                folders = _without_paths(content)
+                with backend.searching(folders):
+                    return mi.load_string(ET.tostring(content, encoding="unicode"))
             return mi.load_dict(_with_transforms(mi, content))
         except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
             reason = " ".join(str(error).split())[-200:]
@@ -165,8 +172,11 @@ class SceneDocument:
         folders = [folder]
 
         def absolute(value: str) -> str:
-            paths = (f / self._substituted(value) for f in folders)
-            return next((str(path.absolute()) for path in paths if path.exists()), value)
+            found = next((f / value for f in folders if scene_files.exists(f / value)), None)
+            if found is None:
+                return value
+            _require_harmless(found, self.origin)
+            return str(found.absolute())
 
         if isinstance(self._content, ET.Element):
             for node in self._content.iter("path"):
@@ -183,16 +193,28 @@ class SceneDocument:
                     if isinstance(entry.get(name), str):
                         entry[name] = absolute(entry[name])
 
-    def _substituted(self, text: str) -> str:
-        """A text with `$name` replaced by the XML file's defaults."""
-        return scene_files.substituted(text, self._defaults)
-
     def _properties(self, node: Any) -> dict[str, str]:
         """Type and properties of a plugin, as text; nothing for those that are plugins themselves."""
         if not isinstance(node, ET.Element):
             return {k: "" if isinstance(v, dict) else str(v) for k, v in node.items()}
-        own = {child.get("name", ""): self._substituted(child.get("value", "")) for child in node}
-        return own | {"type": self._substituted(node.get("type", ""))}
+        own = {child.get("name", ""): child.get("value", "") for child in node}
+        return own | {"type": node.get("type", "")}
+
+
+def _require_harmless(path: Path, origin: str) -> None:
+    """Raise UsageError for what Mitsuba would read without end, or make more of than fits in memory."""
+    if path.is_dir():
+        return
+    if not path.is_file():
+        raise UsageError(f"{origin}: {path} is no regular file; name one")
+    if (
+        path.suffix.lower() in (".spd", ".txt", ".csv", ".xml")
+        and path.stat().st_size > small_files.MOST_TEXT
+    ):
+        raise UsageError(
+            f"{origin}: {path} has {path.stat().st_size} bytes, expected at most {small_files.MOST_TEXT}"
+        )
+    images.require_size(path)
 
 
 def _require_known(material: SceneMaterial, origin: str) -> None:
@@ -216,11 +238,20 @@ def _material(properties: Mapping[str, str]) -> SceneMaterial:
     return SceneMaterial(f"{kind} {own}", kind, own)
 
 
-def _defaults(tree: ET.Element) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for node in tree.iter("default"):
-        found.setdefault(node.get("name", ""), node.get("value", ""))  # Mitsuba takes the first
+def _without_paths(tree: ET.Element) -> list[Path]:
+    """Take the folders out of a scene in which it looks for files, and for plugins too."""
+    found = []
+    for parent in list(tree.iter()):
+        for child in parent.findall("path"):
+            found.append(Path(child.get("value", "")))
+            parent.remove(child)
     return found
+
+
+def _types(content: Any) -> Iterator[object]:
+    if not isinstance(content, ET.Element):
+        return types_of(content)
+    return (node.get("type") for node in content.iter() if "type" in node.attrib)
 
 
 def _dictionaries(content: Any) -> Iterator[dict[str, Any]]:

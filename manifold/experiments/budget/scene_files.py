@@ -1,17 +1,21 @@
-"""Files of scenes as trees: XML with the files that it includes in place, or JSON; of bounded depth."""
+"""Files of scenes as trees: XML with defaults and included files in place, or JSON; of bounded depth and size."""
 
 from __future__ import annotations
 
-import json
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from manifold.errors import FileFormatError, UsageError
+from manifold import small_files
+from manifold.errors import FileFormatError
 
 _MOST_LEVELS = 100  # elements within elements; scenes of people have ten
 _MOST_INCLUDES = 15  # files within files, as in Mitsuba
+_MOST_FILES = 1000
+_MOST_CHARACTERS = 1_000_000  # that come from defaults
+_MOST_BYTES = 64 << 20  # of all included files
 
 
 def read_tree(scene: Path) -> ET.Element | dict[str, Any]:
@@ -24,18 +28,12 @@ def read_tree(scene: Path) -> ET.Element | dict[str, Any]:
         UsageError: the file, or one that it includes, cannot be read.
         FileFormatError: it is neither XML nor JSON of a scene, nested without end, or includes itself.
     """
-    text = _read(scene, "name a Mitsuba scene, .xml or .json")
     if scene.suffix.lower() == ".json":
-        try:
-            return require_scene(json.loads(text), str(scene))
-        except RecursionError as error:
-            raise _too_deep(str(scene)) from error
-        except json.JSONDecodeError as error:
-            raise _no_scene(scene, error) from error
-    tree = _parse(text, scene)
+        return require_scene(small_files.read_json(scene, "a Mitsuba scene, .xml or .json"), str(scene))
+    tree = _parse(small_files.read_text(scene, advice="name a Mitsuba scene, .xml or .json"), scene)
     if tree.tag != "scene":
         raise FileFormatError(f"{scene}: found <{tree.tag}>, expected <scene>; name a Mitsuba scene")
-    _Inclusion(scene).inline(tree)
+    _Expansion(scene).expand(tree)
     return tree
 
 
@@ -46,59 +44,97 @@ def require_scene(content: Any, origin: str) -> dict[str, Any]:
         raise FileFormatError(
             f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
         )
+    if _holds_none(content):  # which ends Mitsuba's process
+        raise FileFormatError(f"{origin}: a null in the scene, expected values; leave that entry out")
     return content
 
 
-def substituted(text: str, defaults: dict[str, str]) -> str:
-    """A text with every `$name` replaced by the default of that name."""
-    for name in sorted(defaults, key=len, reverse=True):
-        text = text.replace(f"${name}", defaults[name])
-    return text
-
-
-class _Inclusion:
-    """Puts included files in their place."""
+class _Expansion:
+    """Puts included files and defaults in their place, and counts what that makes."""
 
     def __init__(self, scene: Path) -> None:
         self._scene = scene
         self._folders = [scene.parent.absolute()]
         self._defaults: dict[str, str] = {}
+        self._files = self._characters = self._bytes = 0
 
-    def inline(self, node: ET.Element, depth: int = 0) -> None:
-        """Replace all includes below an element, in the order of the document."""
+    def expand(self, node: ET.Element, depth: int = 0) -> None:
+        """Replace all below an element, in the order of the document: Mitsuba takes the first default of a name."""
+        for key, value in node.attrib.items():
+            node.set(key, self._substituted(value))
         found: list[ET.Element] = []
         for child in node:
             if child.tag == "include":
-                found += self._included(substituted(child.get("filename", ""), self._defaults), depth + 1)
-                continue
-            if child.tag == "default":
-                self._defaults.setdefault(child.get("name", ""), child.get("value", ""))
-            elif child.tag == "path":
-                self._folders.append(self._folders[0] / substituted(child.get("value", ""), self._defaults))
-            self.inline(child, depth)
-            found.append(child)
+                found += self._included(self._substituted(child.get("filename", "")), depth + 1)
+            elif child.tag == "default":
+                value = self._substituted(child.get("value", ""))
+                self._defaults.setdefault(child.get("name", ""), value)
+            else:
+                self.expand(child, depth)
+                if child.tag == "path":
+                    self._folders.append(self._folders[0] / child.get("value", ""))
+                found.append(child)
         node[:] = found
 
+    def _substituted(self, text: str) -> str:
+        """A text with every `$name` replaced by the default of that name."""
+        if "$" not in text:
+            return text
+
+        def value(match: re.Match[str]) -> str:
+            word = match[1]
+            known = next((word[:n] for n in range(len(word), 0, -1) if word[:n] in self._defaults), None)
+            found = f"${word}" if known is None else self._defaults[known] + word[len(known) :]
+            self._characters += len(found)
+            if self._characters > _MOST_CHARACTERS:
+                raise FileFormatError(
+                    f"{self._scene}: more than {_MOST_CHARACTERS} characters come from defaults; write them out"
+                )
+            return found
+
+        return re.sub(r"\$([\w.-]{1,64})", value, text)
+
     def _included(self, name: str, depth: int) -> list[ET.Element]:
+        self._files += 1
         if depth > _MOST_INCLUDES:
             raise FileFormatError(
                 f"{self._scene}: more than {_MOST_INCLUDES} files include each other, {name} last; end the circle"
             )
-        path = next((folder / name for folder in self._folders if (folder / name).exists()), Path(name))
-        root = _parse(_read(path, f"{self._scene} includes it"), path)
-        self.inline(root, depth)
+        if self._files > _MOST_FILES:
+            raise FileFormatError(
+                f"{self._scene}: more than {_MOST_FILES} included files, {name} last; include fewer"
+            )
+        path = next((folder / name for folder in self._folders if exists(folder / name)), Path(name))
+        text = small_files.read_text(path, advice=f"{self._scene} includes it")
+        self._bytes += len(text)
+        if self._bytes > _MOST_BYTES:
+            raise FileFormatError(
+                f"{self._scene}: included files of more than {_MOST_BYTES >> 20} MB; include less"
+            )
+        root = _parse(text, path)
+        self.expand(root, depth)
         if root.tag == "scene":
             return list(root)
         root.attrib.pop("version", None)
         return [root]
 
 
-def _read(path: Path, advice: str) -> str:
+def exists(path: Path) -> bool:
+    """Whether there is something at a path, whatever text that is."""
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # also no text, and names with null bytes
-        reason = getattr(error, "strerror", None) or "no text"
-        raise UsageError(f"{path}: cannot be read ({reason}); {advice}") from error
+        return path.exists()
+    except (OSError, ValueError):  # a name that is too long, or no name
+        return False
+
+
+def _holds_none(content: Any) -> bool:
+    waiting = [content]
+    while waiting:
+        node = waiting.pop()
+        if node is None:
+            return True
+        waiting.extend(_children(node))
+    return False
 
 
 def _parse(text: str, path: Path) -> ET.Element:

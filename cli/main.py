@@ -23,8 +23,9 @@ from . import (
     render_commands,
     stability_commands,
 )
+from .outputs import GuardedTyper
 
-app = typer.Typer(
+app = GuardedTyper(
     name="manifold",
     help="Turn measured spectral BRDFs into a manifold of materials, and predict materials nobody measured.",
     epilog="Start with `manifold demo`, which runs everything on the built-in synthetic corpus.",

@@ -20,7 +20,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from manifold import atomic
+from manifold import __version__, atomic
 
 Step = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""
@@ -106,6 +106,7 @@ class Results:
         """
         if self._target is None:
             return
+        document = {"program": f"manifold {__version__}", **document}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:
             sys.stdout.write(text)

@@ -24,6 +24,21 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
+@pytest.fixture
+def run(capsys, monkeypatch):
+    """The command in this process, in a given folder: status, stdout, stderr."""
+    from manifold.cli.main import run as run_main
+
+    def call(*arguments, cwd):
+        monkeypatch.chdir(cwd)
+        with pytest.raises(SystemExit) as caught:
+            run_main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return caught.value.code or 0, captured.out, captured.err
+
+    return call
+
+
 def real_rgl_folder() -> Path | None:
     """The folder of real RGL files: `MANIFOLD_RGL_DIR`, else `../shared/rgl/real`, else None."""
     named = os.environ.get("MANIFOLD_RGL_DIR")

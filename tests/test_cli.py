@@ -41,21 +41,6 @@ def manifold(*arguments, cwd):
     return process.returncode, out, err
 
 
-@pytest.fixture
-def run(capsys, monkeypatch):
-    """The command in this process, in a given folder: status, stdout, stderr."""
-    from manifold.cli.main import run as run_main
-
-    def call(*arguments, cwd):
-        monkeypatch.chdir(cwd)
-        with pytest.raises(SystemExit) as caught:
-            run_main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return caught.value.code or 0, captured.out, captured.err
-
-    return call
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with `library.zarr` and `model.h5` made by the command line."""

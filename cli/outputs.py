@@ -1,0 +1,137 @@
+"""What commands may write over: nothing that they read, nothing in a library, and only files of their own kind."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from manifold.errors import UsageError
+
+_NAMES = ("output", "picture", "markdown", "json")  # of parameters that are files to be written
+_HEAD = 1 << 16
+_PICTURES = {".png": b"\x89PNG", ".exr": b"\x76\x2f\x31\x01", ".pdf": b"%PDF", ".svg": b"<svg"}
+
+Force = Annotated[
+    bool, typer.Option("--force", help="Write also over inputs, and over files of another kind.")
+]
+
+
+class GuardedTyper(typer.Typer):
+    """A Typer whose commands look at what their outputs would replace, and have `--force`."""
+
+    def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        """As `typer.Typer.command`."""
+        register = super().command(*args, **kwargs)
+        return lambda function: register(guarded(function))
+
+
+def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A command that first calls `require_replaceable` with its own parameters."""
+    signature = inspect.signature(function)
+    hints = get_type_hints(function, include_extras=True)
+    if not any(name in signature.parameters for name in _NAMES):
+        return function
+    parameters = [
+        p.replace(annotation=hints.get(p.name, p.annotation)) for p in signature.parameters.values()
+    ]
+    is_own = "force" in signature.parameters
+    if not is_own:
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter("force", keyword, default=False, annotation=Force))
+
+    @functools.wraps(function)
+    def run(**values: Any) -> Any:
+        if not values["force"]:
+            require_replaceable(function.__name__, values)
+        if not is_own:
+            del values["force"]
+        return function(**values)
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run
+
+
+def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
+    """Raise UsageError where an output of a command would destroy something.
+
+    Args:
+        command: its name.
+        values: its parameters by name; `output`, `picture`, `markdown` and `json`, and the model of `embed`, are what
+            it writes, everything else that is there under a path is what it reads.
+    """
+    names = (*_NAMES, "model") if command == "embed" else _NAMES
+    outputs = {name: values[name] for name in names if isinstance(values.get(name), Path)}
+    outputs = {name: path for name, path in outputs.items() if str(path) != "-"}
+    inputs = [path for name, value in values.items() if name not in outputs for path in _paths(value)]
+    targets: dict[str, str] = {}
+    for name, path in outputs.items():
+        target = os.path.realpath(path)
+        other = targets.setdefault(target, name)
+        if other != name:
+            raise UsageError(f"{path}: named for --{other} and for --{name}; name two files")
+        _require_outside_libraries(path)
+        if not path.is_file():
+            continue
+        if any(os.path.realpath(source) == target or _is_same(source, path) for source in inputs):
+            raise UsageError(f"{path}: this command reads it; name another file to write, or --force it")
+        if not _is_own_kind(command, name, path):
+            raise UsageError(
+                f"{path}: there already, and not what this command writes; name another file, or --force it"
+            )
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    """The files among a parameter's values."""
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _paths(item)
+    elif isinstance(value, str | Path) and value:
+        try:
+            if Path(value).is_file():
+                yield Path(value)
+        except (OSError, ValueError):  # no path at all
+            return
+
+
+def _is_same(a: Path, b: Path) -> bool:
+    try:
+        return a.samefile(b)
+    except OSError:
+        return False
+
+
+def _require_outside_libraries(path: Path) -> None:
+    for folder in Path(os.path.realpath(path)).parents:
+        if (folder / "zarr.json").is_file():
+            raise UsageError(
+                f"{path}: lies in the library {folder}, which it would damage; name another place"
+            )
+
+
+def _is_own_kind(command: str, name: str, path: Path) -> bool:
+    """Whether a file is one that this parameter of the command writes; empty files are nobody's."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
+    except OSError:
+        return True  # whoever writes it says why not
+    if not head:
+        return True
+    if name == "model":
+        return head.startswith(b"manifold model\r\n") or b"manifold-model" in head
+    is_fit = b'"format": "manifold fit"' in head
+    if name == "json" or command == "fit":
+        return b'"program": "manifold ' in head and is_fit == (name != "json")
+    if name == "markdown":
+        return b"manifold stability" in head
+    if path.suffix.lower() == ".bsdf":
+        return b" by manifold " in head
+    magic = _PICTURES.get(path.suffix.lower())
+    return magic is not None and (head.startswith(magic) or (path.suffix.lower() == ".svg" and magic in head))

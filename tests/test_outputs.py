@@ -1,0 +1,121 @@
+"""What commands write over, and what they leave alone."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import h5py
+import pytest
+import typer
+from small_library import NAMES, small_library
+from test_cli import COMMANDS, manifold, one_line
+
+from manifold.cli.main import app
+from manifold.cli.outputs import require_replaceable
+from manifold.errors import UsageError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """`files/`, `library.zarr` and `model.h5`."""
+    path = tmp_path_factory.mktemp("outputs")
+    small_library(path)
+    assert manifold("embed", cwd=path)[0] == 0
+    return path
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folder):
+    file = f"files/{NAMES[0]}_rgb.bsdf"
+    (folder / "link").symlink_to("model.h5")
+    os.link(folder / "model.h5", folder / "second_name.h5")
+    before = _content(folder)
+    for words, arguments in {
+        "this command reads it": ("info", "model.h5", "--json", "model.h5"),
+        "reads it; name": ("info", "model.h5", "--json", "link"),
+        "reads it": ("info", "model.h5", "--json", "second_name.h5"),
+        "lies in the library": ("info", "library.zarr", "--json", "library.zarr/zarr.json"),
+        "lies in the": ("info", "library.zarr", "--json", "library.zarr/materials/new.json"),
+        "not what this command writes": ("info", "library.zarr", "--json", "model.h5"),
+        "not what this": ("embed", "-M", file),
+        "not what": ("predict", "--latent", "0,0", "-o", file),
+        "name two files": ("report", "--picture", "x.png", "--json", "x.png"),
+    }.items():
+        status, _, err = run(*arguments, cwd=folder)
+        assert status == 2, arguments
+        assert words in one_line(err)
+    assert _content(folder) == before
+
+
+def test_commands_write_again_what_they_wrote(run, folder):
+    for arguments in (
+        ("info", "model.h5", "--json", "info.json"),
+        (
+            "predict",
+            "--latent",
+            "0,0",
+            "-o",
+            "predicted_rgb.bsdf",
+            "--resolution",
+            "8",
+            "--json",
+            "predict.json",
+        ),
+        ("embed", "-M", "again.h5", "--json", "embed.json"),
+    ):
+        for _ in range(2):
+            status, _, err = run(*arguments, cwd=folder)
+            assert status == 0, err
+    assert json.loads((folder / "embed.json").read_text())["program"].startswith("manifold ")
+
+
+def test_force_writes_over_a_foreign_file(run, folder):
+    (folder / "notes.json").write_text('{"mine": 1}')
+    assert run("info", "model.h5", "--json", "notes.json", cwd=folder)[0] == 2
+    assert run("info", "model.h5", "--json", "notes.json", "--force", cwd=folder)[0] == 0
+    assert "settings" in json.loads((folder / "notes.json").read_text())
+
+
+def test_every_command_that_writes_files_has_force():
+    commands = typer.main.get_command(app).commands
+    for name in {*COMMANDS} - {"demo"}:
+        assert "force" in [parameter.name for parameter in commands[name].params], name
+
+
+def test_files_are_replaced_by_their_own_kind_only(tmp_path):
+    fit, other = '{"format": "manifold fit", "program": "manifold 1"}', '{"program": "manifold 1"}'
+    with h5py.File(tmp_path / "old.h5", "w") as file:
+        file.attrs["format"] = "manifold-model"
+    with h5py.File(tmp_path / "data.h5", "w") as file:
+        file["data"] = 1
+    for name, text in {
+        "fit.json": fit, "info.json": other, "scene.json": '{"type": "scene"}', "empty": "", "a.bsdf": "tensor_file",
+        "p.bsdf": "tensor_file ... Predicted (1, 2) from a synthetic corpus by manifold 0.1", "x.svg": "<?xml?><svg>",
+        "x.png": "notes", "page.md": "Written by `manifold stability`", "mine.md": "# Mine",
+    }.items():  # fmt: skip
+        (tmp_path / name).write_text(text)
+
+    def is_taken(command: str, name: str, file: str) -> bool:
+        try:
+            require_replaceable(command, {name: tmp_path / file})
+        except UsageError:
+            return False
+        return True
+
+    for command, name, right, wrong in (
+        ("fit", "output", ("fit.json", "empty", "absent"), ("info.json", "scene.json", "a.bsdf")),
+        ("info", "json", ("info.json", "empty"), ("fit.json", "scene.json", "old.h5")),
+        ("embed", "model", ("old.h5", "empty"), ("data.h5", "a.bsdf")),
+        ("predict", "output", ("p.bsdf", "empty"), ("a.bsdf", "x.png")),
+        ("map", "output", ("x.svg",), ("x.png", "fit.json")),
+        ("stability", "markdown", ("page.md",), ("mine.md",)),
+    ):
+        for file in right:
+            assert is_taken(command, name, file), (command, file)
+        for file in wrong:
+            assert not is_taken(command, name, file), (command, file)

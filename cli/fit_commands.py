@@ -82,6 +82,10 @@ def fit(
         typer.Option(help="Another BSDF: JSON of type, parameters (name, minimum, maximum, default) and fixed.",
                      metavar="FILE"),
     ] = None,
+    wide_colours: Annotated[
+        bool,
+        typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines take 0 to 1."),
+    ] = False,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
@@ -108,8 +112,9 @@ def fit(
         raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
     results = terminal.Results(json)
     settings = fits.FitSettings(
-        family=fits.family_of(free, bsdf), method=method.value, metric=metric.value, noise=noise
-    )
+        family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method.value, metric=metric.value,
+        noise=noise, wide_colours=wide_colours,
+    )  # fmt: skip
     if latent is not None:
         coordinates = parse_latent(latent)
         with terminal.progress("Reading materials") as step:
@@ -201,6 +206,7 @@ def _rows(content: dict[str, Any]) -> dict[str, object]:
     rows: dict[str, object] = {}
     for statement in content["statements"]:
         about = f"{statement['value']:.3f} +- {statement['standard_error']:.3f}, {statement['state']}"
+        about += ", left at its default" * statement.get("is_kept", False)
         if statement["entangled_with"] is not None:
             about += f" (correlated with {statement['entangled_with']})"
         rows[statement["name"]] = about + ", at the end of its range" * statement["at_bound"]

@@ -293,7 +293,7 @@ def test_spectral_values_must_agree_with_what_is_rendered():
     for change, words in (
         (
             lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2]),
-            "expected 3 numbers from 0 to 1.25",
+            "expected 3 numbers from 0 to 1;",
         ),
         (lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2, -0.1]), "expected 3 numbers from 0"),
         (lambda c: c["spectra"]["values"].update(reflectance=[0.1, 0.2, 0.3]), "differ in reflectance"),

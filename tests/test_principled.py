@@ -249,11 +249,38 @@ def test_colours_outside_rec_709_are_found_and_reported():
     bands = Bands(tuple(np.linspace(400.0, 700.0, 31)))
     green = 0.02 + 0.9 * np.exp(-(((np.linspace(400, 700, 31) - 530) / 20) ** 2))
     truth = {"base_color": green, "roughness": 0.6, "metallic": 0.0, "clearcoat": 0.0, "sheen": 0.0}
-    result = fit_bsdf(samples_of(principled(), truth | {"specular": 0.5}, grid_pairs(), bands=bands))
+    wide = principled(wide_colours=True)
+    samples = samples_of(wide, truth | {"specular": 0.5}, grid_pairs(), bands=bands)
+    result = fit_bsdf(samples, wide_colours=True)
     expected = to_srgb(green, bands)
     assert expected.min() < -0.05
     assert result.values["base_color"] == pytest.approx(expected.tolist(), abs=0.01)
     assert any("Rec. 709" in note for note in result.notes)
+
+
+def test_base_colours_stay_in_the_range_of_engines_unless_wide_ones_are_asked_for():
+    bands = Bands(tuple(np.linspace(400.0, 700.0, 31)))
+    green = 0.02 + 0.9 * np.exp(-(((np.linspace(400, 700, 31) - 530) / 20) ** 2))
+    samples = samples_of(principled(["base_color"]), {"base_color": green}, grid_pairs(40), bands=bands)
+    narrow = fit_bsdf(samples, principled(["base_color"]))
+    assert 0.0 <= min(narrow.values["base_color"]) < 1e-9
+    assert max(narrow.values["base_color"]) <= 1.0
+    assert any("end of the range: base_color[0]" in note for note in narrow.notes)
+    assert min(fit_bsdf(samples, principled(["base_color"], wide_colours=True)).values["base_color"]) < -0.05
+
+
+def test_what_the_samples_do_not_determine_keeps_the_defaults(rng):
+    # A rough dark metal: its sheen, its index and the gloss of a clear coat that it does not have move nothing.
+    truth = {"base_color": [0.9, 0.6, 0.3], "metallic": 1.0, "roughness": 0.3, "clearcoat": 0.0, "sheen": 0.7}
+    result = fit_bsdf(samples_of(principled(), truth, grid_pairs(), rng, relative=0.02))
+    kept = {s.name for s in result.statements if s.is_kept}
+    assert {"specular", "sheen", "clearcoat_gloss"} <= kept
+    defaults = {o.name: o.undetermined for o in principled().parameters}
+    assert all(result.values[name] == defaults[name] for name in kept)
+    assert result.values["roughness"] == pytest.approx(0.3, abs=0.01)
+    assert result.values["metallic"] == pytest.approx(1.0, abs=0.02)
+    assert any("left at the defaults" in note and "sheen" in note for note in result.notes)
+    assert not any(s.at_bound for s in result.statements if s.is_kept)
 
 
 def test_a_custom_python_bsdf_is_fitted():

@@ -37,11 +37,12 @@ class FreeParameter:
     Attributes:
         name: as in Mitsuba's dictionaries.
         minimum, maximum: the range, ends included.
-        default: where the search starts and what an unused parameter keeps.
+        default: where a search begins, and what a missing value means.
         transform: one of `TRANSFORMS`.
         per_band: one value per band, such as a colour, instead of one for all.
         affine: the BSDF is an affine function of it, band by band; the global search then solves it exactly.
         tolerance: the standard error, doubled, up to which the parameter counts as determined.
+        undetermined: what it keeps where the samples do not determine it; None where it is fitted even so.
     """
 
     name: str
@@ -52,6 +53,7 @@ class FreeParameter:
     per_band: bool = False
     affine: bool = False
     tolerance: float = 0.02
+    undetermined: float | None = None
 
     def __post_init__(self) -> None:
         if not _is_word(self.name):
@@ -63,6 +65,12 @@ class FreeParameter:
             raise UsageError(
                 f"parameter {self.name}: range {self.minimum} to {self.maximum}, default {self.default}; "
                 "expected minimum < maximum with the default between"
+            )
+        kept = self.default if self.undetermined is None else self.undetermined
+        if not is_number(kept) or not self.minimum <= kept <= self.maximum:
+            raise UsageError(
+                f"parameter {self.name}: undetermined is {kept!r}, expected a number from {self.minimum} to "
+                f"{self.maximum}"
             )
         if self.transform not in TRANSFORMS:
             raise UsageError(
@@ -279,22 +287,24 @@ class Layout:
         return other.join({name: np.mean(p[place]) for name, place in self.slices.items()})
 
 
-_COLOUR = FreeParameter(
-    "base_color", -0.25, 1.25, 0.5, per_band=True, affine=True, tolerance=0.01
-)  # wider than Rec. 709, so that what lies outside is found and can be said
+_COLOUR = FreeParameter("base_color", 0.0, 1.0, 0.5, per_band=True, affine=True, tolerance=0.01)
+_WIDE = replace(_COLOUR, minimum=-0.25, maximum=1.25)  # what lies outside Rec. 709 is found and can be said
 
+# Undetermined ones keep Mitsuba's defaults.
 _PRINCIPLED = (
     _COLOUR,
-    FreeParameter("metallic", 0.0, 1.0, 0.2),
-    FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log"),
-    FreeParameter("specular", 0.0, 1.0, 0.5, transform="square"),  # of which the index is a smooth function
-    FreeParameter("clearcoat", 0.0, 1.0, 0.2),
-    FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8, transform="gloss"),
-    FreeParameter("sheen", 0.0, 1.0, 0.1),
-    FreeParameter("spec_tint", 0.0, 1.0, 0.1),
-    FreeParameter("sheen_tint", 0.0, 1.0, 0.1),
-    FreeParameter("flatness", 0.0, 1.0, 0.1),
-    FreeParameter("anisotropic", 0.0, 1.0, 0.1),
+    FreeParameter("metallic", 0.0, 1.0, 0.2, undetermined=0.0),
+    FreeParameter("roughness", 0.02, 1.0, 0.5, transform="log", undetermined=0.5),
+    FreeParameter(  # of which the index is a smooth function
+        "specular", 0.0, 1.0, 0.5, transform="square", undetermined=0.5
+    ),
+    FreeParameter("clearcoat", 0.0, 1.0, 0.2, undetermined=0.0),
+    FreeParameter("clearcoat_gloss", 0.0, 1.0, 0.8, transform="gloss", undetermined=0.0),
+    FreeParameter("sheen", 0.0, 1.0, 0.1, undetermined=0.0),
+    FreeParameter("spec_tint", 0.0, 1.0, 0.1, undetermined=0.0),
+    FreeParameter("sheen_tint", 0.0, 1.0, 0.1, undetermined=0.0),
+    FreeParameter("flatness", 0.0, 1.0, 0.1, undetermined=0.0),
+    FreeParameter("anisotropic", 0.0, 1.0, 0.1, undetermined=0.0),
 )
 
 PRINCIPLED_DEFAULT = (
@@ -303,18 +313,22 @@ PRINCIPLED_DEFAULT = (
 """What is free unless others are named; see docs/design/principled.md."""
 
 
-def principled(names: Iterable[str] = PRINCIPLED_DEFAULT) -> BsdfFamily:
+def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:
     """Mitsuba's `principled` with the named parameters free and the others at Mitsuba's defaults.
 
     Roughness is the artist's: Mitsuba squares it to get the GGX alpha.
 
+    Args:
+        names: of the free parameters.
+        wide_colours: let base colours range from -0.25 to 1.25, not from 0 to 1.
     Raises:
         UsageError: a name is unknown.
     """
-    family = BsdfFamily("principled", _PRINCIPLED)
+    colour = _WIDE if wide_colours else _COLOUR
+    family = BsdfFamily("principled", (colour, *_PRINCIPLED[1:]))
     return BsdfFamily("principled", tuple(family.named(name) for name in names))
 
 
-def diffuse() -> BsdfFamily:
-    """Mitsuba's `diffuse`, its reflectance free."""
-    return BsdfFamily("diffuse", (replace(_COLOUR, name="reflectance"),))
+def diffuse(*, wide_colours: bool = False) -> BsdfFamily:
+    """Mitsuba's `diffuse`, its reflectance free; `wide_colours` as in `principled`."""
+    return BsdfFamily("diffuse", (replace(_WIDE if wide_colours else _COLOUR, name="reflectance"),))

@@ -103,16 +103,33 @@ class Residuals:
 
 
 def minimize(
-    residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None
+    residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
+    kept: Array | None = None,
 ) -> Minimum:  # fmt: skip
-    """Refine parameter values (K,) within their ranges, or within a part of them, lower and upper ends (K,)."""
+    """Refine parameter values within their ranges.
+
+    Args:
+        residuals: what is minimised.
+        start: values (K,).
+        iterations, tolerance: where to end.
+        part: of the ranges, lower and upper ends (K,) each; all of them if None.
+        kept: which values stay as they are, bool (K,); none if None.
+    """
     layout = residuals.layout
-    lower, upper = (layout.inward(end) for end in part or (layout.minimum, layout.maximum))
+    free = np.ones(layout.size, bool) if kept is None else ~kept
+    at = layout.inward(start)
+    lower, upper = (layout.inward(end)[free] for end in part or (layout.minimum, layout.maximum))
     margin = 1e-3 * (upper - lower)
+
+    def whole(t: Array) -> Array:
+        out = at.copy()
+        out[free] = t
+        return out
+
     found = least_squares(
-        residuals.value,
-        np.clip(layout.inward(start), lower + margin, upper - margin),
-        residuals.jacobian,
+        lambda t: residuals.value(whole(t)),
+        np.clip(at[free], lower + margin, upper - margin),
+        lambda t: residuals.jacobian(whole(t))[:, free],
         bounds=(lower, upper),
         x_scale=upper - lower,
         ftol=tolerance,
@@ -120,7 +137,8 @@ def minimize(
         gtol=1e-12,
         max_nfev=iterations,
     )
-    return Minimum(layout.outward(found.x), 2.0 * float(found.cost), found.status > 0, part)
+    p = np.where(free, layout.outward(whole(found.x)), start)
+    return Minimum(p, 2.0 * float(found.cost), found.status > 0, part)
 
 
 def search(

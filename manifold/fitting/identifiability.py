@@ -34,9 +34,10 @@ class ParameterIdentifiability:
         state: `determined` (twice the standard error is within the parameter's tolerance), `uncertain`,
             `not seen` (the samples hardly depend on it), or `ambiguous` (another minimum, as good within the
             noise, has a different value).
-        at_bound: whether the value lies at an end of its range.
+        at_bound: whether the fit ended at an end of the range.
         entangled_with: the parameter it is most correlated with, if the correlation exceeds 0.9 and it is not
             determined, else None.
+        is_kept: whether it was left at the BSDF's default, since the samples do not determine it.
     """
 
     name: str
@@ -45,12 +46,13 @@ class ParameterIdentifiability:
     state: str
     at_bound: bool
     entangled_with: str | None
+    is_kept: bool = False
 
     def __str__(self) -> str:
         text = f"{self.value:.3f} +- {self.standard_error:.3f}, {self.state}"
         if self.entangled_with is not None:
             text += f" (correlated with {self.entangled_with})"
-        return text + ", at the end of its range" * self.at_bound
+        return text + ", left at its default" * self.is_kept + ", at the end of its range" * self.at_bound
 
 
 def residual_variance(residual: Array, n_parameters: int, floor: float) -> float:
@@ -99,7 +101,7 @@ def is_different(
 
 
 def identify_parameters(
-    layout: Layout, p: Array, J: Array, variance: float, alternatives: list[Array]
+    layout: Layout, p: Array, J: Array, variance: float, alternatives: list[Array], kept: Array | None = None
 ) -> tuple[ParameterIdentifiability, ...]:
     """The identifiability of every value of the layout.
 
@@ -109,6 +111,7 @@ def identify_parameters(
         J: derivatives of the residuals by the values, shape (n, K).
         variance: of one residual.
         alternatives: other values (K,) that fit as well within the noise.
+        kept: which values were left at their defaults, bool (K,); none if None.
 
     The covariance is `(J^T J / variance + I / prior)^-1`, where the prior is a uniform guess over the range:
     it keeps directions that the samples do not see finite.
@@ -121,6 +124,7 @@ def identify_parameters(
     unit_error = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(unit_error, unit_error))
     np.fill_diagonal(correlation, 0.0)
+    is_kept = np.zeros(layout.size, bool) if kept is None else kept
     made = []
     for k, label in enumerate(layout.labels):
         error = float(unit_error[k] * prior[k])
@@ -143,8 +147,10 @@ def identify_parameters(
                 value=float(p[k]),
                 standard_error=error,
                 state=state,
-                at_bound=bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
+                at_bound=not is_kept[k]
+                and bool(min(p[k] - layout.minimum[k], layout.maximum[k] - p[k]) < _BOUND * span[k]),
                 entangled_with=layout.labels[partner] if entangled else None,
+                is_kept=bool(is_kept[k]),
             )
         )
     return tuple(made)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from manifold.fitting import (
     fit_samples,
     gauss_newton,
     identifiability,
+    undetermined,
 )
 from manifold.fitting.adam_and_swarm import AdamOptions, SwarmOptions
 from manifold.fitting.bsdf_evaluation import Evaluator, evaluator
@@ -26,6 +27,7 @@ from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fitting.identifiability import ParameterIdentifiability
+from manifold.fitting.undetermined import TriedDefaults
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering import backend
 
@@ -104,6 +106,7 @@ def fit_bsdf(
     metric: str = "cube-root",
     noise: float = 0.01,
     options: GaussNewton | AdamOptions | SwarmOptions | None = None,
+    wide_colours: bool = False,
 ) -> FitResult:
     """Fit the free parameters of a Mitsuba BSDF.
 
@@ -118,6 +121,7 @@ def fit_bsdf(
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared.
         noise: relative standard deviation of the samples that the statements assume at least.
         options: hyperparameters of the method.
+        wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         ShapeError: the samples have wrong shapes or values that are no numbers.
@@ -128,11 +132,11 @@ def fit_bsdf(
     samples = _samples_of(target)
     if family is not None:
         return _fit(samples, family, method, metric, noise, options)
-    found = _fit(samples, principled(), method, metric, noise, options)
+    found = _fit(samples, principled(wide_colours=wide_colours), method, metric, noise, options)
     is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
     if method != "gauss-newton" or not is_worse:
         return found
-    plain = _fit(samples, diffuse(), method, metric, noise, options)
+    plain = _fit(samples, diffuse(wide_colours=wide_colours), method, metric, noise, options)
     if plain.residuals[metric] >= found.residuals[metric]:  # no reflectance that a surface can have
         return found
     note = f"diffuse: principled fits worse ({found.residuals[metric]:.2%} against {plain.residuals[metric]:.2%})"
@@ -147,12 +151,18 @@ def _fit(
     rgb = samples.as_rgb()
     measure = Metric.of(metric, rgb)
     whole = evaluator(family, rgb.wi, rgb.wo, 3)
+    tried = TriedDefaults.none(whole.layout.size)
     start = time.perf_counter()
     with threadpool_limits(1):  # small matrices: threads would only wait for each other
         if isinstance(options, GaussNewton):
             rows = gauss_newton.coarse_rows(rgb, options)
             coarse = evaluator(family, rgb.wi[rows], rgb.wo[rows], 3)
             minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse)
+            judged = _judge(whole, rgb, measure, minima, noise, tried)
+            best, tried = undetermined.keep_undetermined(
+                Residuals(whole, rgb, measure), minima[0], judged.statements, judged.is_as_good, options
+            )
+            minima = [best, *minima[1:]]
         elif isinstance(options, AdamOptions):
             minima = [adam_and_swarm.adam(family, rgb, whole, measure, options)]
         else:
@@ -160,7 +170,7 @@ def _fit(
         spectra, spectral_residual = _fit_spectra(family, samples, metric, minima[0].p, whole.layout)
     seconds = time.perf_counter() - start
     return _result(
-        family, samples, rgb, whole, measure, minima, noise,
+        family, samples, rgb, whole, measure, minima, noise, tried,
         method=method, hyperparameters=asdict(options) | {"noise": noise}, spectra=spectra,
         spectral_residual=spectral_residual, seconds=seconds,
     )  # fmt: skip
@@ -220,12 +230,29 @@ def _fit_spectra(
     )
 
 
-def _result(
-    family: BsdfFamily, samples: FitSamples, rgb: FitSamples, whole: Evaluator, metric: Metric,
-    minima: list[Minimum], noise: float, **known: Any,
-) -> FitResult:  # fmt: skip
-    layout = whole.layout
-    best = minima[0]
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Minima, those worth listing, beside each other."""
+
+    minima: list[Minimum]
+    as_good: list[bool]
+    statements: tuple[ParameterIdentifiability, ...]
+    n_different: int
+    residual: Array
+    J: Array
+    is_as_good: Callable[[float, float], bool]
+
+
+def _judge(
+    whole: Evaluator,
+    rgb: FitSamples,
+    metric: Metric,
+    minima: list[Minimum],
+    noise: float,
+    tried: TriedDefaults,
+) -> _Judged:
+    """Which minima are as good as the first, and how well the samples determine its values."""
+    layout, best = whole.layout, minima[0]
     residual, J = Residuals(whole, rgb, metric).by_parameter(best.p)
     variance = identifiability.residual_variance(residual, layout.size, _noise_variance(rgb, metric, noise))
 
@@ -235,11 +262,26 @@ def _result(
     minima = gauss_newton.listed(minima, is_as_good)
     as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
-    statements = identifiability.identify_parameters(layout, best.p, J, variance, others)
+    statements = identifiability.identify_parameters(layout, best.p, J, variance, others, tried.kept)
+    statements = tuple(
+        replace(s, state=identifiability.UNCERTAIN) if refused and s.state == identifiability.UNSEEN else s
+        for s, refused in zip(statements, tried.refused, strict=True)
+    )
     n_different = sum(identifiability.is_different(layout, best.p, p, statements) for p in others)
-    step, cost = identifiability.gauss_newton_step(layout, best.p, residual, J)
+    return _Judged(minima, as_good, statements, n_different, residual, J, is_as_good)
+
+
+def _result(
+    family: BsdfFamily, samples: FitSamples, rgb: FitSamples, whole: Evaluator, metric: Metric,
+    minima: list[Minimum], noise: float, tried: TriedDefaults, **known: Any,
+) -> FitResult:  # fmt: skip
+    layout, best = whole.layout, minima[0]
+    judged = _judge(whole, rgb, metric, minima, noise, tried)
+    statements = judged.statements
+    step, cost = identifiability.gauss_newton_step(layout, best.p, judged.residual, judged.J)
+    step[tried.kept] = 0.0
     most = int(np.argmax(np.abs(step) / layout.tolerance))
-    is_minimum = is_as_good(best.cost, cost) or np.abs(step[most]) <= layout.tolerance[most]
+    is_minimum = judged.is_as_good(best.cost, cost) or np.abs(step[most]) <= layout.tolerance[most]
     norm = fit_metrics.norm(rgb, metric)
     diffuse = np.sqrt(fit_metrics.best_diffuse(rgb, metric)[1]) / norm
     values = layout.split(best.p)
@@ -253,11 +295,11 @@ def _result(
         diffuse_residual=float(diffuse),
         minima=tuple(
             FittedMinimum(layout.split(one.p), float(np.sqrt(one.cost) / norm), good, one.converged)
-            for one, good in zip(minima, as_good, strict=True)
+            for one, good in zip(judged.minima, judged.as_good, strict=True)
         ),
         statements=statements,
         notes=tuple(
-            _notes(family, values, statements, n_different, residuals[metric.name], float(diffuse))
+            _notes(family, values, statements, judged.n_different, residuals[metric.name], float(diffuse))
             + [
                 f"not a minimum of the {metric.name} residual: a Gauss-Newton step moves "
                 f"{layout.labels[most]} by {step[most]:+.3f}; use --method gauss-newton"
@@ -284,9 +326,12 @@ def _notes(
         notes.append(f"at the end of the range: {', '.join(ends)}")
     if n_others:
         notes.append(f"ambiguous: {n_others + 1} solutions fit equally well within the noise; all are listed")
-    unknown = [s.name for s in statements if s.state == identifiability.UNSEEN]
+    unknown = [s.name for s in statements if s.state == identifiability.UNSEEN and not s.is_kept]
     if unknown:
         notes.append(f"not determined by the data: {', '.join(unknown)}")
+    kept = [s.name for s in statements if s.is_kept]
+    if kept:
+        notes.append(f"not determined by the data, left at the defaults: {', '.join(kept)}")
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     if residual > _POOR_FIT:

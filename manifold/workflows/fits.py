@@ -39,13 +39,14 @@ class FitSettings:
     """How to fit.
 
     Attributes:
-        family, method, metric, noise: as in `principled.fit_bsdf`.
+        family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
     """
 
     family: BsdfFamily | None = None
     method: str = "gauss-newton"
     metric: str = "cube-root"
     noise: float = 0.01
+    wide_colours: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS or self.metric not in METRICS:
@@ -61,7 +62,10 @@ class FitSettings:
     def made(self, content: dict[str, Any]) -> bool:
         """Whether a written fit was asked for in the same way, of the same version of this program."""
         wanted = asdict(METHODS[self.method]()) | {"noise": self.noise}
-        families = [principled(), diffuse()] if self.family is None else [self.family]
+        wide = self.wide_colours
+        families = [] if self.family is None else [self.family]
+        if self.family is None:
+            families = [principled(wide_colours=wide), diffuse(wide_colours=wide)]
         return (
             content["program"] == fit_json.PROGRAM
             and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]
@@ -105,7 +109,7 @@ def read_family(path: Path) -> BsdfFamily:
         raise UsageError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
-def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
+def family_of(names: str | None, path: Path | None, *, wide_colours: bool = False) -> BsdfFamily | None:
     """`principled` with the named parameters (commas between) free, or the family of a file; not both.
 
     None where neither is given, which `principled.fit_bsdf` decides.
@@ -113,13 +117,19 @@ def family_of(names: str | None, path: Path | None) -> BsdfFamily | None:
     Raises:
         UsageError: both are given, or one cannot be used.
     """
+    if path is not None and wide_colours:
+        raise UsageError(
+            "--wide-colours and --bsdf cannot be used together: a described BSDF names its ranges"
+        )
     if names is not None and path is not None:
         raise UsageError(
             "--free and --bsdf cannot be used together: a described BSDF names its free parameters"
         )
     if path is not None:
         return read_family(path)
-    return None if names is None else principled([name.strip() for name in names.split(",")])
+    if names is None:
+        return None
+    return principled([name.strip() for name in names.split(",")], wide_colours=wide_colours)
 
 
 def find_files(sources: Sequence[Path]) -> list[Path]:
@@ -285,8 +295,9 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
 
 def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:
     return fit_bsdf(
-        samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise
-    )
+        samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise,
+        wide_colours=settings.wide_colours,
+    )  # fmt: skip
 
 
 def _written(outcome: FitOutcome) -> FitOutcome:

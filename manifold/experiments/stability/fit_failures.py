@@ -182,7 +182,7 @@ def _colour(method: str) -> Trial:
         bands = Bands(tuple(nm))
         green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))
         values = {"base_color": green, "roughness": 0.6}
-        family = principled(values)
+        family = principled(values, wide_colours=True)
         f = _values(family, values, _dense(), 31) / _dense()[1][:, 2:]
         found = fit_bsdf(FitSamples.from_arrays(*_dense(), f, bands=bands), family, method=method)
         error = np.abs(np.array(found.values["base_color"]) - to_srgb(green, bands)).max()

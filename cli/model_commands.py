@@ -272,23 +272,14 @@ def predict(
 
 def show_prediction(results: terminal.Results, made: Prediction) -> None:
     """Print what is known of a prediction."""
-    physical = made.plausibility
     rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
     if made.colour is not None:
         rows["colour"] = made.colour
     rows |= {
-        "uncertainty": f"{made.std:.3f} (posterior over prior standard deviation)",
-        "nearest": [f"{name} ({distance:.2f})" for name, distance in made.nearest],
         "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
-        "negative values": "none"
-        if not made.clipped_share
-        else f"{made.clipped_share:.2%}, zero in the file",
-        "reciprocity error": f"{physical.reciprocity_error:.2%}",
-        "largest albedo": f"{physical.max_albedo:.3f} (incidences to 85 degrees)",
+        "negative values": f"{made.clipped_share:.2%}, zero in the file" if made.clipped_share else "none",
         "time": f"{made.seconds:.2f} s after loading",
-    }
-    if made.diagnostics:
-        rows["diagnostics"] = list(made.diagnostics)
+    } | made.diagnosis.rows
     results.rows(f"Predicted {made.path}", rows)
 
 
@@ -300,14 +291,19 @@ def locate(
 ) -> None:
     """Embed a new material: its latent on the fitted manifold, and its colours in the JSON."""
     from manifold.model import located
+    from manifold.model.diagnostics import in_words
 
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
         found = located.locate(model, path, library=library, on_progress=step)
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
-        "reconstruction error": f"{found.relative_error:.3g} (relative)",
-        "uncertainty": f"{found.std:.3f} (posterior over prior standard deviation)",
+        "reconstruction error": [
+            f"{found.ball:.1f} CIEDE2000 of the ball",
+            f"{found.cube_root_error:.0%} of cube roots",
+            f"{found.relative_error:.0%} linear",
+        ],
+        "expected error there": in_words(found.expected_ball, found.expected_cube_root),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
     }
     if found.diagnostics:

@@ -63,7 +63,7 @@ def latent_map(
     output: PictureOption = Path("map.png"),
     json: JsonOption = None,
 ) -> None:
-    """Draw the first two latent dimensions: every material as a rendered ball, over the uncertainty.
+    """Draw the first two latent dimensions: every material as a rendered ball, over the expected error.
 
     Balls are rendered once and remembered by the library.
     """

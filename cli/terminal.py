@@ -117,7 +117,9 @@ class Results:
 def _row(head: str, value: object) -> str:
     if not isinstance(value, list):
         return f"{head}{value}"
-    items = [str(item).replace(" ", "\0") for item in value]  # lines break between items only
+    room = _WIDTH - len(head)
+    # Lines break between items only, unless an item is longer than a line.
+    items = [text if len(text) > room else text.replace(" ", "\0") for text in map(str, value)]
     broken = textwrap.fill(
         ", ".join(items), _WIDTH, initial_indent=head, subsequent_indent=" " * len(head),
         break_long_words=False, break_on_hyphens=False, drop_whitespace=True,

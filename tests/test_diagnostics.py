@@ -18,7 +18,7 @@ def test_a_sound_result_has_no_diagnostics():
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((True, SOUND), "extrapolated"),
+        ((True, SOUND), "not supported by the data"),
         ((False, Plausibility(0.2, 0.0, 0.9)), "20 % of the values were negative"),
         ((False, Plausibility(0.0, 0.0, 3.0)), "directional albedo 3.00"),
         ((False, Plausibility(0.0, 0.6, 0.9)), "differ by 60 %"),

@@ -121,10 +121,10 @@ def test_running_the_demo_again_keeps_what_is_there(demo, monkeypatch):
 def test_a_prediction_at_a_material_is_that_material(tmp_path):
     model = Manifold.load(small_model(tmp_path))
     made = predict(model, model.latent("syn_satin_gold"), tmp_path / "same_rgb.bsdf")
-    assert made.std == 0.0
+    assert made.diagnosis.expected_ball == 0.0
     assert made.weights == (("syn_satin_gold", 1.0),)
-    assert made.nearest[0] == ("syn_satin_gold", 0.0)
-    assert not made.is_extrapolation
+    assert made.diagnosis.nearest[0] == ("syn_satin_gold", 0.0)
+    assert not made.diagnosis.is_extrapolation
 
 
 def test_predictions_go_into_bsdf_files_only(tmp_path):

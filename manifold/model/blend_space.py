@@ -198,27 +198,41 @@ class PlaceSearch:
         self._decoded = vertices @ (samples * weight)  # [N, K, P]
         self._gram = np.einsum("nkp,mkp->knm", self._decoded, self._decoded, optimize=True)
 
-    def find(self, target: Array, bands: Array) -> tuple[Array, Array]:
+    def find(self, target: Array, bands: Array, without: int | None = None) -> tuple[Array, Array]:
         """Place (Q,), and path coordinates and gains of all bands, (2, B).
 
         Args:
             target: cube roots of the material in all bands, shape (B, P).
             bands: of these, which serve to find the place.
+            without: a material of the map that is left out.
         """
+        used = np.arange(len(self._X))
+        if without is not None:
+            used = np.delete(used, without)
         weighted = target * self._weight
-        cross = np.einsum("nkp,bp->nkb", self._decoded, weighted, optimize=True)
-        x = self._place(cross[..., bands], np.sum(weighted[bands] ** 2, axis=1))
-        inner, squared = self._products(x, cross)
-        k = np.argmax(inner**2 / squared, axis=0)
-        return x, np.stack([self._grid[k], inner[k, np.arange(len(k))] / squared[k, 0]])
+        cross = np.einsum("nkp,bp->nkb", self._decoded, weighted, optimize=True)[used]
+        found = _BestPlace(self._X[used], self._l, cross, self._gram[:, used][:, :, used])
+        x = found.place(bands, float(np.sum(weighted[bands] ** 2)))
+        k, gains = found.coordinates(x)
+        return x, np.stack([self._grid[k], gains])
 
-    def _place(self, cross: Array, norm: Array) -> Array:
-        """The place (Q,) with the least squared residual."""
+
+class _BestPlace:
+    """Places of N materials, products of their paths at K coordinates with a target (N, K, B), and with each other."""
+
+    def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:
+        self._X, self._l, self._cross = X, length_scale, cross.reshape(len(X), -1)
+        self._n_bands = cross.shape[2]
+        self._rows = gram.reshape(-1, len(X))  # [K N, N]
+
+    def place(self, bands: Array, norm: float) -> Array:
+        """The place (Q,) with the least squared residual in some bands, whose squared norm is given."""
         X = self._X
 
         def residual(x: Array) -> float:
-            inner, squared = self._products(x, cross)
-            return float(np.sum(norm - np.max(inner**2 / squared, axis=0)))
+            inner, squared = self._products(x)
+            inner = inner[:, bands]
+            return norm - float(np.sum(np.max(inner**2 / squared, axis=0)))
 
         rng = np.random.default_rng(0)
         count = min(3, len(X))
@@ -234,10 +248,15 @@ class PlaceSearch:
         ]  # fmt: skip
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
-    def _products(self, x: Array, cross: Array) -> tuple[Array, Array]:
+    def coordinates(self, x: Array) -> tuple[Array, Array]:
+        """Which coordinate is best at a place x (Q,), per band, and the gain there, (B,) each."""
+        inner, squared = self._products(x)
+        k = np.argmax(inner**2 / squared, axis=0)
+        return k, inner[k, np.arange(len(k))] / squared[k, 0]
+
+    def _products(self, x: Array) -> tuple[Array, Array]:
         """Products of a blend at all coordinates with the target, (K, B), at least 0, and squared norms (K, 1)."""
         u = blend_weights(x[None], self._X, self._l)[0]
-        used = np.flatnonzero(u)
-        inner = np.maximum(np.tensordot(u[used], cross[used], axes=1), 0.0)
-        squared = np.einsum("knm,n,m->k", self._gram[:, used][:, :, used], u[used], u[used])
+        inner = np.maximum(u @ self._cross, 0.0).reshape(-1, self._n_bands)
+        squared = (self._rows @ u).reshape(-1, len(u)) @ u
         return inner, np.maximum(squared, 1e-12)[:, None]

@@ -44,6 +44,14 @@ class CurveSpace(LatentSpace):
         """The same latents under another kernel."""
         return replace(self, kernel=kernel)
 
+    def without(self, material: int) -> CurveSpace:
+        """The same curves less that of one material."""
+        X, own, colours, reflectances = (
+            np.delete(values, material, axis=0)
+            for values in (self.X, self.sample_colours, self.colours, self.reflectances)
+        )
+        return replace(self, X=X, sample_colours=own, colours=colours, reflectances=reflectances)
+
     @property
     def arrays(self) -> dict[str, Array]:
         """What a file has to hold, by name."""

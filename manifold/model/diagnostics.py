@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import Any
+
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility
+from manifold.model.manifold import Manifold
+from manifold.records import Array
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
@@ -13,19 +18,104 @@ MOST_UNMEASURED = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
 
 
-def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0.0) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a user should know of a prediction before trusting it.
+
+    Attributes:
+        expected_ball: error to expect, mean CIEDE2000 of the ball; None where the model is not calibrated.
+        expected_cube_root: the same, relative error of cube roots.
+        is_extrapolation: whether the data do not support the place.
+        nearest: the three nearest materials with their distances.
+        reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
+        plausibility: measured on the prediction, or on the file that was written.
+        diagnostics: what speaks against it, in sentences.
+    """
+
+    expected_ball: float | None
+    expected_cube_root: float | None
+    is_extrapolation: bool
+    nearest: tuple[tuple[str, float], ...]
+    reflectance_missed: float
+    plausibility: Plausibility
+    diagnostics: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return vars(self) | {"plausibility": vars(self.plausibility)}
+
+    @property
+    def rows(self) -> dict[str, object]:
+        """Labels and values for a terminal."""
+        physical = self.plausibility
+        rows: dict[str, object] = {
+            "expected error": in_words(self.expected_ball, self.expected_cube_root),
+            "nearest": [f"{name} ({distance:.2f})" for name, distance in self.nearest],
+            "reciprocity error": f"{physical.reciprocity_error:.2%}",
+            "largest albedo": f"{physical.max_albedo:.3f}",
+        }
+        return rows | ({"diagnostics": list(self.diagnostics)} if self.diagnostics else {})
+
+
+def diagnose(
+    model: Manifold,
+    x: Array,
+    found: Plausibility,
+    *,
+    colours: Array | None = None,
+    missed: float = 0.0,
+    negative_share: float | None = None,
+) -> Diagnosis:
+    """What is to be known of the prediction at a latent x (Q,).
+
+    Args:
+        model: that predicts.
+        x: where.
+        found: what was measured on the prediction.
+        colours: of it.
+        missed: largest distance over bands of the reflectance asked for from the one reached.
+        negative_share: of the values before they were cut to 0, where they were.
+    """
+    expected, nearest = model.expected_error(x, colours), tuple(model.nearest(x, 3))
+    is_extrapolation = bool(model.is_extrapolation(x, colours))
+    ball, cube_root = (None, None) if expected is None else (float(expected.ball), float(expected.cube_root))
+    why = f"the nearest material is {nearest[0][1]:.1f} length scales away"
+    if ball is not None:
+        why += f", the error to expect {ball:.0f} CIEDE2000 of the ball"
+    negative = found.negative_share if negative_share is None else negative_share
+    sentences = of_prediction(is_extrapolation, replace(found, negative_share=negative), missed, why)
+    return Diagnosis(
+        ball, cube_root, is_extrapolation, nearest, missed, found, sentences + of_unmeasured(model.unmeasured_share(x))
+    )  # fmt: skip
+
+
+def in_words(ball: float | None, cube_root: float | None) -> list[str]:
+    """An expected error for a terminal."""
+    if ball is None or cube_root is None:
+        return ["unknown: embed four materials or more with this version"]
+    if ball == 0.0 and cube_root == 0.0:
+        return ["none: a measured material"]
+    return [
+        f"{ball:.1f} CIEDE2000 of the ball",
+        f"{cube_root:.0%} of cube roots",
+        "nine in ten below twice that",
+    ]
+
+
+def of_prediction(
+    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "the data say little here"
+) -> tuple[str, ...]:
     """Of a prediction.
 
     Args:
-        is_extrapolation: whether the data say little there.
+        is_extrapolation: whether the data do not support it.
         found: what was measured on it.
         missed: largest distance over bands of the reflectance asked for from the one reached.
+        why: the data do not support it.
     """
     diagnostics = []
     if is_extrapolation:
-        diagnostics.append(
-            "extrapolated: posterior variance over half of the prior's; stay nearer to the materials"
-        )
+        diagnostics.append(f"not supported by the data: {why}; stay nearer to the materials")
     if found.negative_share > MOST_NEGATIVE:
         diagnostics.append(
             f"{100.0 * found.negative_share:.2g} % of the values were negative; the data do not support this point"
@@ -46,9 +136,9 @@ def of_prediction(is_extrapolation: bool, found: Plausibility, missed: float = 0
     return tuple(diagnostics)
 
 
-def of_projection(found: Plausibility | None) -> tuple[str, ...]:
-    """Of a file that was to be physical, by what was measured on it; of none, nothing."""
-    if found is None or found.reciprocity_error <= RECIPROCITY_ERROR:
+def of_projection(found: Plausibility) -> tuple[str, ...]:
+    """Of a file that was to be physical, by what was measured on it."""
+    if found.reciprocity_error <= RECIPROCITY_ERROR:
         return ()
     return (
         f"not reciprocal: the file's f(wi, wo) and f(wo, wi) still differ by {100.0 * found.reciprocity_error:.0f} %, "

@@ -9,8 +9,11 @@ from typing import Any
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.colour import ball_colours
 from manifold.io_rgl import read_bsdf
+from manifold.metrics import cube_root_error
 from manifold.model import diagnostics
+from manifold.model.decoding import encoding_pairs
 from manifold.model.manifold import Manifold
 from manifold.records import Progress
 
@@ -24,8 +27,11 @@ class Located:
         latent: shape (Q,).
         coordinates: the same, in digits that give the prediction there back.
         colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents carry them.
-        relative_error: of the reconstruction there.
-        std: posterior standard deviation there, as a fraction of the prior's.
+        relative_error: of the reconstruction there, linear.
+        cube_root_error: of its cube roots.
+        ball: mean CIEDE2000 of its ball.
+        expected_ball: what is to be expected of the ball there; None where the model is not calibrated.
+        expected_cube_root: the same of cube roots.
         nearest: the three nearest materials with their distances.
         diagnostics: what speaks against it.
     """
@@ -35,7 +41,10 @@ class Located:
     coordinates: tuple[str, ...]
     colours: list[Any] | None
     relative_error: float
-    std: float
+    cube_root_error: float
+    ball: float
+    expected_ball: float | None
+    expected_cube_root: float | None
     nearest: tuple[tuple[str, float], ...]
     diagnostics: tuple[str, ...]
 
@@ -59,13 +68,24 @@ def locate(
     loaded = Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = loaded.embed(brdf)
+    predicted, expected = (
+        loaded.predict(found.latent, found.colours),
+        loaded.expected_error(found.latent, found.colours),
+    )
+    pairs, ball = encoding_pairs(), ball_colours.ball()
+    f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
     return Located(
         path=path,
         latent=tuple(float(v) for v in found.latent),
         coordinates=loaded.space.printed(found.latent),
         colours=None if found.colours is None else found.colours.tolist(),
         relative_error=found.relative_error,
-        std=float(loaded.std(found.latent, found.colours)),
+        cube_root_error=cube_root_error(f, f_star, pairs.cosines),
+        ball=ball_colours.delta_e(
+            *(ball.xyz(each.eval(ball.wi, ball.wo), loaded.bands) for each in (brdf, predicted))
+        ),
+        expected_ball=None if expected is None else float(expected.ball),
+        expected_cube_root=None if expected is None else float(expected.cube_root),
         nearest=tuple(loaded.nearest(found.latent, 3)),
         diagnostics=diagnostics.of_embedding(found.relative_error)
         + diagnostics.of_unmeasured(unmeasured_share(file, cells)),

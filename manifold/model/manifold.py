@@ -19,6 +19,7 @@ from manifold.model.decoding import encoder_at
 from manifold.model.fitting import fit_space
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import Place, require_latent, require_latents
+from manifold.model.left_out import LEAST_MATERIALS, ExpectedErrors, LeftOut, leave_out
 from manifold.model.materials import MaterialCache
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
@@ -47,6 +48,7 @@ class Manifold:
         space: latents and the Gaussian process on them.
         settings: how it was fitted.
         statistics: objective at start and end.
+        left_out: what becomes of materials that are left out, if that was found; see `calibrate`.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Manifold:
         space: LatentSpace,
         settings: Settings,
         statistics: dict[str, float],
+        left_out: LeftOut | None = None,
     ) -> None:
         """Use `fit` or `load`."""
         self.materials = materials
@@ -62,6 +65,7 @@ class Manifold:
         self.space = space
         self.settings = settings
         self.statistics = statistics
+        self.left_out = left_out
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -155,8 +159,39 @@ class Manifold:
         return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
 
     def is_extrapolation(self, x: Array, colours: Array | None = None) -> Array:
-        """Whether the posterior variance at x is over half of the prior's: the data say little there."""
-        return self._at(x, lambda X: self.space.variance_fraction(X, colours) > EXTRAPOLATION)
+        """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
+
+        Of a model that is not calibrated: whether the posterior variance is over half of the prior's.
+        """
+
+        def is_unsupported(X: Array) -> Array:
+            if len(X) == 1 and self.space.training_index(X[0], colours) is not None:
+                return np.zeros(1, dtype=bool)
+            if self.left_out is not None:
+                return self.left_out.is_unsupported(X)
+            return self.space.variance_fraction(X, colours) > EXTRAPOLATION
+
+        return self._at(x, is_unsupported)
+
+    def calibrate(self, on_progress: Progress | None = None) -> None:
+        """Leave every material out once, in seconds to minutes: afterwards the model knows what errors to expect.
+
+        Models of fewer than four materials stay as they are.
+        """
+        if len(self.names) >= LEAST_MATERIALS:
+            self.left_out = leave_out(self.space, self.materials, self.settings, on_progress)
+
+    def expected_error(self, x: Array, colours: Array | None = None) -> ExpectedErrors | None:
+        """How wrong predictions at latents x (M, Q) or (Q,) are expected to be; None where it is not calibrated.
+
+        0 at a material's own place, where the prediction is its file.
+        """
+        if self.left_out is None:
+            return None
+        x = require_latents(x, self.settings.latent_dim)
+        if x.ndim == 1 and self.space.training_index(x, colours) is not None:
+            return ExpectedErrors(np.zeros(()), np.zeros(()))
+        return self.left_out.expected(x)
 
     def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""
@@ -293,8 +328,9 @@ class Manifold:
             UsageError: the file cannot be written.
         """
         library, settings = self.library, dict(vars(self.settings))
+        arrays = self.space.arrays | ({} if self.left_out is None else self.left_out.arrays)
         record = ModelRecord(
-            library.path, library.content_hash, self.names, settings, self.statistics, self.space.arrays
+            library.path, library.content_hash, self.names, settings, self.statistics, arrays
         )
         write_model(Path(path), record)
 
@@ -314,7 +350,7 @@ class Manifold:
         path = Path(path)
         stored = read_model(path)
         library = open_library(path, stored, library)
-        settings, space = restore(path, stored, library)
+        settings, space, left_out = restore(path, stored, library)
         if library.content_hash != stored.library_hash:
             warnings.warn(
                 f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
@@ -327,4 +363,5 @@ class Manifold:
             space,
             settings,
             stored.statistics,
+            left_out,
         )

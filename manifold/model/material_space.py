@@ -40,6 +40,11 @@ class MaterialSpace(LatentSpace):
         """The same latents under another kernel."""
         return replace(self, kernel=kernel)
 
+    def without(self, material: int) -> MaterialSpace:
+        """The same latents less that of one material."""
+        others = np.delete(np.arange(len(self.X)), material)
+        return replace(self, X=self.X[others], S=self.S[np.ix_(others, others)])
+
     @property
     def arrays(self) -> dict[str, Array]:
         """What a file has to hold, by name."""

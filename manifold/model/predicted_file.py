@@ -15,6 +15,7 @@ from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
@@ -33,15 +34,10 @@ class Prediction:
         coordinates: the same, in digits that give the prediction back.
         path: the written file.
         colour: where the colour comes from, in words; None where the latent carries it.
-        reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
         is_physical: whether it was projected to be reciprocal and to return no more light than it gets.
-        std: posterior standard deviation as a fraction of the prior's, 0 to 1.
-        is_extrapolation: whether the data say little at this latent.
-        nearest: the three nearest materials with their distances.
         weights: the materials with the largest weights, by magnitude, in this colour.
-        plausibility: of the written file, read back.
         clipped_share: share of the predicted values that were negative, and are zero in the file.
-        diagnostics: what a user should know before trusting it, in sentences.
+        diagnosis: errors to expect, what was measured on the file as it was written, and what speaks against it.
         seconds: evaluating, checking and writing, without loading the library.
     """
 
@@ -49,21 +45,26 @@ class Prediction:
     coordinates: tuple[str, ...]
     path: Path
     colour: str | None
-    reflectance_missed: float
     is_physical: bool
-    std: float
-    is_extrapolation: bool
-    nearest: tuple[tuple[str, float], ...]
     weights: tuple[tuple[str, float], ...]
-    plausibility: Plausibility
     clipped_share: float
-    diagnostics: tuple[str, ...]
+    diagnosis: Diagnosis
     seconds: float
+
+    @property
+    def plausibility(self) -> Plausibility:
+        """Of the written file."""
+        return self.diagnosis.plausibility
+
+    @property
+    def diagnostics(self) -> tuple[str, ...]:
+        """What speaks against it, in sentences."""
+        return self.diagnosis.diagnostics
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
-        content = dict(vars(self))
-        content |= {"path": str(self.path), "plausibility": vars(self.plausibility)}
+        content = dict(vars(self)) | {"path": str(self.path)} | self.diagnosis.to_json()
+        del content["diagnosis"]
         return {"program": f"manifold {__version__}", **content}
 
 
@@ -127,25 +128,21 @@ def predict(
         )
     write_bsdf(output, file)
     seconds = time.perf_counter() - start
-    is_extrapolation = bool(model.is_extrapolation(x, chosen.colours))
+    diagnosis = diagnostics.diagnose(
+        model, x, found, colours=chosen.colours, missed=chosen.missed, negative_share=clipped.clipped_share
+    )
+    if physical:
+        sentences = diagnosis.diagnostics + diagnostics.of_projection(found)
+        diagnosis = replace(diagnosis, diagnostics=sentences)
     return Prediction(
         latent=tuple(float(v) for v in x),
         coordinates=model.space.printed(x),
         path=output,
         colour=chosen.words,
-        reflectance_missed=chosen.missed,
         is_physical=physical,
-        std=float(model.std(x, chosen.colours)),
-        is_extrapolation=is_extrapolation,
-        nearest=tuple(model.nearest(x, 3)),
         weights=tuple(model.largest_weights(x, 5, chosen.colours)),
-        plausibility=found,
         clipped_share=clipped.clipped_share,
-        diagnostics=diagnostics.of_prediction(
-            is_extrapolation, replace(found, negative_share=clipped.clipped_share), chosen.missed
-        )
-        + diagnostics.of_projection(found if physical else None)
-        + diagnostics.of_unmeasured(model.unmeasured_share(x)),
+        diagnosis=diagnosis,
         seconds=seconds,
     )
 

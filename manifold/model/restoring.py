@@ -8,6 +8,7 @@ from pathlib import Path
 from manifold.errors import LibraryError, UsageError
 from manifold.library.store import Library
 from manifold.model.latent_space import LatentSpace
+from manifold.model.left_out import LeftOut
 from manifold.model.model_file import ModelRecord, damaged
 from manifold.model.settings import Settings
 from manifold.model.spaces import SPACES
@@ -45,8 +46,10 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
     return library
 
 
-def restore(path: Path, stored: ModelRecord, library: Library) -> tuple[Settings, LatentSpace]:
-    """Settings and latent space of a model file.
+def restore(
+    path: Path, stored: ModelRecord, library: Library
+) -> tuple[Settings, LatentSpace, LeftOut | None]:
+    """Settings, latent space, and errors of left-out materials of a model file.
 
     Raises:
         ModelError: they do not fit each other, or the library.
@@ -57,6 +60,7 @@ def restore(path: Path, stored: ModelRecord, library: Library) -> tuple[Settings
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
+        left_out = LeftOut.from_arrays(stored.arrays, space)
     except (KeyError, TypeError, ValueError, IndexError, UsageError) as error:
         raise damaged(path, error) from error
-    return settings, space
+    return settings, space, left_out

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import new_figure
-from manifold.plots.plot_latents import MARK, draw_uncertainty, latent_axes, two_dimensions
+from manifold.plots.plot_latents import MARK, draw_expected_error, latent_axes, two_dimensions
 from manifold.records import Array
 
 _BALL_POINTS = 30.0  # diameter of a ball on the map
@@ -27,7 +27,7 @@ _GAP = 1.06  # of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """The first two latent dimensions: every material as a ball, over the uncertainty.
+    """The first two latent dimensions: every material as a ball, over the expected error.
 
     Balls that would cover each other are moved apart, with a line to where they belong.
 
@@ -47,7 +47,7 @@ def ball_map(
         names.append("predicted")
         shown.append(marked_image)
     if model.settings.latent_dim == 2:
-        draw_uncertainty(figure, axes, model)
+        draw_expected_error(figure, axes, model)
     else:
         axes.scatter(X[:, 0], X[:, 1], s=0)
         axes.margins(0.15)
@@ -133,7 +133,7 @@ def walk_strip(
         if is_doubtful:
             axes.set_title("!", fontsize=11, color=MARK, fontweight="bold", pad=1.0)
     if any(doubtful):
-        figure.supxlabel("! diagnosed: negative values, albedo above 1, not reciprocal, or extrapolated",
+        figure.supxlabel("! diagnosed: negative values, albedo above 1, not reciprocal, or not supported",
                          fontsize=9, color=MARK)  # fmt: skip
     return figure
 

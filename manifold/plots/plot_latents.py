@@ -1,11 +1,12 @@
-"""The latent map: materials as dots in the colours they have, over the uncertainty of predictions."""
+"""The latent map: materials as dots in the colours they have, over the expected error of predictions."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from manifold.colour.conversion import encode_srgb, to_srgb
@@ -17,12 +18,13 @@ from manifold.records import Array
 _DOT_POINTS = 10.5  # diameter of a material
 MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
+_BALL_RANGE, _BALL_TICKS = (0.5, 16.0), (0.5, 1, 2, 4, 8, 16)  # CIEDE2000; 1 is about the least that is seen
 _GRID = 120  # background samples per axis
 _MARGIN = 0.18  # of the range of the latents, around them
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
-    """The first two latent dimensions: materials in their own colours over the uncertainty.
+    """The first two latent dimensions: materials in their own colours over the expected error.
 
     Args:
         model: a fitted manifold; one dimension is drawn along a line.
@@ -32,7 +34,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     axes = figure.add_subplot()
     X = two_dimensions(model.X)
     if model.settings.latent_dim == 2:
-        draw_uncertainty(figure, axes, model)
+        draw_expected_error(figure, axes, model)
     colours = _material_colours(model)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
     names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
@@ -52,7 +54,7 @@ def latent_axes(axes: Axes, model: Manifold) -> None:
     kind = "synthetic materials" if synthetic else "measured materials"
     title = f"Material manifold: {len(model.names)} {kind}, {model.bands}"
     title += f"; 2 of {dims} dimensions" if dims > 2 else "; one dimension" if dims == 1 else ""
-    axes.set_title(title + " (uncertainty is drawn for two only)" * (dims != 2), fontsize=12)
+    axes.set_title(title + " (expected errors are drawn for two only)" * (dims != 2), fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")
     if dims > 1:
         axes.set_ylabel("latent $x_2$ (length scales)")
@@ -65,19 +67,40 @@ def two_dimensions(X: Array) -> Array:
     return X[:, :2] if X.shape[1] > 1 else np.column_stack([X[:, 0], np.zeros(len(X))])
 
 
-def draw_uncertainty(figure: Figure, axes: Axes, model: Manifold) -> None:
-    """The posterior standard deviation as the ground of a two-dimensional map, with its colour bar."""
+def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
+    """The expected error as the ground of a two-dimensional map, with its colour bar; the posterior's share of the
+    prior's standard deviation, of a model that is not calibrated. Hatched where the data do not support predictions.
+    """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)
     x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], _GRID) for k in (0, 1))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    std = model.std(points).reshape(_GRID, _GRID)
+    expected = model.expected_error(points)
+    if expected is None:
+        ground, norm, words = (
+            model.std(points),
+            Normalize(0.0, 1.0),
+            "posterior over prior standard deviation",
+        )
+    else:
+        ground, norm = expected.ball, LogNorm(*_BALL_RANGE, clip=True)
+        words = "expected error of a prediction: mean CIEDE2000 of its ball"
     image = axes.imshow(
-        std, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto", interpolation="bilinear",
-        cmap=_UNCERTAINTY, vmin=0.0, vmax=1.0,
+        ground.reshape(_GRID, _GRID), extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto",
+        interpolation="bilinear", cmap=_UNCERTAINTY, norm=norm,
     )  # fmt: skip
-    bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.04)
-    bar.set_label("posterior over prior standard deviation")
+    bar = figure.colorbar(
+        image, ax=axes, pad=0.015, fraction=0.04, extend="neither" if expected is None else "both"
+    )
+    bar.set_label(words)
+    if expected is not None:
+        bar.set_ticks(_BALL_TICKS, labels=[f"{tick:g}" for tick in _BALL_TICKS])
+    unsupported = model.is_extrapolation(points).reshape(_GRID, _GRID).astype(float)
+    if unsupported.any():
+        hatched = axes.contourf(x, y, unsupported, levels=[0.5, 1.5], colors="none", hatches=["//"])
+        hatched.set(edgecolor="0.45", linewidth=0.0)
+        legend = Patch(facecolor="none", edgecolor="0.45", hatch="//", label="not supported by the data")
+        axes.legend(handles=[legend], loc="lower right", fontsize=8, framealpha=0.9)
     axes.set_xlim(x[0], x[-1])
     axes.set_ylim(y[0], y[-1])
 

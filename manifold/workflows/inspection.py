@@ -185,6 +185,8 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "bands": str(model.bands),
         "kind": "monochrome: structure on the map, a colour per band"
         if s.kind == "monochrome"
+        else "blends of whole materials"
+        if s.kind == "blend"
         else "whole materials",
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
@@ -194,9 +196,28 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
+    left_out = model.left_out
+    errors = None if left_out is None else np.column_stack([left_out.ball, left_out.cube_root])
+    if errors is not None:
+        low, high = np.quantile(errors, (0.5, 0.9), axis=0)
+        rows["left-out errors"] = [
+            f"median {low[0]:.1f}, 90th percentile {high[0]:.1f} CIEDE2000 of the ball",
+            f"{low[1]:.0%}, {high[1]:.0%} of cube roots",
+        ]
     table = Table(
-        ("material", *(f"x{k + 1}" for k in range(s.latent_dim))),
-        tuple((name, *model.space.printed(row)) for name, row in zip(model.names, model.X, strict=True)),
+        (
+            "material",
+            *(f"x{k + 1}" for k in range(s.latent_dim)),
+            *(("left out: ball", "cube root") if errors is not None else ()),
+        ),
+        tuple(
+            (
+                name,
+                *model.space.printed(row),
+                *(() if errors is None else (f"{errors[k, 0]:.1f}", f"{errors[k, 1]:.0%}")),
+            )
+            for k, (name, row) in enumerate(zip(model.names, model.X, strict=True))
+        ),
     )
     document = {
         "path": str(path),
@@ -204,5 +225,11 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "settings": dict(vars(s)),
         "statistics": model.statistics,
         "latents": {name: [float(v) for v in row] for name, row in zip(model.names, model.X, strict=True)},
+        "left_out": None
+        if errors is None
+        else {
+            name: {"ball": float(e[0]), "cube_root": float(e[1])}
+            for name, e in zip(model.names, errors, strict=True)
+        },
     }
     return Inspection(f"{path}: manifold model", rows, document, (table,))

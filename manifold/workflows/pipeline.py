@@ -71,6 +71,8 @@ def embed(
             )
     with stage("Embedding") as step:
         fitted = Manifold.fit(opened, settings, step)
+    with stage("Leaving each material out") as step:
+        fitted.calibrate(step)
     fitted.save(model)
     return Embedding(fitted, tuple(candidates))
 

@@ -1,0 +1,69 @@
+"""What error to expect of a prediction at a place, by the errors of materials that were left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from manifold.models.blending import blend_weights
+from manifold.records import Array
+
+LEAST_MATERIALS = 4
+"""Fewer tell nothing of each other."""
+
+BELOW_TWICE = 0.9
+"""Share of the left-out errors that are below twice the expected."""
+
+_FAR = 0.5  # power of the distance to the nearest material, in length scales, beyond which errors grow
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedError:
+    """`e(x) = c prod e_i^u_i(x) sqrt(hypot(1, d(x)))`: one number, `c`, is fitted.
+
+    The errors e_i of the materials around when they were left out, averaged in logarithms by the weights u of a blend,
+    and growing where the nearest material is farther than a length scale, by d.
+
+    Attributes:
+        X: places of the materials, shape (N, Q).
+        log_errors: logarithms of their errors when left out, shape (N,).
+        length_scale: of the weights.
+        log_factor: logarithm of c.
+    """
+
+    X: Array
+    log_errors: Array
+    length_scale: float
+    log_factor: float
+
+    @classmethod
+    def calibrate(
+        cls, X: Array, places: Array, errors: Array, length_scale: float, floor: float
+    ) -> ExpectedError:
+        """Fit c: the expected error of a left-out material is right in the median, and twice it is enough for 90 %.
+
+        Args:
+            X: places of the materials, shape (N, Q).
+            places: where each was found among the others when it was left out, shape (N, Q).
+            errors: its error there, shape (N,).
+            length_scale: of the map.
+            floor: smaller errors count as this one.
+        """
+        logs = np.log(np.maximum(errors, floor))
+        off = np.empty(len(X))
+        for i in range(len(X)):
+            others = np.delete(np.arange(len(X)), i)
+            off[i] = logs[i] - cls(X[others], logs[others], length_scale, 0.0)._log_at(places[i : i + 1])[0]
+        factor = max(float(np.median(off)), float(np.quantile(off, BELOW_TWICE)) - np.log(2.0))
+        return cls(X, logs, length_scale, factor)
+
+    def at(self, x: Array) -> Array:
+        """Expected errors at places x (M, Q), shape (M,)."""
+        return np.exp(self._log_at(x))
+
+    def _log_at(self, x: Array) -> Array:
+        u = blend_weights(x, self.X, self.length_scale)
+        nearest = cdist(x, self.X).min(axis=1) / self.length_scale
+        return self.log_factor + u @ self.log_errors + _FAR * np.log(np.hypot(1.0, nearest))

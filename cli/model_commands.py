@@ -227,7 +227,10 @@ def predict(
     ] = False,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Write it, too, where it returns more than 1.05 times its light."),
+        typer.Option(
+            "--force",
+            help="Write it where it returns more than 1.05 times its light, too, and over files of another kind.",
+        ),
     ] = False,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")

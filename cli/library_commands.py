@@ -72,6 +72,14 @@ def corpus(
     spectral: Annotated[
         bool, typer.Option("--spectral", help="With --neural: up-sample colours to 195 bands.")
     ] = False,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            help="Write instead what an instrument would say of each material, with its noise: ma-t12 (workbooks of "
+            "12 geometries) or mini-diff (ASTM tables).",
+            metavar="NAME",
+        ),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer.
@@ -80,9 +88,15 @@ def corpus(
     """
     from manifold import __version__
     from manifold.errors import UsageError
+    from manifold.synthetic import instruments
     from manifold.synthetic.corpus import write
     from manifold.synthetic.neural import write_neural
 
+    if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
+        raise UsageError(
+            "--instrument with --neural, --anisotropic, --rgb or --spectral: an instrument measures the built-in "
+            "isotropic corpus in its own bands; leave them out"
+        )
     if neural is not None and (anisotropic or (rgb and spectral)):
         found = "--anisotropic" if anisotropic else "--rgb and --spectral"
         raise UsageError(
@@ -93,7 +107,9 @@ def corpus(
             "--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out"
         )
     with terminal.progress("Measuring synthetic materials") as step:
-        if neural is not None:
+        if instrument is not None:
+            paths = instruments.write(folder, instrument, seed=seed, on_progress=step)
+        elif neural is not None:
             paths = write_neural(neural, folder, spectral=spectral, on_progress=step)
         else:
             paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
@@ -200,7 +216,7 @@ def import_(
 
 def info(
     path: Annotated[
-        Path, typer.Argument(help="A .bsdf file, a library, or a model.", metavar="PATH")
+        Path, typer.Argument(help="A .bsdf or instrument's file, a library, or a model.", metavar="PATH")
     ] = DEFAULT_LIBRARY,
     verify: Annotated[
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
@@ -211,7 +227,11 @@ def info(
     library: MovedLibraryOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Show what a .bsdf file, a library, or a model holds."""
+    """Show what a file, a library, or a model holds.
+
+    Files may be RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12
+    workbooks, CSV and CxF3; they are told apart by their content.
+    """
     from manifold.errors import LibraryError
     from manifold.workflows import inspection
 

@@ -17,6 +17,7 @@ from . import (
     budget_commands,
     chart_commands,
     fit_commands,
+    instrument_commands,
     library_commands,
     model_commands,
     picture_commands,
@@ -65,6 +66,7 @@ render_commands.register(app)
 budget_commands.register(app)
 chart_commands.register(app)
 stability_commands.register(app)
+instrument_commands.register(app)
 
 
 def run(arguments: list[str] | None = None) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from manifold import atomic
 from manifold.directions import from_spherical
+from manifold.errors import ShapeError
 from manifold.formats.csv_table import band_heads
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, read_lines, split_cells
@@ -240,13 +241,19 @@ def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> t
 
 
 def write(path: Path, readings: Readings) -> None:
-    """The table in radians, azimuths from 0 to 2 pi, in order of the readings; NaN rows are left out."""
-    rows = np.flatnonzero(np.isfinite(readings.values).all(axis=1))
+    """The table in radians, azimuths from 0 to 2 pi, in order of the readings.
+
+    Raises:
+        ShapeError: a value was not measured, for which such tables have no word.
+        UsageError: the file cannot be written.
+    """
+    if not np.all(readings.measured):
+        raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
     lines = [
         f'SAMPLE_NAME "{readings.name}"', f'SYSTEM_NAME "{readings.instrument}"', 'MEAS_NAME "BRDF"',
-        f"NUM_POINTS {rows.size}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),
+        f"NUM_POINTS {len(readings)}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),
     ]  # fmt: skip
-    table = np.hstack([_angles(readings)[rows], readings.values[rows]])
+    table = np.hstack([_angles(readings), readings.values])
     lines += [",".join(f"{value:.9g}" for value in row) for row in table]
     atomic.write_text(path, "\n".join(lines) + "\n")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 # By how files begin.
 _FOREIGN = (
+    (b"tensor_file\0", "an RGL file"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),

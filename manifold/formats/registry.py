@@ -24,7 +24,7 @@ from manifold.formats import (
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
 from manifold.formats.readings import Readings
-from manifold.formats.tensor_file import printable
+from manifold.formats.tensor_file import MAGIC, printable
 from manifold.formats.text import read_bytes
 
 Record = Readings | DenseTable
@@ -61,7 +61,7 @@ FORMATS = (
 
 
 def identify(path: Path | str) -> Format | None:
-    """The format that a file's content is of, or None.
+    """The format that a file's content is of, or None; RGL files are not of these, see `manifold.io_rgl`.
 
     Raises:
         UsageError: it is missing, no regular file, or cannot be read.
@@ -74,7 +74,7 @@ def identify(path: Path | str) -> Format | None:
             head = stream.read(_SNIFFED)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    for candidate in FORMATS:
+    for candidate in () if head.startswith(MAGIC) else FORMATS:
         if candidate.sniff(head):
             return candidate
     return None

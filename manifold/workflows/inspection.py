@@ -2,53 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
+from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.model_file import HDF5_MAGIC, MAGIC
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend, libllvm
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table: its column heads, its rows."""
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[object, ...], ...]
-
-
-@dataclass(frozen=True)
-class Inspection:
-    """What was found.
-
-    Attributes:
-        title: one line.
-        rows: labels and values.
-        tables: further tables, possibly none.
-        document: the same for JSON.
-        problems: what verification found, possibly nothing.
-    """
-
-    title: str
-    rows: dict[str, object]
-    document: dict[str, Any]
-    tables: tuple[Table, ...] = ()
-    problems: list[str] = field(default_factory=list)
+from manifold.workflows.inspection_record import Inspection, Table
+from manifold.workflows.instrument_inspection import inspect_instrument_file
 
 
 def inspect(
     path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
 ) -> Inspection:
-    """Look at a `.bsdf` file, a library folder, or a model file, told apart by their content.
+    """Look at a file of a BRDF or of an instrument, a library folder, or a model file, told apart by their content.
 
     Args:
         path: what to look at.
@@ -60,13 +35,17 @@ def inspect(
         FileFormatError, LibraryError, ModelError: it is damaged.
     """
     if not path.exists():
-        raise UsageError(f"{path}: nothing there; name a .bsdf file, a library, or a model")
+        raise UsageError(
+            f"{path}: nothing there; name a file of a BRDF or an instrument, a library, or a model"
+        )
     if path.is_dir():
         return _inspect_library(path, verify, on_progress)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
     if path.suffix in (".h5", ".hdf5") or _begins_with(path, MAGIC, HDF5_MAGIC):
         return _inspect_model(path, library)
+    if path.is_file() and (known := registry.identify(path)) is not None:
+        return inspect_instrument_file(path, known.name)
     return _inspect_file(read_bsdf(path), path)
 
 

@@ -1,0 +1,88 @@
+"""Commands about instruments' files: convert."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import terminal
+from .library_commands import JsonOption
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        "convert",
+        short_help="Convert between RGL, MERL, UTIA, LightTools, Zemax, ASTM and CSV files.",
+        epilog="Example: manifold convert satin_rgb.bsdf -o satin.binary",
+    )(convert)
+
+
+def convert(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(help="A file; or the files of one sample, one per incidence.", metavar="IN"),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .astm, or .csv.",
+        ),
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            "-f",
+            metavar="FORMAT",
+            help="rgl, merl, utia, lighttools, zemax, astm or csv, where the name of OUT does not tell.",
+        ),
+    ] = None,
+    sample: Annotated[
+        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+    ] = None,
+    resolution: Annotated[
+        int,
+        typer.Option(help="Of RGL files: nodes per axis of the outgoing grid.", metavar="N", min=2, max=512),
+    ] = 64,
+    incidences: Annotated[
+        int | None,
+        typer.Option(
+            help="Of RGL files: incident elevations, beside the file's own.", metavar="N", min=2, max=512
+        ),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Convert a BRDF or readings into another format, and show the error that this costs.
+
+    Reads RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12 workbooks,
+    CSV and CxF3, told apart by their content. The result is read back and compared at the file's own nodes.
+    """
+    from manifold.workflows import conversion
+    from manifold.workflows.conversion_targets import Options
+
+    results = terminal.Results(json)
+    with terminal.progress("Converting"):
+        made = conversion.convert(
+            inputs, output, to=to, sample=sample, options=Options(resolution, incidences)
+        )
+    error = made.error
+    rows: dict[str, object] = {
+        "material": made.name,
+        "from": made.source,
+        "bands": str(made.bands),
+        "nodes compared": error.nodes,
+        "error, linear": f"{error.linear:.2%}",
+        "error, cube root": f"{error.cube_root:.2%}",
+        "deviation": f"median {error.median:.2%}, 95 % of values within {error.percentile_95:.2%}",
+        "size": terminal.megabytes(output.stat().st_size),
+    }
+    for k, note in enumerate(made.notes, start=1):
+        rows[f"note {k}"] = note
+    results.rows(f"{output}: {made.target}", rows)
+    results.document({"path": str(output), **made.to_json()})

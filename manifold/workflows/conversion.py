@@ -1,0 +1,153 @@
+"""The work behind `manifold convert`: between files of BRDFs and of instruments, with the error that it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from manifold import atomic
+from manifold.errors import UsageError
+from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.records import Array, Bands
+from manifold.workflows.conversion_source import Source, open_source
+from manifold.workflows.conversion_targets import TARGETS, Options, Target
+
+_SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
+_DARK = 1e-3  # of the brightest value: darker ones are compared with this
+
+
+@dataclass(frozen=True)
+class ConversionError:
+    """What a conversion costs at the file's own nodes, measured by reading the result back.
+
+    Attributes:
+        nodes: how many were compared.
+        linear: `||w (f* - f)|| / ||w f||`, w being both cosines.
+        cube_root: the same of cube roots.
+        median, percentile_95: of `|f* - f| / |f|` over nodes and bands.
+    """
+
+    nodes: int
+    linear: float
+    cube_root: float
+    median: float
+    percentile_95: float
+
+    @classmethod
+    def between(cls, wi: Array, wo: Array, f: Array, f_star: Array) -> ConversionError:
+        """Errors of values f_star (P, B) where f (P, B) was measured."""
+        weight = cosine_weight(wi, wo)
+        floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
+        deviation = np.abs(f_star - f) / np.maximum(np.abs(f), floor)
+        median, high = np.percentile(deviation, [50, 95])
+        return cls(
+            len(f),
+            relative_error(f, f_star, weight),
+            cube_root_error(f, f_star, weight),
+            float(median),
+            float(high),
+        )
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What was written.
+
+    Attributes:
+        name: of the material.
+        source: what was read, in words.
+        target: format, in words.
+        bands: of the result.
+        error: at the file's own nodes.
+        notes: of reading and writing.
+    """
+
+    name: str
+    source: str
+    target: str
+    bands: Bands
+    error: ConversionError
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """For `--json`."""
+        return {
+            "name": self.name, "source": self.source, "target": self.target, "bands": str(self.bands),
+            "error": dict(vars(self.error)), "notes": list(self.notes),
+        }  # fmt: skip
+
+
+def convert(
+    paths: Sequence[Path],
+    output: Path,
+    *,
+    to: str | None = None,
+    sample: str | None = None,
+    options: Options | None = None,
+) -> Conversion:
+    """Convert a file of a BRDF or of readings into another format.
+
+    Args:
+        paths: one file, or the files of one sample.
+        output: what to write; its suffix chooses the format.
+        to: one of `TARGETS`, where the suffix does not tell.
+        sample: which of a file's samples.
+        options: of RGL files.
+    Raises:
+        UsageError: the format is unknown, the output cannot be written, or readings do not make a BRDF.
+        FileFormatError: a file is not what it should be.
+    """
+    target = _target(output, to)
+    atomic.require_writable(output)
+    if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
+        raise UsageError(f"{output}: is the file to be converted; name another output")
+    source = open_source(paths, sample, rgb=False)
+    if (
+        target.is_rgb
+        and not source.nodes.bands.is_rgb
+        and not (target is TARGETS["zemax"] and _is_single(source))
+    ):
+        source = open_source(paths, sample, rgb=True)
+    notes = target.write(output, source, options or Options())
+    nodes = source.nodes
+    back = open_source([output])
+    error = _error(source, back)
+    return Conversion(
+        nodes.name, nodes.instrument, target.title, back.nodes.bands, error, (*nodes.notes, *notes)
+    )
+
+
+def _error(source: Source, back: Source) -> ConversionError:
+    """Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes."""
+    nodes = source.nodes.select_pairs(np.flatnonzero(source.nodes.measured.all(axis=1)))
+    if back.is_readings and source.is_readings and (back.brdf is None or len(back.nodes) >= len(nodes)):
+        tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))
+        distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
+        if np.all(distance < _SAME_PAIR):
+            return ConversionError.between(nodes.wi, nodes.wo, nodes.values, back.nodes.values[row])
+    found = back.require_brdf().eval(nodes.wi, nodes.wo)
+    return ConversionError.between(nodes.wi, nodes.wo, nodes.values, found)
+
+
+def _is_single(source: Source) -> bool:
+    return source.nodes.bands.count == 1
+
+
+def _target(output: Path, to: str | None) -> Target:
+    if to is not None:
+        if to not in TARGETS:
+            raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
+        return TARGETS[to]
+    suffix = output.suffix.lower()
+    for target in TARGETS.values():
+        if suffix in target.suffixes:
+            return target
+    known = ", ".join(s for target in TARGETS.values() for s in target.suffixes)
+    raise UsageError(
+        f"{output}: suffix '{suffix}', expected one of {known}; or choose a format with --format"
+    )

@@ -1,0 +1,170 @@
+"""What `manifold convert` converts: an RGL file or an instrument's, as a BRDF and as values at its own nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from manifold.brdf.cells import Cells
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.brdf.warp import Warp
+from manifold.colour.conversion import to_srgb
+from manifold.errors import UsageError
+from manifold.formats import registry
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.formats.tensor_file import MAGIC
+from manifold.io_rgl import read_bsdf
+from manifold.records import Array, Bands, BsdfFile
+
+MOST_NODES = 100_000
+"""Nodes at which the error of a conversion is measured; an even choice where a file has more."""
+_LEAST_COSINE = np.sin(np.deg2rad(2.0))  # f = f_cos / cos of RGL cells says nothing nearer to the horizon
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A BRDF to be converted.
+
+    Attributes:
+        nodes: values at the file's own nodes, at most `MOST_NODES` of them.
+        brdf: what interpolates them; None where they do not cover hemispheres.
+        why_not: what to say where there is no BRDF.
+        theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
+        is_readings: whether the nodes are all that the file holds.
+    """
+
+    nodes: Readings
+    brdf: BRDF | None
+    why_not: str
+    theta_i_rad: Array
+    is_readings: bool
+
+    def require_brdf(self) -> BRDF:
+        """The BRDF. Raises UsageError where readings do not make one."""
+        if self.brdf is None:
+            raise UsageError(self.why_not)
+        return self.brdf
+
+
+class SrgbBRDF:
+    """A spectral BRDF in linear sRGB under D65, through colour-science."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a BRDF; an RGB one stays as it is."""
+        self._brdf = brdf
+
+    @property
+    def bands(self) -> Bands:
+        """The three channels."""
+        return Bands(None)
+
+    @property
+    def is_isotropic(self) -> bool:
+        """As of the BRDF."""
+        return self._brdf.is_isotropic
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., 3)."""
+        return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., 3)."""
+        return to_srgb(self._brdf.eval_cos(wi, wo), self._brdf.bands)
+
+    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
+        """As of the BRDF."""
+        return self._brdf.sample(wi, u)
+
+    def pdf(self, wi: Array, wo: Array) -> Array:
+        """As of the BRDF."""
+        return self._brdf.pdf(wi, wo)
+
+    def albedo(self, wi: Array) -> Array:
+        """Directional albedo, shape (..., 3)."""
+        return to_srgb(self._brdf.albedo(wi), self._brdf.bands)
+
+
+def open_source(paths: Sequence[Path], sample: str | None = None, *, rgb: bool = False) -> Source:
+    """Read what is to be converted.
+
+    Args:
+        paths: one file, or the files of one sample (pab-opto's, one per incidence).
+        sample: which of a file's samples.
+        rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
+    Raises:
+        UsageError, FileFormatError: as `registry.read` and `read_bsdf`.
+    """
+    if len(paths) == 1 and _is_tensor_file(paths[0]):
+        file = read_bsdf(paths[0])
+        return _of_rgl(_file_in_srgb(file) if rgb else file)
+    for path in paths:
+        if _is_tensor_file(path):
+            raise UsageError(f"{path}: an RGL file among {len(paths)} files; convert it alone")
+    record = registry.merge([registry.read(path, sample) for path in paths])
+    source = _of_table(record) if isinstance(record, DenseTable) else _of_readings(record)
+    return _in_srgb(source) if rgb else source
+
+
+def _is_tensor_file(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
+
+
+def _file_in_srgb(file: BsdfFile) -> BsdfFile:
+    rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
+    return replace(file, wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))
+
+
+def _in_srgb(source: Source) -> Source:
+    if source.nodes.bands.is_rgb:
+        return source
+    values = to_srgb(source.nodes.values, source.nodes.bands)
+    nodes = replace(source.nodes, wavelengths_nm=None, values=values)
+    return replace(source, nodes=nodes, brdf=None if source.brdf is None else SrgbBRDF(source.brdf))
+
+
+def _of_rgl(file: BsdfFile) -> Source:
+    brdf = MeasuredBRDF(fill_unmeasured(file))
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    wi, wo = [], []
+    for p, t in np.ndindex(*file.luminance.shape[:2]):
+        cells = Cells.seen_from(
+            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), file.spectra.shape[3:],
+            is_isotropic=file.is_isotropic,
+        )  # fmt: skip
+        keep = cells.is_above & file.measured_mask[p, t] & (cells.wo[..., 2] > _LEAST_COSINE)
+        keep &= cells.wi[2] > _LEAST_COSINE
+        wo.append(cells.wo[keep])
+        wi.append(np.broadcast_to(cells.wi, wo[-1].shape))
+    all_wi, all_wo = np.concatenate(wi), np.concatenate(wo)
+    chosen = _even(len(all_wi))
+    nodes = Readings(
+        file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
+        brdf.eval(all_wi[chosen], all_wo[chosen]),
+    )  # fmt: skip
+    return Source(nodes, brdf, "", np.asarray(file.theta_i_rad, dtype=float), is_readings=False)
+
+
+def _of_table(table: DenseTable) -> Source:
+    theta_i = table.axes[0] if table.coordinates == "incident-outgoing" else np.zeros(0)
+    return Source(table.readings(MOST_NODES), DenseBRDF(table), "", theta_i, is_readings=False)
+
+
+def _of_readings(readings: Readings) -> Source:
+    theta = np.unique(np.round(np.arccos(np.clip(readings.wi[:, 2], 0.0, 1.0)), 5))
+    try:
+        return Source(readings, ReadingsBRDF(readings), "", theta, is_readings=True)
+    except UsageError as error:
+        return Source(readings, None, str(error), theta, is_readings=True)
+
+
+def _even(count: int) -> Array:
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_NODES)).round().astype(int))

@@ -1,0 +1,210 @@
+"""What `manifold convert` writes: a BRDF sampled at the nodes of each format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from manifold.brdf import goniometer
+from manifold.directions import from_spherical
+from manifold.errors import UsageError
+from manifold.formats import astm, csv_table, lighttools, merl, utia, zemax
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import Readings
+from manifold.io_rgl import write_bsdf
+from manifold.metrics import RusinkiewiczGrid
+from manifold.records import Array
+from manifold.workflows.conversion_source import Source
+
+_BLOCK = 65536  # pairs evaluated at once
+_TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
+_MOST_INCIDENCES = 40
+_LOWEST = np.sin(np.deg2rad(1.0))
+_STEEPEST = np.deg2rad(85.0)
+_USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
+
+
+@dataclass(frozen=True)
+class Target:
+    """A format to write.
+
+    Attributes:
+        title: for people.
+        suffixes: of file names that stand for it.
+        is_rgb: whether it holds three channels only.
+        write: writes a source; the notes say what was left out.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    is_rgb: bool
+    write: Callable[[Path, Source, Options], list[str]]
+
+
+@dataclass(frozen=True)
+class Options:
+    """How an RGL file is sampled.
+
+    Attributes:
+        resolution: nodes per axis of its outgoing grid.
+        n_theta_i: incident elevations over the hemisphere, beside the file's own; by default 16, and 48 where a file
+            has none of its own.
+    """
+
+    resolution: int = 64
+    n_theta_i: int | None = None
+
+
+def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
+    brdf = source.require_brdf()
+    own = source.theta_i_rad[source.theta_i_rad < np.deg2rad(89.0)]
+    if own.size > _MOST_INCIDENCES:
+        own = own[:0]
+    spread: Array = goniometer.default_theta_i(options.n_theta_i or (16 if own.size else 48))
+    # The file's own incidences stay; others fill the gaps, none so near that it adds nothing.
+    others = [t for t in spread if not own.size or np.min(np.abs(own - t)) > 0.4 * (spread[1] - spread[0])]
+    theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
+    file = goniometer.measure(
+        brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument}",
+        resolution=options.resolution, theta_i_rad=theta_i, compensate=False,
+    )  # fmt: skip
+    write_bsdf(path, file)
+    return []
+
+
+def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
+    brdf, notes = source.require_brdf(), []
+    turns: Array = np.zeros(1)
+    if not brdf.is_isotropic:
+        turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
+        notes.append(f"MERL is isotropic: {_TURNS} rotations of the sample are averaged")
+    values = np.full((np.prod(merl.SHAPE), 3), np.nan)
+    start = 0
+    for wi, wo, above in RusinkiewiczGrid(*merl.SHAPE, squared_theta_h=True, offset=0.0).blocks(_BLOCK):
+        block = np.zeros((int(above.sum()), 3))
+        for turn in turns:
+            a, b = (_turned(_off_horizon(w[above]), turn) for w in (wi, wo))
+            # One node stands for both directions of the light.
+            block += 0.5 * (brdf.eval(a, b) + brdf.eval(b, a)) / turns.size
+        values[start : start + len(wi)][above] = block
+        start += len(wi)
+    negative = int(np.any(values < 0.0, axis=1).sum())
+    if negative:
+        notes.append(f"{negative} nodes have a negative channel (colours outside sRGB, noise), stored as 0")
+    table = DenseTable(
+        source.nodes.name, "MERL", "half-difference", merl.axes(), None, values.reshape(*merl.SHAPE, 3)
+    )
+    merl.write(path, table)
+    return notes
+
+
+def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
+    utia.write(path, _sampled(source, utia.axes()))
+    return []
+
+
+def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
+    fine = source.nodes.bands.count <= 31
+    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, 1.0 if fine else 2.0), 89.0))
+    azimuth = np.deg2rad(np.arange(0.0, 360.0, 5.0 if fine else 10.0))
+    is_isotropic = source.require_brdf().is_isotropic
+    phi_i = np.array([np.pi]) if is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    lighttools.write(path, _sampled(source, (_incidences(source), phi_i, radial, azimuth)))
+    return []
+
+
+def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
+    brdf, theta_i = source.require_brdf(), _incidences(source)
+    azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0))
+    # Dense around the mirror direction.
+    radial = np.deg2rad(
+        np.concatenate([np.arange(0, 20, 0.5), np.arange(20, 90, 1.0), np.arange(90, 176, 5.0)])
+    )
+    values = np.zeros((theta_i.size, azimuth.size, radial.size, brdf.bands.count))
+    for block, theta in zip(values, theta_i, strict=True):
+        block[:] = brdf.eval(*zemax.directions(theta, radial[None, :], azimuth[:, None]))
+    zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values)
+    return [] if brdf.is_isotropic else ["one sample rotation is written: the sample is anisotropic"]
+
+
+def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
+    rows = _rows(source)
+    whole = np.asarray(rows.measured.all(axis=1))
+    if not np.any(whole):
+        raise UsageError(
+            f"{rows.name}: no direction was measured in all bands, which an ASTM table needs; write CSV"
+        )
+    astm.write(path, rows.select_pairs(whole))
+    return (
+        [] if np.all(whole) else [f"{int((~whole).sum())} directions not measured in all bands are left out"]
+    )
+
+
+def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
+    csv_table.write(path, _rows(source))
+    return []
+
+
+def _rows(source: Source) -> Readings:
+    """The readings themselves, or the BRDF at the directions of a goniometer."""
+    if source.is_readings:
+        return source.nodes
+    brdf = source.require_brdf()
+    theta = np.deg2rad(np.append(np.arange(2.0, 89.0, 2.0), 89.0))
+    phi = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+    grid = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
+    wo = np.concatenate([[[0.0, 0.0, 1.0]], grid])
+    phi_i = [np.pi] if brdf.is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    wi = np.array([from_spherical(t, p) for t in _incidences(source) for p in phi_i])
+    values = np.concatenate([brdf.eval(w, wo) for w in wi])
+    nodes = source.nodes
+    return Readings(
+        nodes.name, nodes.instrument, np.repeat(wi, len(wo), axis=0), np.tile(wo, (len(wi), 1)), nodes.wavelengths_nm,
+        values,
+    )  # fmt: skip
+
+
+def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
+    """The BRDF at the product of incident and outgoing angles."""
+    brdf = source.require_brdf()
+    theta_i, phi_i, theta_o, phi_o = axes
+    wo = from_spherical(theta_o[:, None], phi_o[None, :])
+    values = np.zeros((*(a.size for a in axes), brdf.bands.count))
+    for i, j in np.ndindex(theta_i.size, phi_i.size):
+        values[i, j] = brdf.eval(from_spherical(theta_i[i], phi_i[j]), wo)
+    nodes = source.nodes
+    return DenseTable(nodes.name, nodes.instrument, "incident-outgoing", axes, nodes.wavelengths_nm, values)
+
+
+def _incidences(source: Source) -> Array:
+    """The file's own elevations of incidence, or usual ones where it has none or very many."""
+    own = source.theta_i_rad[source.theta_i_rad <= _STEEPEST]
+    return own if 2 <= own.size <= _MOST_INCIDENCES else _USUAL_INCIDENCES
+
+
+def _off_horizon(w: Array) -> Array:
+    """Directions (n, 3), those within a degree of the horizon, a step of MERL's, lifted to it: f cos / cos diverges."""
+    low = w[:, 2] < _LOWEST
+    lifted = np.where(low[:, None], [1.0, 1.0, 0.0] * w, w)
+    lifted[low] *= np.sqrt(1.0 - _LOWEST**2) / np.maximum(np.hypot(w[low, 0], w[low, 1]), 1e-300)[:, None]
+    lifted[low, 2] = _LOWEST
+    return lifted
+
+
+def _turned(w: Array, turn: float) -> Array:
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)
+
+
+TARGETS: Mapping[str, Target] = {
+    "rgl": Target("RGL file", (".bsdf",), False, _write_rgl),
+    "merl": Target("MERL", (".binary",), True, _write_merl),
+    "utia": Target("UTIA", (".bin",), True, _write_utia),
+    "lighttools": Target("LightTools BSDF text", (), False, _write_lighttools),
+    "zemax": Target("Zemax BSDF text", (), True, _write_zemax),
+    "astm": Target("ASTM table", (".astm",), False, _write_astm),
+    "csv": Target("CSV table", (".csv",), False, _write_csv),
+}

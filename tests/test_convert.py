@@ -1,0 +1,172 @@
+"""Conversion between formats: what it costs, what it refuses, and what Mitsuba makes of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from instrument_files import RGB, dense, smooth, write_every_format
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.cli.main import run
+from manifold.colour.conversion import to_srgb
+from manifold.errors import UsageError
+from manifold.formats import csv_table, merl, registry
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.records import Bands
+from manifold.synthetic.instruments import MINI_DIFF_BANDS
+from manifold.workflows.conversion import convert
+from manifold.workflows.conversion_targets import Options
+
+GONIOMETERS = ("mini-diff", "lighttools", "zemax", "merl", "utia")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_every_format(tmp_path_factory.mktemp("formats"))
+
+
+@pytest.mark.parametrize("name", GONIOMETERS)
+def test_rgl_files_meet_a_smooth_material_at_the_nodes_of_its_file(files, name, tmp_path):
+    made = convert([files[name]], tmp_path / "out.bsdf")
+    assert made.error.linear < 0.01  # issue 14 asks for 1 %
+    assert made.error.median < 0.005
+    assert MeasuredBRDF(read_bsdf(tmp_path / "out.bsdf")).is_isotropic == (name != "utia")
+
+
+@pytest.mark.parametrize("to", ["astm", "csv"])
+@pytest.mark.parametrize("name", ["ma-t12", "cxf", "mini-diff", "pab-opto"])
+def test_readings_pass_to_tables_without_loss(files, name, to, tmp_path):
+    made = convert([files[name]], tmp_path / "out.dat", to=to)
+    assert made.error.linear < 1e-7
+    assert made.bands == registry.read(files[name]).bands
+
+
+def test_bands_that_were_not_measured_stay_so(files, tmp_path):
+    readings = registry.read(files["csv"])
+    values = readings.values.copy()
+    values[3, 4] = np.nan
+    csv_table.write(tmp_path / "gap.csv", replace(readings, values=values))
+    made = convert([tmp_path / "gap.csv"], tmp_path / "out.csv")
+    assert np.isnan(registry.read(tmp_path / "out.csv").values[3, 4])
+    assert made.error.nodes == 11
+    made = convert([tmp_path / "gap.csv"], tmp_path / "out.astm")
+    assert len(registry.read(tmp_path / "out.astm")) == 11
+    assert any("left out" in note for note in made.notes)
+
+
+def test_a_dozen_readings_make_no_brdf(files, tmp_path):
+    with pytest.raises(UsageError, match=r"12 readings.*manifold complete"):
+        convert([files["ma-t12"]], tmp_path / "out.bsdf")
+    assert not (tmp_path / "out.bsdf").exists()
+
+
+def test_the_reported_error_is_that_of_the_file_read_back(files, tmp_path):
+    made = convert([files["mini-diff"]], tmp_path / "out.bsdf", options=Options(resolution=8, n_theta_i=4))
+    readings = registry.read_readings(files["mini-diff"])
+    found = MeasuredBRDF(read_bsdf(tmp_path / "out.bsdf")).eval(readings.wi, readings.wo)
+    deviation = np.abs(found - readings.values) / np.abs(readings.values)
+    assert made.error.median == pytest.approx(np.median(deviation), rel=1e-6)
+    assert made.error.nodes == len(readings)
+
+
+def rgl_of(bands: Bands, path):
+    from manifold.brdf import goniometer
+
+    write_bsdf(
+        path, goniometer.measure(smooth(bands), "smooth", resolution=48, n_theta_i=24, compensate=False)
+    )
+    return path
+
+
+def test_merl_files_of_rgl_files_hold_linear_srgb_at_merls_nodes(tmp_path):
+    bands = Bands(tuple(np.linspace(400.0, 700.0, 16)))
+    made = convert([rgl_of(bands, tmp_path / "in_spec.bsdf")], tmp_path / "out.binary")
+    assert made.bands.is_rgb
+    data = np.fromfile(tmp_path / "out.binary", "<f8", offset=12).reshape(3, 90, 90, 180)
+    assert np.fromfile(tmp_path / "out.binary", "<i4", count=3).tolist() == [90, 90, 180]
+    # By hand: theta_h = (30 / 90)^2 * 90 = 10, theta_d = 20, phi_d = 45 degrees.
+    wi, wo = dense(RGB, "half-difference", merl.axes()).directions(np.array([30 * 90 * 180 + 20 * 180 + 45]))
+    expected = to_srgb(smooth(bands).eval(wi, wo), bands)[0]
+    np.testing.assert_allclose(
+        data[:, 30, 20, 45] * [1 / 1500, 1.15 / 1500, 1.66 / 1500], expected, rtol=0.01
+    )
+    assert np.all(data[:, 89, 89, 0] == -1.0)  # below the horizon
+
+
+def test_non_reciprocal_files_give_merl_the_mean_of_both_directions(tmp_path):
+    file = read_bsdf(rgl_of(MINI_DIFF_BANDS, tmp_path / "in.bsdf"))
+    tilted = file.spectra * (1.0 + np.linspace(0.0, 1.0, 24, dtype=np.float32)[None, :, None, None, None])
+    write_bsdf(tmp_path / "tilted.bsdf", replace(file, spectra=tilted))
+    convert([tmp_path / "tilted.bsdf"], tmp_path / "out.binary")
+    table = registry.read(tmp_path / "out.binary")
+    wi, wo = table.directions(np.array([40 * 90 * 180 + 30 * 180 + 20]))
+    brdf = MeasuredBRDF(read_bsdf(tmp_path / "tilted.bsdf"))
+    both = to_srgb(0.5 * (brdf.eval(wi, wo) + brdf.eval(wo, wi)), MINI_DIFF_BANDS)
+    np.testing.assert_allclose(
+        table.values[40, 30, 20], both[0], rtol=1e-4
+    )  # the file is in single precision
+
+
+def test_mitsuba_evaluates_a_converted_file_as_the_readings_say(files, tmp_path):
+    pytest.importorskip("mitsuba")
+    from mitsuba_reference import measured
+
+    convert([files["zemax"]], tmp_path / "out_rgb.bsdf")
+    readings = registry.read_readings(files["zemax"])
+    steep = (readings.wi[:, 2] < 0.3) | (readings.wo[:, 2] < 0.3)
+    wi, wo = readings.wi[~steep], readings.wo[~steep]
+    found, _ = measured(tmp_path / "out_rgb.bsdf", wi, wo, None)
+    f_cos = readings.values[~steep] * wo[:, 2:]
+    assert np.linalg.norm(found - f_cos) < 0.01 * np.linalg.norm(f_cos)  # issue 14 asks for 1 %
+    np.testing.assert_allclose(found, f_cos, rtol=0.05)
+
+
+def test_the_command_reports_the_error_and_what_was_assumed(files, tmp_path, capsys):
+    run_quietly(
+        [
+            "convert",
+            str(files["mini-diff"]),
+            "-o",
+            str(tmp_path / "o.csv"),
+            "--json",
+            str(tmp_path / "o.json"),
+        ]
+    )
+    shown = capsys.readouterr().out
+    assert "error, linear" in shown
+    assert "padding" in shown
+    document = json.loads((tmp_path / "o.json").read_text())
+    assert document["error"]["nodes"] == 10804
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-o", "out.xyz"], "suffix '.xyz'"),
+        (["-o", "out.dat", "--format", "obj"], "no format 'obj'"),
+        (["-o", "out.csv", "--sample", "other"], "no sample 'other'"),
+        (["-o", "missing/out.csv"], "cannot write"),
+    ],
+)
+def test_what_cannot_be_converted_is_a_line(files, arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as leaving:
+        run(["convert", str(files["csv"]), *arguments])
+    assert leaving.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["ma-t12", "cxf", "merl", "lighttools"])
+def test_info_shows_what_a_file_holds(files, name, capsys, tmp_path):
+    run_quietly(["info", str(files[name]), "--json", str(tmp_path / "info.json")])
+    assert "values in 1/sr" in capsys.readouterr().out
+    assert json.loads((tmp_path / "info.json").read_text())["samples"][0]["pairs"] > 0
+
+
+def run_quietly(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        run(arguments)
+    assert leaving.value.code == 0

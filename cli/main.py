@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
@@ -23,6 +24,7 @@ from . import (
     picture_commands,
     render_commands,
     stability_commands,
+    terminal,
 )
 from .outputs import GuardedTyper
 
@@ -54,8 +56,9 @@ def _options(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
     ),
     debug: bool = typer.Option(False, "--debug", help="Show a traceback where something goes wrong."),
+    strict: bool = typer.Option(False, "--strict", help="Refuse where there would be a warning."),
 ) -> None:
-    """Options of every command; `--debug` is taken out of the arguments by `run`, wherever it stands."""
+    """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
 
 
 library_commands.register(app)
@@ -76,12 +79,18 @@ def run(arguments: list[str] | None = None) -> None:
     else that went wrong. 130: interrupted.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    debug = "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"]
+    debug, strict = "--debug" in arguments, "--strict" in arguments
+    arguments = [argument for argument in arguments if argument not in ("--debug", "--strict")]
     # A closed stream is None, and a write to it would be an error of its own.
     sys.stdout, sys.stderr = sys.stdout or _nowhere(), sys.stderr or _nowhere()
-    if not debug:
-        warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
+    terminal.warned.clear()
+    if strict:
+        warnings.simplefilter("always", UserWarning)  # also what this process was warned of before
+    if strict or not debug:
+        warnings.showwarning = _refuse_warning if strict else _show_warning
     try:
         app(args=arguments, prog_name="manifold")
     except UsageError as error:
@@ -113,13 +122,20 @@ def _fail(message: str, debug: bool, status: int = _EXIT_ERROR) -> None:
 
 
 def _one_line(message: object) -> str:
-    return " ".join(str(message).split())
+    return terminal.printable(" ".join(str(message).split()))
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
     """Warnings of this package as one line; those of libraries are for developers."""
     if category.__module__.startswith("manifold"):
+        terminal.warned.append(_one_line(message))
         print(f"manifold: warning: {_one_line(message)}", file=sys.stderr)
+
+
+def _refuse_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
+    """Warnings of this package as errors."""
+    if category.__module__.startswith("manifold"):
+        raise ManifoldError(f"{_one_line(message)} (refused, since --strict)")
 
 
 def _nowhere() -> TextIO:

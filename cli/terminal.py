@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,9 @@ from manifold import __version__, atomic
 
 Step = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""
+
+warned: list[str] = []
+"""Warnings of this package since the command began, which its JSON repeats."""
 
 _WIDTH = 80  # columns that lists are broken to; a line with a single long word may be longer
 
@@ -45,7 +49,7 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
         task = bar.add_task(title, total=None, what="")
 
         def step(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, what=what)
+            bar.update(task, completed=done, total=total, what=printable(what))
 
         yield step
 
@@ -67,12 +71,12 @@ class Results:
     def text(self, text: str) -> None:
         """Print lines as they are."""
         if not self._only_json:
-            sys.stdout.write(text)
+            sys.stdout.write(printable(text))
 
     def title(self, title: str) -> None:
         """Print a line, bold on a terminal."""
         if not self._only_json:
-            Console(highlight=False, soft_wrap=True).print(title, style="bold", markup=False)
+            Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
 
     def rows(self, title: str, rows: Mapping[str, object]) -> None:
         """Print a title, then one aligned line per label and value; a list of values is broken into lines."""
@@ -106,12 +110,19 @@ class Results:
         """
         if self._target is None:
             return
-        document = {"program": f"manifold {__version__}", **document}
+        document = {"program": f"manifold {__version__}", **document, "warnings": list(warned)}
         text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         if self._only_json:
             sys.stdout.write(text)
         else:
             atomic.write_text(self._target, text)
+
+
+def printable(text: str) -> str:
+    """A text as it can be shown: control characters, which terminals obey, and bytes that are no text as escapes."""
+    return "".join(
+        c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in text
+    )
 
 
 def _row(head: str, value: object) -> str:

@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPOSITORY
+from sample_files import write_samples
 from small_library import NAMES, measured, small_library
 
+from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
@@ -269,6 +271,30 @@ def test_a_library_that_gained_a_material_is_one_warning(run, moved):
     status, _, err = run("info", "model.h5", "-L", "elsewhere.zarr", cwd=moved)
     assert status == 0
     assert "warning: elsewhere.zarr is not what model.h5 was fitted to" in one_line(err)
+    status, out, _ = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--json", "-", cwd=moved)
+    document = json.loads(out)
+    assert "is not what model.h5 was fitted to" in document["warnings"][0]
+    assert document["warnings"][0] in document["diagnostics"]
+    status, out, err = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--strict", cwd=moved)
+    assert (status, out) == (1, "")
+    assert "is not what model.h5 was fitted to" in one_line(err)
+
+
+def test_control_characters_of_files_do_not_reach_the_terminal(run, tmp_path):
+    description = b"red \x1b[31m bell\x07 \xff no text"
+    tensors = dict(read_tensors(write_samples(tmp_path, 1)[0]))
+    tensors["description"] = np.frombuffer(description, np.uint8)
+    write_tensors(tmp_path / "odd_spec.bsdf", tensors)
+    status, out, _ = run("info", "odd_spec.bsdf", cwd=tmp_path)
+    assert status == 0
+    assert r"red \x1b[31m bell\x07 \udcff no text" in out
+    status, _, err = run("info", "absent\x1b[31m", cwd=tmp_path)
+    assert status == 2
+    assert "\x1b" not in one_line(err)
+    run("import", "odd_spec.bsdf", cwd=tmp_path)
+    status, out, _ = run("info", "library.zarr", cwd=tmp_path)
+    assert status == 0
+    assert "\x1b" not in out
 
 
 def test_a_damaged_material_is_named_with_its_remedy(run, moved):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,9 @@ from manifold.library.schema import StoredArray
 from manifold.library.zarr_reading import attributes_of, open_group, read_array
 from manifold.library.zarr_writing import write_array, write_group
 from manifold.records import Array
+
+MOST_BYTES = 1 << 30
+"""Of all entries of a library together; those that were used longest ago go first."""
 
 
 def get(library: Path, key: str) -> dict[str, Array] | None:
@@ -31,7 +36,11 @@ def get(library: Path, key: str) -> dict[str, Array] | None:
         group = open_group(folder)
         attributes = attributes_of(group)
         arrays = {name: read_array(group, name) for name in attributes["names"]}
-        return arrays if attributes["sha256"] == hash_arrays(arrays) else None
+        if attributes["sha256"] != hash_arrays(arrays):
+            return None
+        with suppress(OSError):  # of another user, or on read-only media
+            os.utime(folder)
+        return arrays
     except Exception:  # A cache never stops the work: whatever is wrong with it, compute again.
         return None
 
@@ -52,8 +61,22 @@ def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
             if target.exists():
                 os.rename(target, staged / "old")
             staging.publish(folder, target)
+            _prune(target.parent)
     except (OSError, LibraryError):
         return
+
+
+def _prune(folder: Path) -> None:
+    """Remove the entries that were used longest ago, until the rest is no more than `MOST_BYTES`."""
+    entries = sorted(
+        ((entry.stat().st_mtime_ns, entry.path) for entry in os.scandir(folder) if entry.is_dir()),
+        reverse=True,
+    )
+    total = 0
+    for _, path in entries:
+        total += sum(file.stat().st_size for file in Path(path).rglob("*") if file.is_file())
+        if total > MOST_BYTES:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _folder(library: Path, key: str) -> Path:

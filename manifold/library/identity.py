@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -114,11 +115,42 @@ def is_material_name(name: str) -> bool:
 
 
 def require_material_name(name: str) -> None:
-    """Raise UsageError unless `is_material_name`."""
-    if not is_material_name(name):
+    """Raise UsageError unless a new material can have a name, on every system that a library may travel to."""
+    is_reserved = re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", name)
+    is_portable = not re.search(r'[<>:"|?*\\]|[ .]$', name) and unicodedata.is_normalized("NFC", name)
+    if not is_material_name(name) or is_reserved or not is_portable or len(name.encode()) > 200:
         raise UsageError(
-            f"{name!r} cannot be the name of a material; rename the file: letters, digits, - and _"
+            f"{name!r} cannot be the name of a material on every system; rename the file: letters, digits, - and _"
         )
+
+
+def alike(name: str) -> str:
+    """What is the same for names that some systems do not tell apart: by case, or by Unicode form."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
+    """What a library knows of a material, from the attributes of its group.
+
+    Raises:
+        LookupError: one is missing.
+        ValueError: one is of another type.
+    """
+    known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name != "name"}
+    expected = {
+        "source_file": str,
+        "sha256": str,
+        "content_sha256": str,
+        "description": str,
+        "is_synthetic": bool,
+    }
+    for key, kind in (expected | {"bytes": int, "shape": list, "pipeline_version": list}).items():
+        if type(known[key]) is not kind or (kind is list and any(type(v) is not int for v in known[key])):
+            raise ValueError(f"attribute '{key}' is no {kind.__name__}")
+    if len(known["shape"]) != 5:
+        raise ValueError(f"attribute 'shape' has {len(known['shape'])} entries, expected 5")
+    lists = {key: tuple(known[key]) for key in ("shape", "pipeline_version")}
+    return MaterialInfo(name=name, **(known | lists))
 
 
 def _update(digest: Any, name: str, array: Array) -> None:

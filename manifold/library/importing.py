@@ -5,22 +5,24 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from manifold.errors import LibraryError, ManifoldError, UsageError
+from manifold.errors import FileFormatError, LibraryError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
-from manifold.library.identity import require_material_name
+from manifold.library.identity import alike, require_material_name
 from manifold.library.store import Library
 from manifold.library.writing import make_store, read_bands, write_material
 from manifold.records import Bands, BsdfFile, Progress
 
 Outcome = Literal["imported", "skipped", "replaced"]
 
+_MOST_MAPPED = 4096
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -45,9 +47,22 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class _Source:
+    """A file to import. Of many, only some stay mapped: each one takes a file descriptor."""
+
     path: Path
     sha256: str
-    file: BsdfFile
+    name: str
+    bands: Bands
+    mapped: BsdfFile | None
+
+    def read(self) -> BsdfFile:
+        """The file, unchanged since it was hashed."""
+        if self.mapped is not None:
+            return self.mapped
+        file = read_bsdf(self.path)
+        if _sha256(self.path) != self.sha256:
+            raise FileFormatError(f"{self.path}: changed while it was imported; import again")
+        return file
 
 
 def import_files(
@@ -84,7 +99,7 @@ def import_files(
         _make_folder(library.parent)
         with staging.writing(library) as staged:
             if not library.exists():
-                make_store(library, loaded[0].file.bands, staged)
+                make_store(library, loaded[0].bands, staged)
             opened = Library(library, read_bands(library, library))
             _require_one_grid(loaded, opened.bands, library)  # Another process may have made it meanwhile.
             _store_all(opened, loaded, staged, replace, report)
@@ -137,13 +152,14 @@ def _find(sources: Iterable[Path | str]) -> list[Path]:
 
 def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
     """Map, check and hash every file; the bad ones are reported and left out."""
+    mapped, most = count(), _most_mapped()
 
     def load(path: Path) -> _Source | None:
         try:
             file = read_bsdf(path)
             require_material_name(file.name)
-            with path.open("rb") as stream:
-                source = _Source(path, hashlib.file_digest(stream, "sha256").hexdigest(), file)
+            kept = file if next(mapped) < most else None
+            source = _Source(path, _sha256(path), file.name, file.bands, kept)
             report.step(path)
             return source
         except ManifoldError as error:
@@ -156,11 +172,26 @@ def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
     return [source for source in _in_threads(load, paths) if source]
 
 
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _most_mapped() -> int:
+    """How many files may stay mapped: half of what this process may open."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 256
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return _MOST_MAPPED if soft == resource.RLIM_INFINITY else min(_MOST_MAPPED, soft // 2)
+
+
 def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library: Path) -> None:
     for source in loaded:
-        expected = expected or source.file.bands
+        expected = expected or source.bands
         remedy = f"import it into a library of its own, not into {library.name}"
-        expected.require_same(source.file.bands, source.path.name, remedy)
+        expected.require_same(source.bands, source.path.name, remedy)
 
 
 def _make_folder(folder: Path) -> None:
@@ -174,10 +205,11 @@ def _store_all(
     library: Library, loaded: Sequence[_Source], staged: Path, replace: bool, report: _Report
 ) -> None:
     tasks = _one_per_name(loaded, report)
+    spellings = {alike(name): name for name in library.names}
 
     def store(source: _Source) -> None:
         try:
-            report.outcomes[source.file.name] = _store(library, source, staged, replace)
+            report.outcomes[source.name] = _store(library, source, staged, replace, spellings)
         except ManifoldError as error:
             report.fail(source.path, str(error))
         report.step(source.path)
@@ -192,13 +224,13 @@ def _store_all(
 
 
 def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
-    """Each material once; of two files with one name and different content, the first."""
+    """Each material once; of two files with one name, but for case, and different content, the first."""
     chosen: dict[str, _Source] = {}
     for source in loaded:
-        first = chosen.setdefault(source.file.name, source)
+        first = chosen.setdefault(alike(source.name), source)
         if first is source:
             continue
-        if first.sha256 != source.sha256:
+        if first.sha256 != source.sha256 or first.name != source.name:
             report.fail(
                 source.path, f"{source.path}: same name as {first.path}, other content; rename one of them"
             )
@@ -206,8 +238,15 @@ def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
     return list(chosen.values())
 
 
-def _store(library: Library, source: _Source, staged: Path, replace: bool) -> Outcome:
-    name = source.file.name
+def _store(
+    library: Library, source: _Source, staged: Path, replace: bool, spellings: Mapping[str, str]
+) -> Outcome:
+    name = source.name
+    if spellings.get(alike(name), name) != name:
+        raise UsageError(
+            f"{source.path.name}: the library has '{spellings[alike(name)]}', which some systems do not tell from "
+            f"'{name}'; rename the file"
+        )
     known = library.attributes(name) if name in library else None
     if known and known.sha256 == source.sha256:
         return "skipped"
@@ -218,7 +257,7 @@ def _store(library: Library, source: _Source, staged: Path, replace: bool) -> Ou
             "or rename the file"
         )
     folder = staged / name
-    write_material(folder, source.file, source.path.name, source.sha256)
+    write_material(folder, source.read(), source.path.name, source.sha256)
     target = library.path / "materials" / name
     if known:
         staging.replace(library.path, folder, target)

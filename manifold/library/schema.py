@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.errors import LibraryError
+from manifold.errors import LibraryError, ShapeError
 from manifold.records import RGB_NAMES, Array, Bands
 
 SCHEMA = "manifold-library"
@@ -101,6 +101,9 @@ def bands_of(attributes: dict[str, Any], shown: Path | str) -> Bands:
     found = attributes.get("bands")
     if found == "RGB":
         return Bands(None)
-    if isinstance(found, list) and found and all(isinstance(w, int | float) for w in found):
-        return Bands(tuple(float(w) for w in found))
+    try:
+        if isinstance(found, list) and all(isinstance(w, int | float) for w in found):
+            return Bands.from_array(np.array(found, dtype=np.float64))
+    except (ShapeError, OverflowError) as error:
+        raise LibraryError(f"{shown}: attribute 'bands' is damaged ({error}); {again}") from error
     raise LibraryError(f"{shown}: attribute 'bands' is damaged; {again}")

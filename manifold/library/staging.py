@@ -1,7 +1,7 @@
 """Writing a folder so that a reader, or a SIGKILL, never meets half of it: lock, stage beside, rename.
 
 Beside a library `NAME` stand, only while somebody writes: the lock `.NAME.lock`, the staging folder
-`.NAME.importing-PID` and, while a material is replaced, `.NAME.replacing`. What a killed process left is
+`.NAME.importing-*` and, while a material is replaced, `.NAME.replacing`. What a killed process left is
 put right by the next writer: whoever holds the lock knows that every such folder is stale.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +21,7 @@ from filelock import FileLock, Timeout
 from manifold.errors import LibraryError
 
 _exchange = threading.Lock()
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # of a link that somebody put there
 
 
 def resolved(library: Path | str) -> Path:
@@ -39,12 +41,12 @@ def writing(library: Path) -> Iterator[Path]:
         LibraryError: another process holds the lock, or the folder cannot be written.
     """
     with _write_lock(library):
-        staging = library.parent / f".{library.name}.importing-{os.getpid()}"
+        prefix = f".{library.name}.importing-"
         try:
             _recover(library)
             for stale in library.parent.glob(f".{_glob_literal(library.name)}.importing-*"):
                 shutil.rmtree(stale, ignore_errors=True)
-            staging.mkdir()
+            staging = Path(tempfile.mkdtemp(prefix=prefix, dir=library.parent))
         except OSError as error:
             raise _cannot_write(library, error) from error
         try:
@@ -122,8 +124,11 @@ def _write_lock(library: Path) -> Iterator[None]:
     except OSError as error:
         raise _cannot_write(library, error) from error
     try:
-        with suppress(OSError):
-            path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
+        with (
+            suppress(OSError),
+            open(os.open(path, os.O_WRONLY | os.O_TRUNC | _NO_FOLLOW), "w", encoding="utf-8") as stream,
+        ):
+            stream.write(f"process {os.getpid()} on {socket.gethostname()}")
         yield
     finally:
         with suppress(

@@ -11,7 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
@@ -20,7 +20,7 @@ import numpy as np
 
 from manifold.errors import LibraryError, ManifoldError, UsageError
 from manifold.library import cache, staging
-from manifold.library.identity import MaterialInfo, content_sha256, is_material_name
+from manifold.library.identity import MaterialInfo, content_sha256, info_of, is_material_name
 from manifold.library.schema import FIELDS, SCHEMA_VERSION
 from manifold.library.writing import first_line, make_store, read_bands
 from manifold.library.zarr_reading import attributes_of, open_group, read_array, read_extra, shape_of
@@ -133,6 +133,11 @@ class Library:
                 f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
                 f"{self._repair(name)}"
             )
+        if file.bands != self.bands:  # those of the library stand in its root, which no hash covers
+            raise LibraryError(
+                f"{name}: has {file.bands}, but {self.path.name} says {self.bands}; its zarr.json was changed: "
+                "import its files again into a new library"
+            )
         return file
 
     def _settled(self, name: str, read: Callable[[], T]) -> T:
@@ -230,11 +235,7 @@ class Library:
 
     def _attributes(self, name: str) -> MaterialInfo:
         with self._material(name) as group:
-            values = attributes_of(group)
-            known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name != "name"}
-            known["shape"] = tuple(known["shape"])
-            known["pipeline_version"] = tuple(known["pipeline_version"])
-            return MaterialInfo(name=name, **known)
+            return info_of(name, attributes_of(group))
 
     @property
     def content_hash(self) -> str:

@@ -1,12 +1,11 @@
-"""Reading groups and arrays through zarr, so that whatever zarr can decode can be read."""
+"""Reading groups and arrays through zarr, after a look at what they announce: zarr believes it."""
 
 from __future__ import annotations
 
+import math
 import os
-import threading
-import warnings
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +14,15 @@ import zarr
 
 from manifold.records import Array
 
-_SILENCE = threading.Lock()
-
-
-@contextmanager
-def silence() -> Iterator[None]:
-    """No warnings of zarr, one thread at a time: filters belong to the process, and restores that cross lose them."""
-    with _SILENCE, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
+_MOST_METADATA = 16 << 20  # bytes
+_MOST_ARRAY = 4 << 30  # bytes
+_CODECS = ("BytesCodec", "ShardingCodec")  # of this package: no few bytes stand for many
 
 
 def open_group(folder: Path) -> zarr.Group:
     """The group in a folder; zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors."""
-    with silence():
-        return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+    _require_file(folder / "zarr.json", 0, _MOST_METADATA, "it lacks its zarr.json")
+    return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
 
 
 def attributes_of(group: zarr.Group) -> dict[str, Any]:
@@ -68,21 +61,49 @@ def chunk_keys(ranges: list[range]) -> Iterator[str]:
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array:
+    """One of the group's arrays, whose size and codecs can be trusted.
+
+    Raises:
+        LookupError: there is none, or it is not as this package writes them.
+    """
+    folder = Path(group.store.root, group.path, name)  # type: ignore[attr-defined]
+    _require_file(folder / "zarr.json", 0, _MOST_METADATA, f"it lacks its field '{name}'")
     array = group[name]
     if not isinstance(array, zarr.Array):
         raise LookupError(f"field '{name}' is no array")
+    codecs = [type(codec).__name__ for codec in getattr(array.metadata, "codecs", ())]
+    if array.dtype.kind not in "iuf" or len(codecs) != 1 or codecs[0] not in _CODECS:
+        found = f"dtype {array.dtype}, coded by {', '.join(codecs)}"
+        raise LookupError(f"field '{name}' has {found}, expected plain numbers")
+    if array.nbytes > _MOST_ARRAY:
+        raise LookupError(f"field '{name}' has {array.nbytes} bytes, expected at most {_MOST_ARRAY}")
     return array
 
 
 def _require_chunks(array: zarr.Array, selection: tuple[slice, ...]) -> None:
-    """Zarr reads a chunk file that is gone as fill values, without a word: look first."""
+    """Zarr reads a chunk file that is gone as fill values, without a word, and waits for pipes: look first."""
     if 0 in array.shape:
         return
     folder = Path(array.store.root, array.path)  # type: ignore[attr-defined]
+    size = array.shards or array.chunks
     ranges = [
-        range(part.start // size, (part.stop - 1) // size + 1)
-        for part, size in zip(selection, array.shards or array.chunks, strict=True)
+        range(part.start // step, (part.stop - 1) // step + 1)
+        for part, step in zip(selection, size, strict=True)
     ]
+    least = math.prod(size) * array.dtype.itemsize
+    most = (
+        least + 16 * math.prod(size) // math.prod(array.chunks) + 4
+    )  # the index of a shard, and its checksum
     for key in chunk_keys(ranges):
-        if not (folder / key).exists():
-            raise LookupError(f"field '{array.basename}' lacks its chunk {key}")
+        _require_file(folder / key, least, most, f"field '{array.basename}' lacks its chunk {key}")
+
+
+def _require_file(path: Path, least: int, most: int, lack: str) -> None:
+    """Raise LookupError unless there is a regular file of a size between two; `lack` says what it is without."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise LookupError(lack) from error
+    if not stat.S_ISREG(status.st_mode) or not least <= status.st_size <= most:
+        found = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "no regular file"
+        raise LookupError(f"{path.parent.name}/{path.name} has {found}, expected {least} to {most} bytes")

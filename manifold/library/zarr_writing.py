@@ -19,7 +19,7 @@ from zarr.storage import MemoryStore
 
 from manifold.errors import LibraryError
 from manifold.library.schema import StoredArray
-from manifold.library.zarr_reading import chunk_keys, silence
+from manifold.library.zarr_reading import chunk_keys
 from manifold.records import Array
 
 Shape = tuple[int, ...]
@@ -117,23 +117,22 @@ def _create_in_memory(
     dims: tuple[str, ...] | None = None,
     attributes: dict[str, Any] | None = None,
 ) -> zarr.Array:
-    with silence():
-        return zarr.create_array(
-            MemoryStore(memory),
-            shape=shape,
-            dtype=dtype,
-            chunks=chunks,
-            shards=shards,
-            compressors=None,
-            filters=None,
-            serializer=BytesCodec(endian="little") if np.dtype(dtype).itemsize > 1 else "auto",
-            # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
-            chunk_key_encoding={"name": "default", "separator": "."},
-            fill_value=0,
-            zarr_format=3,
-            attributes=attributes,
-            dimension_names=dims,
-        )
+    return zarr.create_array(
+        MemoryStore(memory),
+        shape=shape,
+        dtype=dtype,
+        chunks=chunks,
+        shards=shards,
+        compressors=None,
+        filters=None,
+        serializer=BytesCodec(endian="little") if np.dtype(dtype).itemsize > 1 else "auto",
+        # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
+        chunk_key_encoding={"name": "default", "separator": "."},
+        fill_value=0,
+        zarr_format=3,
+        attributes=attributes,
+        dimension_names=dims,
+    )
 
 
 @lru_cache(maxsize=1)

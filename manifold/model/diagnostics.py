@@ -84,9 +84,8 @@ def diagnose(
         why += f", the error to expect {ball:.0f} CIEDE2000 of the ball"
     negative = found.negative_share if negative_share is None else negative_share
     sentences = of_prediction(is_extrapolation, replace(found, negative_share=negative), missed, why)
-    return Diagnosis(
-        ball, cube_root, is_extrapolation, nearest, missed, found, sentences + of_unmeasured(model.unmeasured_share(x))
-    )  # fmt: skip
+    sentences += of_unmeasured(model.unmeasured_share(x)) + model.notes
+    return Diagnosis(ball, cube_root, is_extrapolation, nearest, missed, found, sentences)
 
 
 def in_words(ball: float | None, cube_root: float | None) -> list[str]:

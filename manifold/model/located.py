@@ -88,5 +88,6 @@ def locate(
         expected_cube_root=None if expected is None else float(expected.cube_root),
         nearest=tuple(loaded.nearest(found.latent, 3)),
         diagnostics=diagnostics.of_embedding(found.relative_error)
-        + diagnostics.of_unmeasured(unmeasured_share(file, cells)),
+        + diagnostics.of_unmeasured(unmeasured_share(file, cells))
+        + loaded.notes,
     )

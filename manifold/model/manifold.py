@@ -66,6 +66,7 @@ class Manifold:
         self.settings = settings
         self.statistics = statistics
         self.left_out = left_out
+        self.notes: tuple[str, ...] = ()  # diagnostics of all that it predicts, from `load`
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -351,17 +352,13 @@ class Manifold:
         stored = read_model(path)
         library = open_library(path, stored, library)
         settings, space, left_out = restore(path, stored, library)
+        materials = MaterialCache(library, stored.names, is_nonnegative=space.is_nonnegative)
+        model = cls(materials, space, settings, stored.statistics, left_out)
         if library.content_hash != stored.library_hash:
-            warnings.warn(
+            change = (
                 f"{library.path.name} is not what {path.name} was fitted to (hash {library.content_hash[:12]}, "
-                f"expected {stored.library_hash[:12]}); predictions use the present files: embed again",
-                LibraryChangedWarning,
-                stacklevel=2,
+                f"expected {stored.library_hash[:12]}); predictions use the present files: embed again"
             )
-        return cls(
-            MaterialCache(library, stored.names, is_nonnegative=space.is_nonnegative),
-            space,
-            settings,
-            stored.statistics,
-            left_out,
-        )
+            model.notes = (change,)
+            warnings.warn(change, LibraryChangedWarning, stacklevel=2)
+        return model

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import socket
 import ssl
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -134,11 +136,11 @@ def test_any_break_of_the_connection_is_tried_again(server, tmp_path, monkeypatc
     server.behaviours["broken"] = Behaviour()
     once, calls = Downloader._once, []
 
-    def breaking(self, entry: Entry, part: Path) -> None:
+    def breaking(self, entry: Entry, part: Path, deadline: float) -> None:
         calls.append(entry.name)
         if len(calls) == 1:
             raise ssl.SSLError("record layer failure")
-        once(self, entry, part)
+        once(self, entry, part, deadline)
 
     monkeypatch.setattr(Downloader, "_once", breaking)
     fetch(["broken"], tmp_path, base_url=server.url, table=table("broken"), **QUICK)
@@ -414,3 +416,103 @@ def test_a_valid_file_without_checksum_is_taken_and_named(server: Server, tmp_pa
         assert result.without_checksum == ("aniso",)
     assert len(result.present) == 1
     assert (tmp_path / "to" / "aniso_spec.bsdf").read_bytes() == path.read_bytes()
+
+
+def _raw_server(answer) -> tuple[str, threading.Thread]:
+    """A server that answers every connection by a function of its socket; its URL."""
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with listening:
+            for _ in range(2):
+                connection, _ = listening.accept()
+                with connection, suppress(OSError):
+                    connection.recv(65536)
+                    answer(connection)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    return f"http://127.0.0.1:{listening.getsockname()[1]}/m", thread
+
+
+def _endless_continue(connection) -> None:
+    while True:
+        connection.sendall(b"HTTP/1.1 100 Continue\r\n\r\n")
+        time.sleep(0.02)
+
+
+def _dripping_headers(connection) -> None:
+    connection.sendall(b"HTTP/1.1 200 OK\r\nX: ")
+    while True:
+        connection.sendall(b"x")
+        time.sleep(0.02)
+
+
+def _dripping_chunks(connection) -> None:
+    connection.sendall(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n1;")
+    while True:
+        connection.sendall(b"x")
+        time.sleep(0.02)
+
+
+def _just_fast_enough(connection) -> None:
+    connection.sendall(f"HTTP/1.1 200 OK\r\nContent-Length: {len(CONTENT)}\r\n\r\n".encode())
+    for byte in range(0, len(CONTENT), 1000):
+        connection.sendall(CONTENT[byte : byte + 1000])
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    "answer", [_endless_continue, _dripping_headers, _dripping_chunks, _just_fast_enough]
+)
+def test_a_server_that_never_ends_is_given_up(tmp_path, answer):
+    url, _ = _raw_server(answer)
+    began = time.monotonic()
+    with pytest.raises(FetchError, match=r"stalled|not done after"):
+        fetch(["m"], tmp_path, base_url=url, table=table("m"), attempts=2, deadline_s=1.0, **QUICK)
+    assert time.monotonic() - began < 4.0  # 1 s, and what a busy machine takes
+
+
+def test_lengths_of_thousands_of_digits_and_odd_redirections_are_one_error(server, tmp_path):
+    url, _ = _raw_server(
+        lambda c: c.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: " + b"9" * 5000 + b"\r\n\r\nx")
+    )
+    with pytest.raises(FetchError):
+        fetch(["m"], tmp_path, base_url=url, table=table("m"), attempts=2, **QUICK)
+    server.behaviours["odd"] = Behaviour(location="http://[bad")
+    with pytest.raises(FetchError):
+        fetch(["odd"], tmp_path, base_url=server.url, table=table("odd"), attempts=1, **QUICK)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://[",
+        "http://h:99999999",
+        "http://h:x",
+        "http://a b/",
+        "http://h\x1b/",
+        "http:///x",
+        "http://h/?q=1",
+    ],
+)
+def test_base_urls_that_are_none_are_refused(tmp_path, url):
+    with pytest.raises(UsageError, match="web address"):
+        fetch(["m"], tmp_path, base_url=url, table=table("m"))
+
+
+def test_a_password_in_a_base_url_is_not_repeated(tmp_path):
+    for url in ("http://me:secret@host/", "https://me:secret@[", "ftp://me:secret@host"):
+        with pytest.raises(UsageError) as caught:
+            fetch(["m"], tmp_path, base_url=url, table=table("m"))
+        assert "secret" not in str(caught.value)
+
+
+def test_a_planted_part_does_not_lead_elsewhere(server, tmp_path):
+    server.behaviours["m"] = Behaviour()
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / "to").mkdir()
+    (tmp_path / "to" / "m_spec.bsdf.part").symlink_to(tmp_path / "victim")
+    fetch(["m"], tmp_path / "to", base_url=server.url, table=table("m"), **QUICK)
+    assert (tmp_path / "victim").read_text() == "mine"
+    assert (tmp_path / "to" / "m_spec.bsdf").read_bytes() == CONTENT

@@ -7,6 +7,7 @@ import http.client
 import io
 import os
 import re
+import stat
 import time
 import urllib.error
 import urllib.request
@@ -14,13 +15,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from email.message import Message
-from functools import cache
 from pathlib import Path
 from urllib.parse import quote
 
 from manifold import __version__
 from manifold.errors import FetchError, ManifoldError
 from manifold.io_rgl import read_bsdf
+from manifold.library.deadline import ends_within, opener
 from manifold.library.rgl_table import Entry
 
 BLOCK_BYTES = 1 << 18
@@ -48,7 +49,7 @@ class Downloader:
         base_url: without a slash at the end.
         folder: where files go; for errors of the disk.
         on_bytes: told the material, the bytes that are there, and the size of the file if it is known.
-        timeout_s, attempts, pause_s: as in `manifold.library.fetch.fetch`.
+        timeout_s, attempts, pause_s, deadline_s: as in `manifold.library.fetch.fetch`.
     """
 
     base_url: str
@@ -57,6 +58,7 @@ class Downloader:
     timeout_s: float
     attempts: int
     pause_s: float
+    deadline_s: float
 
     def fetch(self, entry: Entry, target: Path) -> None:
         """Download one file, verify it, and give it its final name.
@@ -65,6 +67,9 @@ class Downloader:
             FetchError: it cannot be had, or is not what the table says; a HopelessError where no other can be had.
         """
         part = target.with_name(target.name + ".part")
+        if os.path.lexists(part) and not (part.is_file() and not part.is_symlink()):
+            with disk(self.folder):
+                part.unlink()  # a link, which would lead elsewhere, or a pipe
         is_right = False
         while not is_right:
             resumed = self._complete(entry, part)
@@ -84,9 +89,10 @@ class Downloader:
         """Fill the `.part`, over as many connections as it takes; whether an older one was continued."""
         resumed = _size(part) > 0
         tries, best = 0, _size(part)
+        deadline = time.monotonic() + self.deadline_s
         while True:
             try:
-                self._once(entry, part)
+                self._once(entry, part, deadline)
                 return resumed
             except _Stale:
                 with disk(self.folder):
@@ -98,17 +104,28 @@ class Downloader:
                     raise FetchError(f"{problem} for {error.url}; check the name and the base URL") from error
             except urllib.error.URLError as error:
                 problem, unreachable = f"cannot reach {self.base_url} ({error.reason})", True
-            except (_Transient, OSError, http.client.HTTPException) as error:
+            except (
+                _Transient,
+                OSError,
+                http.client.HTTPException,
+                ValueError,
+            ) as error:  # also odd redirections
                 problem, unreachable = _describe(error, self.timeout_s), False
             size = _size(part)
             tries, best = (1, size) if size > best else (tries + 1, best)
-            if tries >= self.attempts:
+            is_late = time.monotonic() > deadline
+            if tries >= self.attempts or is_late:
                 kept = f"; {size} bytes are kept: run again to continue" if size else "; run again later"
                 kind = HopelessError if unreachable else FetchError
-                raise kind(f"{problem}, {tries} times without a new byte{kept}")
+                gave_up = (
+                    f"not done after {self.deadline_s:g} s"
+                    if is_late
+                    else f"{tries} times without a new byte"
+                )
+                raise kind(f"{problem}, {gave_up}{kept}")
             time.sleep(self.pause_s * 2 ** (tries - 1))
 
-    def _once(self, entry: Entry, part: Path) -> None:
+    def _once(self, entry: Entry, part: Path, deadline: float) -> None:
         """One connection: from where the `.part` ends to the end of the file."""
         have = _size(part)
         if entry.size_bytes is not None and have == entry.size_bytes:
@@ -120,7 +137,9 @@ class Downloader:
         if have:
             headers["Range"] = f"bytes={have}-"
         try:
-            response = _opener().open(urllib.request.Request(url, headers=headers), timeout=self.timeout_s)
+            remaining = deadline - time.monotonic()
+            with ends_within(min(self.timeout_s, remaining)) as sockets:  # also headers that drip
+                response = opener().open(urllib.request.Request(url, headers=headers), timeout=self.timeout_s)
         except urllib.error.HTTPError as error:
             error.close()
             if error.code != 416:
@@ -134,8 +153,9 @@ class Downloader:
             if entry.size_bytes is not None and total is not None and total != entry.size_bytes:
                 raise FetchError(f"the server's file has {total} bytes, expected {entry.size_bytes}")
             with disk(self.folder):
-                stream = part.open("r+b" if start else "wb", buffering=0)
-            with stream:
+                flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | (0 if start else os.O_TRUNC)
+                stream = open(os.open(part, flags, 0o666), "r+b", buffering=0)
+            with stream, ends_within(deadline - time.monotonic(), sockets):
                 self._copy(response, stream, entry, start, expected)
 
     def _copy(
@@ -189,34 +209,19 @@ def verify(path: Path, entry: Entry) -> None:
 def _extent(response: http.client.HTTPResponse, have: int) -> tuple[int, int | None]:
     """Where in the file the answer begins, and how long the file is, if the server says so."""
     if response.status == 206:
-        match = re.fullmatch(r"bytes (\d+)-\d+/(\d+|\*)", response.headers.get("Content-Range", "").strip())
+        match = re.fullmatch(
+            r"bytes (\d{1,18})-\d{1,18}/(\d{1,18}|\*)", response.headers.get("Content-Range", "").strip()
+        )
         if not match or int(match[1]) != have:
             raise _Stale
         return have, None if match[2] == "*" else int(match[2])
     length = response.headers.get("Content-Length", "")  # Range ignored: the whole file comes.
-    return 0, int(length) if length.isdecimal() else None
+    return 0, int(length) if re.fullmatch(r"\d{1,18}", length) else None
 
 
 def _announced_total(headers: Message) -> int | None:
-    match = re.fullmatch(r"bytes \*/(\d+)", headers.get("Content-Range", "").strip())
+    match = re.fullmatch(r"bytes \*/(\d{1,18})", headers.get("Content-Range", "").strip())
     return int(match[1]) if match else None
-
-
-@cache
-def _opener() -> urllib.request.OpenerDirector:
-    """Speaks http and https, through the user's proxies; unlike `urlopen`, no file:, ftp: or data:."""
-    opener = urllib.request.OpenerDirector()
-    for handler in (
-        urllib.request.ProxyHandler,
-        urllib.request.HTTPHandler,
-        urllib.request.HTTPSHandler,
-        urllib.request.HTTPRedirectHandler,
-        urllib.request.HTTPErrorProcessor,
-        urllib.request.HTTPDefaultErrorHandler,
-        urllib.request.UnknownHandler,
-    ):
-        opener.add_handler(handler())
-    return opener
 
 
 @contextmanager
@@ -236,10 +241,12 @@ def _write_all(stream: io.FileIO, block: bytes) -> None:
 
 
 def _size(path: Path) -> int:
+    """Of a file; 0 where there is none, or something else."""
     try:
-        return path.stat().st_size
+        status = path.lstat()
     except OSError:
         return 0
+    return status.st_size if stat.S_ISREG(status.st_mode) else 0
 
 
 def _describe(error: Exception, timeout_s: float) -> str:

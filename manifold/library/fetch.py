@@ -55,6 +55,7 @@ def fetch(
     timeout_s: float = 30.0,
     attempts: int = 4,
     pause_s: float = 1.0,
+    deadline_s: float = 3600.0,
 ) -> FetchResult:
     """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder.
 
@@ -72,19 +73,19 @@ def fetch(
         timeout_s: seconds without data after which a connection counts as stalled.
         attempts: tries per file without a new byte before it is given up.
         pause_s: seconds before the second try; doubles each time.
+        deadline_s: seconds for one file, after which it is given up; a later call goes on.
     Raises:
         UsageError: an unknown name, or another kind of URL.
         FetchError: the folder cannot be written.
         IncompleteFetchError: files are missing; its `result` tells what worked.
     """
     entries = select(names, rgl_table() if table is None else table, anisotropic)
-    if urlsplit(base_url).scheme not in ("http", "https") or not urlsplit(base_url).netloc:
-        raise UsageError(f"{base_url}: not a web address; expected http://... or https://...")
+    _require_url(base_url)
     folder = Path(to)
     with disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
     meter = _Meter(entries, on_progress)
-    downloader = Downloader(base_url.rstrip("/"), folder, meter.set, timeout_s, attempts, pause_s)
+    downloader = Downloader(base_url.rstrip("/"), folder, meter.set, timeout_s, attempts, pause_s, deadline_s)
     downloaded, present = [], []
     failed: dict[str, str] = {}
     for entry in entries:
@@ -107,6 +108,21 @@ def fetch(
     if failed:
         raise IncompleteFetchError(_summary(len(entries), result, failed, folder), result, failed)
     return result
+
+
+def _require_url(url: str) -> None:
+    """Raise UsageError for what is no plain web address; one with a password is not repeated."""
+    try:
+        parts = urlsplit(url)
+        is_address = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0
+    except ValueError:
+        is_address, parts = False, None
+    if "@" in (url if parts is None else parts.netloc):
+        raise UsageError("the base URL holds a user name; expected http://... or https://... without one")
+    if not is_address or not url.isascii() or not url.isprintable() or " " in url:
+        raise UsageError(f"{url}: not a web address; expected http://... or https://...")
+    if parts is not None and (parts.query or parts.fragment):
+        raise UsageError(f"{url}: a web address with a query; expected that of a folder")
 
 
 class _Meter:

@@ -154,7 +154,7 @@ class Downloader:
                 raise FetchError(f"the server's file has {total} bytes, expected {entry.size_bytes}")
             with disk(self.folder):
                 flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | (0 if start else os.O_TRUNC)
-                stream = open(os.open(part, flags, 0o666), "r+b", buffering=0)
+                stream = io.FileIO(os.open(part, flags, 0o666), "r+")
             with stream, ends_within(deadline - time.monotonic(), sockets):
                 self._copy(response, stream, entry, start, expected)
 

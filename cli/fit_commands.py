@@ -127,10 +127,20 @@ def fit(
         with terminal.progress("Fitting") as step:
             outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
     _show(results, outcomes)
+    for outcome in outcomes:
+        if outcome.diagnosis is not None:
+            results.rows("Fitted to a prediction", outcome.diagnosis.rows)
     if picture:
         _draw(results, outcomes, model, library, colour)
     failed = [f"{outcome.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]
-    results.document({"fits": [o.content for o in outcomes if o.content is not None], "failed": failed})
+    predictions = [o.diagnosis.to_json() for o in outcomes if o.diagnosis is not None]
+    results.document(
+        {
+            "fits": [o.content for o in outcomes if o.content is not None],
+            "failed": failed,
+            "predictions": predictions,
+        }
+    )
     if failed:
         raise FileFormatError(_failures(outcomes))
 

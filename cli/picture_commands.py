@@ -77,16 +77,18 @@ def latent_map(
     if marked is None and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
     with terminal.progress("Rendering") as step:
-        left_out = ball_pictures.latent_map(
+        drawn = ball_pictures.latent_map(
             model, output, library=library, marked=marked, colour=colour, on_progress=step
         )
-    results.rows(f"Drawn {output}", {"left out": ", ".join(left_out)} if left_out else {})
+    rows: dict[str, object] = {"left out": ", ".join(drawn.left_out)} if drawn.left_out else {}
+    results.rows(f"Drawn {output}", rows | (drawn.diagnosis.rows if drawn.diagnosis is not None else {}))
     results.document(
         {
             "program": f"manifold {__version__}",
             "picture": str(output),
             "marked": marked,
-            "left_out": list(left_out),
+            "left_out": list(drawn.left_out),
+            "prediction": None if drawn.diagnosis is None else drawn.diagnosis.to_json(),
         }
     )
 
@@ -106,12 +108,23 @@ def walk(
 
     results = terminal.Results(json)
     with terminal.progress("Rendering") as step:
-        diagnostics = ball_pictures.walk(
+        between = ball_pictures.walk(
             model, start, end, output, steps=steps, library=library, on_progress=step
         )
-    results.rows(f"Drawn {output}", {"diagnostics": list(diagnostics)} if diagnostics else {})
+    diagnosed = [f"t = {step.t:.2g}: {said}" for step in between for said in step.diagnosis.diagnostics]
+    expected = [
+        f"t = {step.t:.2g}: {step.diagnosis.expected_ball:.1f}"
+        for step in between
+        if step.diagnosis.expected_ball is not None
+    ]
+    rows: dict[str, object] = {"expected CIEDE2000": expected} if expected else {}
+    results.rows(f"Drawn {output}", rows | ({"diagnostics": diagnosed} if diagnosed else {}))
     results.document(
-        {"program": f"manifold {__version__}", "picture": str(output), "diagnostics": list(diagnostics)}
+        {
+            "program": f"manifold {__version__}",
+            "picture": str(output),
+            "predictions": [step.to_json() for step in between],
+        }
     )
 
 
@@ -157,7 +170,17 @@ def slices(
     pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
-    results.document({"program": f"manifold {__version__}", "picture": str(output), "materials": labels})
+    predictions = {source.label: source.diagnosis for source in drawn if source.diagnosis is not None}
+    for label, diagnosis in predictions.items():
+        results.rows(label[:1].upper() + label[1:], diagnosis.rows)
+    results.document(
+        {
+            "program": f"manifold {__version__}",
+            "picture": str(output),
+            "materials": labels,
+            "predictions": {label: diagnosis.to_json() for label, diagnosis in predictions.items()},
+        }
+    )
 
 
 def parse_wavelengths(text: str) -> list[float]:

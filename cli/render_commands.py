@@ -131,7 +131,8 @@ def _show(results: terminal.Results, made: Rendered) -> None:
             "picture": f"{made.size} x {made.size}, {made.samples} samples per pixel, seed {made.seed}",
             "renderer": made.backend,
             "time": f"{made.seconds:.1f} s",
-        },
+        }
+        | (made.diagnosis.rows if made.diagnosis is not None else {}),
     )
     results.document(made.to_json())
 

@@ -21,6 +21,7 @@ from small_library import NAMES, measured, small_library
 
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
@@ -570,3 +571,46 @@ def test_every_folder_is_installed():
     folders = {path.parent.relative_to(REPOSITORY) for path in (REPOSITORY / "manifold").rglob("*.py")}
     expected = {".".join(folder.parts) for folder in folders} | {"manifold.cli"}
     assert set(settings["tool"]["setuptools"]["packages"]) == expected
+
+
+DIAGNOSED = {
+    "expected_ball",
+    "expected_cube_root",
+    "is_extrapolation",
+    "nearest",
+    "plausibility",
+    "diagnostics",
+}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "find"),
+    [
+        (["predict", "--latent", "0.3,-0.2", "-o", "d_rgb.bsdf"], lambda document: document),
+        (
+            ["slices", "--latent", "0.3,-0.2"],
+            lambda document: document["predictions"]["predicted at 0.3, -0.2"],
+        ),
+        (["map", "--mark", "0.3,-0.2"], lambda document: document["prediction"]),
+        (
+            ["render", "--latent", "0.3,-0.2", "--size", "16", "--samples", "1"],
+            lambda document: document["prediction"],
+        ),
+        (["fit", "--latent", "0.3,-0.2", "--free", "roughness"], lambda document: document["predictions"][0]),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments, find):
+    status, out, err = run(*arguments, "--json", "-", cwd=folder)
+    assert status == 0, err
+    found = find(json.loads(out))
+    assert set(found) >= DIAGNOSED
+    model = Manifold.load(folder / "model.h5", folder / "library.zarr")
+    assert found["expected_ball"] == float(model.expected_error(np.array([0.3, -0.2])).ball)
+
+
+def test_walks_say_what_to_expect_of_every_step(run, folder):
+    status, out, _ = run("walk", "syn_felt_green", "syn_gloss_red", "--steps", "3", "--json", "-", cwd=folder)
+    assert status == 0
+    (step,) = json.loads(out)["predictions"]
+    assert set(step) >= DIAGNOSED | {"t"}

@@ -11,6 +11,7 @@ from small_library import NAMES, measured, small_model
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
+from manifold.model import diagnostics
 from manifold.model.manifold import Manifold
 from manifold.plots.plot_balls import ball_map, spread, walk_strip
 from manifold.rendering import thumbnails
@@ -117,17 +118,14 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
 
 
 def test_a_walk_says_what_speaks_against_its_steps(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        ball_pictures,
-        "plausibility",
-        lambda brdf: Plausibility(0.3, 0.0, 0.5),
-    )
-    said = ball_pictures.walk(
+    monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5))
+    (step,) = ball_pictures.walk(
         folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
     )
-    assert [line for line in said if "30 % of the values were negative" in line] == [
-        "t = 0.5: 30 % of the values were negative; the data do not support this point"
-    ]
+    assert step.t == 0.5
+    assert (
+        "30 % of the values were negative; the data do not support this point" in step.diagnosis.diagnostics
+    )
 
 
 def test_long_names_are_broken_where_they_have_spaces(model, balls):

@@ -55,6 +55,10 @@ class ChosenColour:
     missed: float
 
 
+UNCHOSEN = ChosenColour(None, None, 0.0)
+"""No colour of its own: latents carry it, or it is interpolated with them."""
+
+
 def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColour:
     """Find the colours of a structure x (Q,).
 
@@ -68,7 +72,7 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
                 "the materials of this manifold carry their colours with them; leave the colour out, or "
                 "embed with --kind monochrome to choose it"
             )
-        return ChosenColour(None, None, 0.0)
+        return UNCHOSEN
     if choice == NEAREST and not model.space.needs_colours:
         return ChosenColour(None, "blended from the materials around", 0.0)
     if choice.reflectance is None and choice.srgb is None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
-from manifold.brdf.plausibility import Plausibility
+from manifold.brdf.plausibility import Plausibility, plausibility
+from manifold.model.colours import ChosenColour
 from manifold.model.manifold import Manifold
 from manifold.records import Array
 
@@ -86,6 +88,11 @@ def diagnose(
     sentences = of_prediction(is_extrapolation, replace(found, negative_share=negative), missed, why)
     sentences += of_unmeasured(model.unmeasured_share(x)) + model.notes
     return Diagnosis(ball, cube_root, is_extrapolation, nearest, missed, found, sentences)
+
+
+def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diagnosis:
+    """Of a prediction at a latent x (Q,) that is not written: measured on the BRDF itself."""
+    return diagnose(model, x, plausibility(brdf), colours=chosen.colours, missed=chosen.missed)
 
 
 def in_words(ball: float | None, cube_root: float | None) -> list[str]:

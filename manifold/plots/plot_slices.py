@@ -13,6 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
+from manifold.model.diagnostics import Diagnosis
 from manifold.plots.figures import new_figure
 from manifold.records import Array, Bands
 
@@ -46,10 +47,12 @@ class Source:
     Attributes:
         label: in the legend.
         brdf: what is drawn.
+        diagnosis: of a prediction; None of what was measured or fitted.
     """
 
     label: str
     brdf: Evaluable
+    diagnosis: Diagnosis | None = None
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:

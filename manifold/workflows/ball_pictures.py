@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from manifold.brdf.plausibility import plausibility
 from manifold.errors import UsageError
 from manifold.model import diagnostics
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, UNCHOSEN, ColourChoice, choose_colour
+from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_balls, plot_latents
@@ -20,6 +22,31 @@ from manifold.rendering.thumbnails import cropped
 MOST_STEPS = 25
 
 
+@dataclass(frozen=True)
+class DrawnMap:
+    """A map that was drawn.
+
+    Attributes:
+        left_out: rendered balls, where Mitsuba is missing; materials are points then.
+        diagnosis: of the prediction that is marked, if one is.
+    """
+
+    left_out: tuple[str, ...]
+    diagnosis: Diagnosis | None
+
+
+@dataclass(frozen=True)
+class Step:
+    """A prediction on a path, at t from 0 to 1."""
+
+    t: float
+    diagnosis: Diagnosis
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"t": self.t} | self.diagnosis.to_json()
+
+
 def latent_map(
     model: Path,
     output: Path,
@@ -28,7 +55,7 @@ def latent_map(
     marked: Place | None = None,
     colour: ColourChoice = NEAREST,
     on_progress: Progress | None = None,
-) -> tuple[str, ...]:
+) -> DrawnMap:
     """Draw the map of latents with a rendered ball per material, and with one of a prediction.
 
     Args:
@@ -38,21 +65,21 @@ def latent_map(
         marked: latent of a prediction to show, (Q,), or the name of a material.
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
-    Returns:
-        What is left out: rendered balls, where Mitsuba is missing; materials are points then.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
-    x, ball = None if marked is None else loaded.require_latent(marked), None
+    x, predicted, diagnosis = None if marked is None else loaded.require_latent(marked), None, None
+    if x is not None:
+        chosen = choose_colour(loaded, x, colour)
+        predicted = loaded.predict(x, chosen.colours)
+        diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
     if not backend.is_available():
         figures.save(plot_latents.latent_map(loaded, marked=x), output)
-        return ("rendered balls, since Mitsuba is missing",)
-    if x is not None:
-        predicted = loaded.predict(x, choose_colour(loaded, x, colour).colours)
-        ball = cropped(thumbnails.of_material(predicted))
+        return DrawnMap(("rendered balls, since Mitsuba is missing",), diagnosis)
+    ball = None if predicted is None else cropped(thumbnails.of_material(predicted))
     balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
     figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
-    return ()
+    return DrawnMap((), diagnosis)
 
 
 def walk(
@@ -64,11 +91,11 @@ def walk(
     steps: int = 7,
     library: Path | None = None,
     on_progress: Progress | None = None,
-) -> tuple[str, ...]:
+) -> tuple[Step, ...]:
     """Draw the path between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
 
     Returns:
-        Diagnostics of the predictions on the path, with their t; their steps are marked in the picture.
+        What is to be known of the predictions between the materials; those with diagnostics are marked in the picture.
     Raises:
         UsageError: a material is unknown, or there are fewer than 2 or more than 25 steps.
         RendererError: Mitsuba is missing.
@@ -80,20 +107,19 @@ def walk(
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
     rows: list[tuple[str, list[Array]]] = []
-    diagnosed: dict[float, tuple[str, ...]] = {}
+    between: list[Step] = []
     for name, along in (("manifold", loaded.interpolate), ("linear", loaded.blend)):
         images: list[Array] = []
         for value in t.tolist():
             brdf = along(start, end, value)
             images.append(cropped(thumbnails.of_material(brdf)))
             if name == "manifold" and 0.0 < value < 1.0:
-                is_extrapolation = bool(loaded.is_extrapolation(loaded.between(start, end, value)))
-                diagnosed[value] = diagnostics.of_prediction(is_extrapolation, plausibility(brdf))
+                found = diagnostics.of_brdf(loaded, loaded.between(start, end, value), brdf, UNCHOSEN)
+                between.append(Step(value, found))
             if on_progress is not None:
                 on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
         rows.append((name, images))
-    doubtful = [bool(diagnosed.get(value)) for value in t.tolist()]
+    is_doubtful = {step.t: bool(step.diagnosis.diagnostics) for step in between}
+    doubtful = [is_doubtful.get(value, False) for value in t.tolist()]
     figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows, doubtful), output)
-    return tuple(
-        f"t = {value:.2g}: {diagnostic}" for value, found in diagnosed.items() for diagnostic in found
-    )
+    return tuple(between)

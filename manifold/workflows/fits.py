@@ -22,7 +22,9 @@ from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.fitting.processes import in_processes
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import require_material_name
+from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import Progress
@@ -85,6 +87,7 @@ class FitOutcome:
         was_there: whether an earlier run had made it.
         failure: why there is none, else None.
         file: what was fitted; None for a prediction.
+        diagnosis: of a prediction; None of a file.
     """
 
     name: str
@@ -93,6 +96,7 @@ class FitOutcome:
     was_there: bool = False
     failure: str | None = None
     file: Path | None = None
+    diagnosis: Diagnosis | None = None
 
 
 def read_family(path: Path) -> BsdfFamily:
@@ -216,7 +220,8 @@ def fit_prediction(
     x = loaded.require_latent(latent)
     loaded.prepare(on_progress)
     chosen = choose_colour(loaded, x, colour)
-    samples = fit_samples.from_brdf(loaded.predict(x, chosen.colours))
+    brdf = loaded.predict(x, chosen.colours)
+    samples = fit_samples.from_brdf(brdf)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=tuple(float(v) for v in x),
@@ -226,7 +231,8 @@ def fit_prediction(
     )
     content = fit_json.document(_fit(samples, settings), source)
     fit_json.write_document(path, content)
-    return FitOutcome(source.name, path, content)
+    diagnosis = diagnostics.of_brdf(loaded, x, brdf, chosen)
+    return FitOutcome(source.name, path, content, diagnosis=diagnosis)
 
 
 def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path], dict[Path, FitOutcome]]:

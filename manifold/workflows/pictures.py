@@ -10,6 +10,7 @@ from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
+from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
@@ -52,7 +53,9 @@ def sources(
         x = loaded.require_latent(latent)
         at = latent if isinstance(latent, str) else ", ".join(f"{v:.3g}" for v in x)
         label = f"predicted at {at}"
-        found.append(Source(label, loaded.predict(x, choose_colour(loaded, x, colour).colours)))
+        chosen = choose_colour(loaded, x, colour)
+        brdf = loaded.predict(x, chosen.colours)
+        found.append(Source(label, brdf, diagnostics.of_brdf(loaded, x, brdf, chosen)))
     if not found:
         raise UsageError(
             "found nothing to draw; name .bsdf files or materials of the model, or give --latent"

@@ -19,8 +19,9 @@ from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.model import predicted_file
-from manifold.model.colours import NEAREST, ColourChoice
+from manifold.model import diagnostics, predicted_file
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.plots import figures, plot_comparison
 from manifold.records import Array, BsdfFile, Progress
@@ -40,12 +41,14 @@ class Source:
         material: BSDF as a dictionary of Mitsuba.
         is_rgb: whether it is linear sRGB, with no spectrum.
         route: in words, how the renderer evaluates it.
+        diagnosis: of a prediction; None of what was measured or fitted.
     """
 
     name: str
     material: dict[str, Any]
     is_rgb: bool
     route: str
+    diagnosis: Diagnosis | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class Rendered:
         illuminant: name of the light.
         size, samples, seed: as asked for.
         seconds: rendering, without reading.
+        diagnosis: of a prediction; None of what was measured or fitted.
     """
 
     path: Path
@@ -73,10 +77,14 @@ class Rendered:
     samples: int
     seed: int
     seconds: float
+    diagnosis: Diagnosis | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, with the program's version."""
-        return {"program": f"manifold {__version__}", **asdict(self), "path": str(self.path)}
+        prediction = None if self.diagnosis is None else self.diagnosis.to_json()
+        content = vars(self) | {"path": str(self.path), "prediction": prediction}
+        del content["diagnosis"]
+        return {"program": f"manifold {__version__}", **content}
 
 
 def parse_illuminant(text: str) -> Illuminant:
@@ -162,15 +170,17 @@ def latent_source(
         material |= {key: str(value) for key, value in vars(colour).items() if value is not None}
         if library is not None:
             material["library"] = str(library)
-        yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly")
+        chosen = choose_colour(loaded, x, colour)
+        diagnosis = diagnostics.of_brdf(loaded, x, loaded.predict(x, chosen.colours), chosen)
+        yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly", diagnosis)
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "predicted.bsdf"
-        predicted_file.predict(
+        made = predicted_file.predict(
             model, latent, path, library=library, colour=colour, force=True, on_progress=on_progress
         )
         source = file_source(path)
-        yield Source(name, source.material, source.is_rgb, "predicted file")
+        yield Source(name, source.material, source.is_rgb, "predicted file", made.diagnosis)
 
 
 def render_ball(
@@ -233,6 +243,7 @@ def render(
         samples=settings.samples,
         seed=settings.seed,
         seconds=seconds,
+        diagnosis=source.diagnosis,
     )
 
 

@@ -1,0 +1,126 @@
+"""Errors that a model expects beside those that held-out materials have.
+
+    python benchmarks/bench_expected_error.py LIBRARY [--latent-dim Q] [--kind KIND] [--folds K]
+
+Every material is held out once, with others of its fold: the rest is embedded and calibrated without it, it is located
+there from its data, predicted, and compared with its file. Figures of docs/design/expected-error.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import Delaunay
+from scipy.stats import spearmanr
+
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.colour import ball_colours
+from manifold.library.store import Library
+from manifold.metrics import cube_root_error
+from manifold.model.decoding import encoding_pairs
+from manifold.model.fitting import fit_space
+from manifold.model.manifold import Manifold
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import KINDS, Settings
+from manifold.model.spaces import SPACES
+from manifold.records import Array
+
+PLACES = 2000  # inside the convex hull, of which some are not supported
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A material that a model had not seen: errors as expected and as they were, ball and cube root."""
+
+    name: str
+    expected: tuple[float, float]
+    true: tuple[float, float]
+    is_extrapolation: bool
+
+
+def hold_out(library: Library, settings: Settings, held_out: list[str]) -> list[HeldOut]:
+    """Embed and calibrate without some materials, and find them there."""
+    is_nonnegative = SPACES[settings.kind].is_nonnegative
+    names = [name for name in library.names if name not in held_out]
+    materials = MaterialCache(library, names, is_nonnegative=is_nonnegative)
+    space, statistics = fit_space(materials, settings, None)
+    model = Manifold(materials, space, settings, statistics)
+    model.calibrate()
+    found = []
+    for truth in MaterialCache(library, held_out, is_nonnegative=is_nonnegative).filled():
+        place = model.embed(truth)
+        expected = model.expected_error(place.latent, place.colours)
+        assert expected is not None
+        found.append(
+            HeldOut(
+                truth.name,
+                (float(expected.ball), float(expected.cube_root)),
+                errors(truth, model.predict(place.latent, place.colours)),
+                bool(model.is_extrapolation(place.latent, place.colours)),
+            )
+        )
+    return found
+
+
+def errors(truth: MeasuredBRDF, predicted: BRDF) -> tuple[float, float]:
+    """Mean CIEDE2000 of the ball, and the error of cube roots."""
+    ball, pairs = ball_colours.ball(), encoding_pairs()
+    xyz = (ball.xyz(brdf.eval(ball.wi, ball.wo), truth.bands) for brdf in (truth, predicted))
+    f, f_star = (brdf.eval(pairs.wi, pairs.wo) for brdf in (truth, predicted))
+    return ball_colours.delta_e(*xyz), cube_root_error(f, f_star, pairs.cosines)
+
+
+def unsupported_share(library: Library, settings: Settings) -> float:
+    """Share of random places inside the convex hull of all materials that the data do not support."""
+    model = Manifold.fit(library, settings)
+    model.calibrate()
+    rng, hull = np.random.default_rng(0), Delaunay(model.X)
+    low, high = model.X.min(axis=0), model.X.max(axis=0)
+    places: list[Array] = []
+    while sum(map(len, places)) < PLACES:
+        x = rng.uniform(low, high, (PLACES, len(low)))
+        places.append(x[hull.find_simplex(x) >= 0])
+    return float(np.mean(model.is_extrapolation(np.vstack(places)[:PLACES])))
+
+
+def row(name: str, expected: Array, true: Array) -> str:
+    """One line of the table."""
+    medians = " | ".join(f"{np.median(e):.2f} / {np.quantile(e, 0.9):.2f}" for e in (true, expected))
+    rank = spearmanr(expected, true)[0]
+    return f"| {name} | {medians} | {rank:.2f} | {np.mean(true < 2.0 * expected):.0%} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("library", type=Path)
+    parser.add_argument("--latent-dim", type=int, default=2)
+    parser.add_argument("--kind", choices=KINDS, default="blend")
+    parser.add_argument("--folds", type=int, help="one per material if not given")
+    given = parser.parse_args()
+    library, settings = Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim)
+    shuffled = np.random.default_rng(0).permutation(np.array(library.names))
+    folds = np.array_split(shuffled, given.folds or len(shuffled))
+    found = [one for fold in folds for one in hold_out(library, settings, fold.tolist())]
+    for one in found:
+        errors_of = zip(("ball", "cube root"), one.expected, one.true, strict=True)
+        words = [f"{name} {expected:.3f}, was {true:.3f}" for name, expected, true in errors_of]
+        print(f"{one.name:32s} {'; '.join(words)}" + "; not supported" * one.is_extrapolation)
+    expected, true = (np.array([getattr(one, name) for one in found]) for name in ("expected", "true"))
+    print(
+        "\n| error | true, median / 90th percentile | expected | rank correlation | below twice the expected |"
+    )
+    print("|---|---|---|---|---|")
+    print(row("ball CIEDE2000", expected[:, 0], true[:, 0]))
+    print(row("cube root", expected[:, 1], true[:, 1]))
+    print(f"\nnot supported: {np.mean([one.is_extrapolation for one in found]):.0%} of the held-out materials, "
+          f"{unsupported_share(library, settings):.1%} of places inside the hull")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -111,7 +111,17 @@ def run(arguments: list[str] | None = None) -> None:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, its permissions and the free space", debug)
     except Exception as error:
+        if _is_in_cache_of_numba(error):
+            _fail(
+                "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold",
+                debug,
+            )
         _fail(f"internal error: {type(error).__name__}: {error}; run again with --debug and report it", debug)
+
+
+def _is_in_cache_of_numba(error: Exception) -> bool:
+    frames = traceback.extract_tb(error.__traceback__)
+    return any(frame.filename.endswith(os.path.join("numba", "core", "caching.py")) for frame in frames)
 
 
 def _fail(message: str, debug: bool, status: int = _EXIT_ERROR) -> None:

@@ -131,14 +131,15 @@ def _make(target: Path) -> tuple[Path, int]:
     while True:
         partial = target.with_name(f".manifold-{secrets.token_hex(8)}.{target.name[-128:]}")
         descriptor = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-        _lock(descriptor)
+        try_lock(descriptor)
         with suppress(OSError):
             if os.path.samestat(os.stat(partial), os.fstat(descriptor)):
                 return partial, descriptor
         os.close(descriptor)  # swept between its making and its lock
 
 
-def _lock(descriptor: int) -> bool:
+def try_lock(descriptor: int) -> bool:
+    """Lock an open file or folder until this process closes it or ends, however it ends; whether that was possible."""
     if fcntl is None:
         return False
     try:
@@ -158,7 +159,7 @@ def _sweep(folder: Path) -> None:
             with suppress(OSError):
                 descriptor = os.open(entry.path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | os.O_CLOEXEC)
                 try:
-                    if _lock(descriptor):
+                    if try_lock(descriptor):
                         os.unlink(entry.path)
                 finally:
                     os.close(descriptor)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -13,19 +14,39 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _turn = threading.Lock()
+_is_fork = False  # whether this process is a fork of one that had imported this module
+
+
+def _after_fork() -> None:
+    global _turn, _is_fork
+    _turn, _is_fork = threading.Lock(), True  # the old lock may be another thread's, which is not here
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+@lru_cache
+def _in_one_thread(kernel: Any) -> Any:
+    if not hasattr(kernel, "py_func"):
+        return kernel
+    from numba import njit
+
+    return njit(kernel.py_func)
 
 
 def in_turn(kernel: Callable[P, R]) -> Callable[P, R]:
     """A kernel that is parallel in itself, entered by one thread at a time.
 
     Where neither OpenMP nor TBB is installed, Numba runs such kernels on a pool of its own, which ends the process
-    when two threads enter it. With one of them it would start more threads than there are cores.
+    when two threads enter it. With one of them it would start more threads than there are cores. After a fork, the
+    child's threads are gone, and Numba ends it or waits for ever: there the kernel runs in one thread.
     """
 
     @wraps(kernel)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         with _turn:
-            return kernel(*args, **kwargs)
+            return (_in_one_thread(kernel) if _is_fork else kernel)(*args, **kwargs)
 
     return call
 

@@ -238,3 +238,20 @@ def test_all_published_fits_are_read():
     assert len(fits) >= 151
     assert {"cardboard_rgl", "cardboard_nielsen", "gold-metallic-paint", "satin_purple"} <= set(fits)
     assert sum(kernel.size + bias.size for kernel, bias in fits["satin_purple"].weights.layers) == 675
+
+
+def test_weights_in_other_files_or_of_more_bytes_than_the_file_are_refused(tmp_path):
+    (tmp_path / "secret").write_bytes(bytes(800))
+    with h5py.File(tmp_path / "outside.h5", "w") as file:
+        file.create_dataset("dense/kernel", (10, 10), "<f8", external=[(str(tmp_path / "secret"), 0, 800)])
+    with h5py.File(tmp_path / "bomb.h5", "w") as file:
+        file.create_dataset(
+            "dense/kernel", (1 << 20, 1 << 20), "<f8", chunks=(1 << 10, 1 << 10), fillvalue=1.0
+        )
+    for name, words in (("outside.h5", "lies in other files"), ("bomb.h5", "more than the file has")):
+        with pytest.raises(FileFormatError, match=words):
+            read_neural_fits(tmp_path / name)
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("red.h5", bytes(20 << 20))
+    with pytest.raises(FileFormatError, match="larger than"):
+        read_neural_fits(tmp_path / "bomb.zip")

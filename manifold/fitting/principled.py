@@ -98,6 +98,7 @@ class FitResult:
     seconds: float = 0.0
 
 
+@backend.variant_kept()
 def fit_bsdf(
     target: BRDF | BsdfFile | FitSamples,
     family: BsdfFamily | None = None,

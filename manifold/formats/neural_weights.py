@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,10 +18,12 @@ from pathlib import Path, PurePosixPath
 import h5py
 import numpy as np
 
+from manifold import small_files
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 
 _INPUTS, _OUTPUTS = 6, 3
+_MOST_BYTES = 16 << 20  # of one network; the published ones have some tens of kilobytes
 _REMEDY = "give files, folders or zip files of the public repository asztr/Neural-BRDF"
 
 
@@ -69,15 +72,17 @@ def _files(path: Path) -> Iterator[tuple[Path, str, bytes]]:
             if inner.suffix in (".h5", ".zip") and inner.is_file():
                 yield from _files(inner)
     elif path.suffix == ".h5":
-        yield path.parent, path.stem, path.read_bytes()
+        yield path.parent, path.stem, small_files.read_bytes(path, advice=_REMEDY, most=_MOST_BYTES)
     else:
         try:
             with zipfile.ZipFile(path) as archive:
                 for member in archive.namelist():
                     inside = PurePosixPath(member)
                     if inside.suffix == ".h5" and "__MACOSX" not in inside.parts:
+                        if archive.getinfo(member).file_size > _MOST_BYTES:
+                            raise zipfile.BadZipFile(f"{member} is larger than {_MOST_BYTES} bytes")
                         yield path, inside.stem, archive.read(member)
-        except (zipfile.BadZipFile, EOFError) as error:
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
             raise FileFormatError(
                 f"{path}: not a readable zip file ({error}), expected weights of neural fits; {_REMEDY}"
             ) from error
@@ -88,8 +93,8 @@ def _read_layers(data: bytes, where: str) -> tuple[tuple[Array, Array], ...]:
     try:
         with h5py.File(io.BytesIO(data)) as file:
             arrays: dict[str, Array] = {}
-            file.visititems(lambda name, item: _keep(arrays, name, item))
-    except (OSError, RuntimeError) as error:
+            file.visititems(lambda name, item: _keep(arrays, name, item, len(data)))
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError) as error:
         raise FileFormatError(
             f"{where}: not a readable HDF5 file ({str(error).partition(chr(10))[0]}); download it again"
         ) from error
@@ -113,8 +118,13 @@ def _read_layers(data: bytes, where: str) -> tuple[tuple[Array, Array], ...]:
     return layers
 
 
-def _keep(arrays: dict[str, Array], name: str, item: object) -> None:
+def _keep(arrays: dict[str, Array], name: str, item: object, most: int) -> None:
+    """Remember a dataset of numbers, unless it lies in other files or announces more than its own file holds."""
     if isinstance(item, h5py.Dataset) and item.dtype.kind == "f":
+        if item.external is not None or item.is_virtual:
+            raise ValueError(f"dataset '{name}' lies in other files")
+        if item.nbytes > most:
+            raise ValueError(f"dataset '{name}' announces {item.nbytes} bytes, more than the file has")
         arrays[name] = np.asarray(item[...], dtype=np.float64)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.mathtext import MathTextParser
+from matplotlib.text import Text
 
 from manifold import atomic
 from manifold.errors import UsageError
@@ -34,6 +37,20 @@ def require_writable(path: Path) -> None:
     atomic.require_writable(path)
 
 
+def _is_formula(text: str) -> bool:
+    """Whether matplotlib can read a label with dollars in it: names of materials may hold some too."""
+    try:
+        _formulas().parse(text)
+    except ValueError:
+        return False
+    return True
+
+
+@cache
+def _formulas() -> MathTextParser:
+    return MathTextParser("agg")
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG (or what the suffix says), atomically.
 
@@ -41,5 +58,8 @@ def save(figure: Figure, path: Path) -> None:
         UsageError: the file cannot be written, or the suffix is unknown.
     """
     require_writable(path)
+    for text in figure.findobj(Text):
+        if "$" in text.get_text() and not _is_formula(text.get_text()):
+            text.set_parse_math(False)
     with atomic.replacing(path) as partial:
         figure.savefig(partial)

@@ -135,6 +135,7 @@ def searching(folders: Sequence[Path]) -> Iterator[None]:
 
 
 _chosen: Backend | None = None
+_process: int | None = None
 _is_advised = False
 
 
@@ -201,9 +202,33 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
     variant = f"{'llvm_ad' if backend.is_llvm else 'scalar'}_{colour}"
     if variant not in mi.variants():
         raise UsageError(f"this Mitsuba has no variant {variant}, expected one of {', '.join(mi.variants())}")
+    _require_same_process()
     if mi.variant() != variant:
         mi.set_variant(variant)
     return mi
+
+
+def _require_same_process() -> None:
+    """Raise RendererError in a fork of a process that has used Mitsuba, whose threads would be waited for."""
+    global _process
+    _process = _process or os.getpid()
+    if _process != os.getpid():
+        raise RendererError(
+            "Mitsuba cannot be used in a fork of a process that has used it; start processes by spawn: "
+            'multiprocessing.get_context("spawn")'
+        )
+
+
+@contextmanager
+def variant_kept() -> Iterator[None]:
+    """Set the variant again that the user had set before the block; also a decorator."""
+    mi = sys.modules.get("mitsuba")
+    before = None if mi is None else mi.variant()
+    try:
+        yield
+    finally:
+        if mi is not None and before is not None and mi.variant() != before:
+            mi.set_variant(before)
 
 
 def mitsuba_of_any_variant() -> Any:

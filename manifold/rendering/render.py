@@ -7,14 +7,13 @@ and the spikes of fluorescent lamps are sampled where they are. White is adapted
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from manifold import temporary
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
@@ -62,6 +61,7 @@ class RenderSettings:
             raise UsageError(f"seed is {self.seed}, expected 0 or more")
 
 
+@backend.variant_kept()
 def render_bsdf(
     bsdf: Mapping[str, Any],
     is_rgb: bool,
@@ -102,8 +102,8 @@ def render_material(
     if not isinstance(material, BsdfFile):
         version = (1, 0) if material.bands.is_rgb else (3, 1)
         material = goniometer.measure(ClippedBRDF(material), "material", version=version)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "material.bsdf"
+    with temporary.folder() as folder:
+        path = folder / "material.bsdf"
         write_bsdf(path, material)
         bsdf = {"type": "measured", "filename": str(path)}
         return render_bsdf(bsdf, material.bands.is_rgb, settings, on_progress)

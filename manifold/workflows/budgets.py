@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__
+from manifold import __version__, temporary
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
 from manifold.experiments.budget.output_folder import OutputFolder
@@ -145,11 +144,12 @@ def example(
     output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
     """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
-    with tempfile.TemporaryDirectory() as folder:
-        scene = example_scenes.write(name, Path(folder))
+    with temporary.folder() as folder:
+        scene = example_scenes.write(name, folder)
         return budget_scene(scene, tolerance, settings, output, on_progress, picture)
 
 
+@backend.variant_kept()
 def budget_scene(
     scene: Path | Mapping[str, Any],
     tolerance: Tolerance = _TOLERANCE,
@@ -179,8 +179,7 @@ def budget_scene(
         read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
         output_folder.require_apart(output, read)
     step = on_progress or (lambda _done, _total, _what: None)
-    with tempfile.TemporaryDirectory() as name, only_errors():
-        folder = Path(name)
+    with temporary.folder() as folder, only_errors():
         step(0, 4, "reading")
         files = {}
         for k, material in enumerate(document.materials):

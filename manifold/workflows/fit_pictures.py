@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from manifold import temporary
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
@@ -76,7 +76,7 @@ def picture_of_prediction_fit(
     library: Path | None = None, colour: ColourChoice = NEAREST,
 ) -> FitPicture:  # fmt: skip
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "predicted.bsdf"
+    with temporary.folder() as folder:
+        path = folder / "predicted.bsdf"
         predicted_file.predict(model, latent, path, library=library, colour=colour, force=True)
         return picture_of_fit(fit, path, output)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__
+from manifold import __version__, temporary
 from manifold.brdf.measured import BRDF
 from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
@@ -174,8 +173,8 @@ def latent_source(
         diagnosis = diagnostics.of_brdf(loaded, x, loaded.predict(x, chosen.colours), chosen)
         yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly", diagnosis)
         return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "predicted.bsdf"
+    with temporary.folder() as folder:
+        path = folder / "predicted.bsdf"
         made = predicted_file.predict(
             model, latent, path, library=library, colour=colour, force=True, on_progress=on_progress
         )

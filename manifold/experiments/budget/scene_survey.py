@@ -8,7 +8,6 @@ alone: its share is left to those renders too.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from manifold import temporary
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
@@ -153,12 +153,12 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
     scale = size / max(width, height)
     width, height = max(round(width * scale), 1), max(round(height * scale), 1)
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary.folder() as folder:
         # Mitsuba's description of a `measured` BSDF holds the file's name: one that is found again.
         names = {key: f"surveyed_{k}_.bsdf" for k, key in enumerate(files)}
         for key, name in names.items():
-            (Path(folder) / name).symlink_to(files[key].absolute())
-        bsdfs = {k: {"type": "measured", "filename": str(Path(folder) / name)} for k, name in names.items()}
+            (folder / name).symlink_to(files[key].absolute())
+        bsdfs = {k: {"type": "measured", "filename": str(folder / name)} for k, name in names.items()}
         scene = document.load(mi, bsdfs, film)
         hits = _primary_hits(mi, scene, width, height, {name: key for key, name in names.items()})
         bands = Bands(None) if is_rgb else Bands.from_array(_WAVELENGTHS_NM)

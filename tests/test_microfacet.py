@@ -13,10 +13,13 @@ from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands
 from manifold.synthetic.analytic import Lambert, Sheen
+from manifold.synthetic.diffuse import RoughDiffuse
 from manifold.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
 from manifold.synthetic.ggx import GGX
+from manifold.synthetic.ggx_mixture import GGXMixture
 from manifold.synthetic.layers import Layered, MixedBRDF
 from manifold.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
+from manifold.synthetic.redirected import Immersed, Retroreflection
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)
@@ -50,6 +53,13 @@ def models() -> dict[str, object]:
     made["mixed"] = MixedBRDF([(0.5, RoughConductor(skewed, *GOLD, BANDS)), (0.3, sheen), (0.2, lambert)])
     made["coat"] = Layered(RoughDielectric(rough, 1.5, BANDS), RoughConductor(skewed, *GOLD, BANDS))
     made["cloth"] = Layered(sheen, lambert)
+    made["rough diffuse"] = RoughDiffuse(RED, 0.7, BANDS)
+    made["white rough diffuse"] = RoughDiffuse(1.0, 1.0, BANDS)
+    several = RoughConductor(GGXMixture([(0.7, 0.15), (0.3, 0.5)]), *GOLD, BANDS)
+    made["conductor, several roughnesses"] = several
+    made["retroreflection"] = Retroreflection(several)
+    made["immersed"] = Immersed(several, 1.5, np.array([0.9, 0.7, 1.0]))
+    made["lacquer"] = Layered(RoughDielectric(rough, 1.5, BANDS), Immersed(several, 1.5))
     return made
 
 
@@ -294,13 +304,15 @@ CHI_SQUARE = [
     "sheen",
     "mixed",
     "coat",
+    "conductor, several roughnesses",
+    "lacquer",
 ]
 
 
 @pytest.mark.parametrize("name", CHI_SQUARE)
 def test_samples_follow_the_density(name, rng):
     p_values = [chi_square_p_value(MODELS[name], wi, rng, n_samples=100_000) for wi in WI]
-    # 28 tests in all: a right sampler fails here once in ten thousand seeds, and the seed is fixed
+    # 36 tests in all: a right sampler fails here once in ten thousand seeds, and the seed is fixed
     assert min(p_values) > 1e-4 / len(CHI_SQUARE) / len(WI), p_values
 
 
@@ -414,6 +426,37 @@ def test_tabulated_albedo_is_the_exact_one_for_very_smooth_and_very_unlike_surfa
         for wi in WI[::3]:
             exact = sampled_albedo(single, wi, n=1_000_000)
             assert single.albedo(wi)[0] == pytest.approx(exact[0], abs=5e-4)
+
+
+def test_white_rough_diffuse_surfaces_lose_nothing_and_lambert_is_the_smooth_one(rng):
+    for roughness in (0.0, 0.4, 1.0):
+        albedo = RoughDiffuse(1.0, roughness, BANDS).albedo(np.stack(WI))
+        np.testing.assert_allclose(albedo, 1.0, rtol=1e-12)
+    wi, wo = random_directions(rng, 50), random_directions(rng, 50)
+    np.testing.assert_allclose(
+        RoughDiffuse(RED, 0.0, BANDS).eval(wi, wo), Lambert(RED, BANDS).eval(wi, wo), rtol=1e-12
+    )
+
+
+def test_rough_diffuse_surfaces_send_light_back_to_where_it_comes_from():
+    rough, wi = RoughDiffuse(0.5, 1.0, BANDS), WI[2]
+    assert np.all(rough.eval(wi, wi) > 1.3 * rough.eval(wi, wi * (-1.0, -1.0, 1.0)))
+
+
+def test_an_absorbing_layer_deepens_the_colour_towards_grazing():
+    white = MODELS["white plastic"]
+    amber = Immersed(white, 1.5, np.array([0.2, 0.7, 0.9]))
+    ratios = [amber.eval(w, w)[0] / amber.eval(w, w)[2] for w in WI[:3]]
+    assert ratios[0] == pytest.approx(
+        (0.2 / 0.9) ** 2 * white.eval(WI[0], WI[0])[0] / white.eval(WI[0], WI[0])[2]
+    )
+    assert ratios[0] > ratios[1] > ratios[2]
+
+
+def test_a_retroreflector_is_brightest_towards_the_light():
+    back = MODELS["retroreflection"]
+    wo = from_spherical(np.radians(np.arange(-80.0, 81.0, 5.0)), 0.4)
+    assert np.argmax(back.eval(WI[1], wo)[:, 0]) == 23  # 35 degrees, as WI[1]
 
 
 def test_mixture_is_the_weighted_sum(rng):

@@ -26,8 +26,8 @@ WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured fi
 _RETRO_LIMIT = np.deg2rad(85.0)
 _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
-_TURNS_DEG = (20.0, 40.0, 60.0)  # of incident and outgoing directions away from a normal, to its sides
-_LEAST_SHARE = 0.2  # of what a normal reflects to the side; GGX sends more than that back, from alpha 0.05 on
+_TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions away from a normal, to its sides
+_LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = np.sqrt(2.0)  # factor by which retro-reflection may fall from one node to the next
 
 
@@ -63,7 +63,9 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
     aside = np.zeros_like(retro)
     for turn in np.deg2rad(_TURNS_DEG):
         wi, wo = (np.cos(turn) * w + sign * np.sin(turn) * side for sign in (1.0, -1.0))
-        aside += np.maximum(brdf.eval(wi, wo).mean(axis=-1), 0.0) * w[..., 2] / len(_TURNS_DEG)
+        # times cos^2, so that facets which mirror alike at all angles count alike at every turn
+        f = np.maximum(brdf.eval(wi, wo).mean(axis=-1), 0.0)
+        aside += f * np.cos(turn) ** 2 * w[..., 2] / len(_TURNS_DEG)
     return _without_pits(np.maximum(retro, _LEAST_SHARE * aside))
 
 

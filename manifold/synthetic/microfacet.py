@@ -25,6 +25,7 @@ from manifold.synthetic.analytic import (
 )
 from manifold.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
 from manifold.synthetic.ggx import GGX, AlbedoTable, facet_cosines
+from manifold.synthetic.ggx_mixture import GGXMixture, MixedAlbedo
 
 
 class _RoughReflector(AnalyticBRDF):
@@ -38,7 +39,7 @@ class _RoughReflector(AnalyticBRDF):
     the lobe starts at the second reflection, as in Jakob et al. 2014 and Hill 2018.
     """
 
-    ggx: GGX
+    ggx: GGX | GGXMixture
     multiple_scattering: bool
 
     @abstractmethod
@@ -50,12 +51,12 @@ class _RoughReflector(AnalyticBRDF):
         return self.ggx.is_isotropic
 
     @cached_property
-    def single_scattering(self) -> AlbedoTable:
+    def single_scattering(self) -> AlbedoTable | MixedAlbedo:
         """Directional albedo of single scattering."""
         return self.ggx.albedo_table(self.reflectance(facet_cosines()))
 
     @cached_property
-    def _white(self) -> AlbedoTable:
+    def _white(self) -> AlbedoTable | MixedAlbedo:
         return self.ggx.albedo_table(np.ones((facet_cosines().size, 1)))
 
     @cached_property
@@ -124,7 +125,7 @@ class RoughConductor(_RoughReflector):
         multiple_scattering: whether to return the light that single scattering loses.
     """
 
-    ggx: GGX
+    ggx: GGX | GGXMixture
     eta: Array
     k: Array
     bands: Bands
@@ -152,7 +153,7 @@ class ThinFilm(_RoughReflector):
     Source: see `fresnel_thin_film`.
     """
 
-    ggx: GGX
+    ggx: GGX | GGXMixture
     film_eta: Array
     thickness_nm: float
     eta: Array
@@ -185,7 +186,7 @@ class RoughDielectric(_RoughReflector):
         bands: the spectral axis.
     """
 
-    ggx: GGX
+    ggx: GGX | GGXMixture
     eta: Array
     bands: Bands
     # What leaves the first facet downwards mostly enters the medium: no white lobe is owed.
@@ -214,7 +215,7 @@ class Plastic(AnalyticBRDF):
     manner of Ashikhmin & Shirley 2000.
     """
 
-    ggx: GGX
+    ggx: GGX | GGXMixture
     eta: Array
     reflectance: Array
     bands: Bands

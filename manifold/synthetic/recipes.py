@@ -6,7 +6,7 @@ values, see `spectra` for what is done outside their range. Everything else is i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,12 +14,17 @@ from manifold.brdf.measured import BRDF
 from manifold.colour.metals import metal_ior
 from manifold.colour.reflectances import diffuse_reflectance
 from manifold.records import Array, Bands
-from manifold.synthetic.analytic import Lambert, Sheen
+from manifold.synthetic.analytic import Sheen
+from manifold.synthetic.diffuse import RoughDiffuse
 from manifold.synthetic.ggx import GGX
+from manifold.synthetic.ggx_mixture import GGXMixture
 from manifold.synthetic.layers import Layered, MixedBRDF
 from manifold.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
+from manifold.synthetic.redirected import Immersed, Retroreflection
 
 Recipe = Callable[[Bands], BRDF]
+Lobes = Sequence[tuple[float, float]]
+"""Pairs (share of the area, roughness alpha): a core and its haze."""
 
 _VARNISH = np.array(1.5)  # index of refraction of paints, papers and coats
 
@@ -29,146 +34,229 @@ def _pigment(spectrum: str, bands: Bands, scale: float = 1.0) -> Array:
     return np.clip(scale * diffuse_reflectance(spectrum, np.array(bands.wavelengths_nm)), 0.0, 0.97)
 
 
-def _felt(spectrum: str, fuzz: float, scale: float = 1.0) -> Recipe:
-    def recipe(bands: Bands) -> BRDF:
-        colour = _pigment(spectrum, bands, scale)
-        return Layered(Sheen(0.35, fuzz * np.sqrt(colour), bands), Lambert(colour, bands))
-
-    return recipe
-
-
-def _plastic(spectrum: str, alpha: float, scale: float = 1.0, eta: Array = _VARNISH) -> Recipe:
-    return lambda bands: Plastic(GGX.isotropic(alpha), eta, _pigment(spectrum, bands, scale), bands)
-
-
-def _standard(reflectance: float) -> Recipe:
-    return lambda bands: Lambert(np.array(reflectance), bands)
-
-
-def _tinted_metal(ggx: GGX, colour: Array, bands: Bands) -> BRDF:
+def _tinted_metal(ggx: GGX | GGXMixture, colour: Array, bands: Bands) -> RoughConductor:
     """A reflector with a given reflectance at normal incidence: a real index that has it."""
     root = np.sqrt(np.clip(colour, 0.02, 0.95))
     return RoughConductor(ggx, (1.0 + root) / (1.0 - root), np.zeros_like(root), bands)
 
 
-def _metallic(spectrum: str, alpha: float, coat: float, scale: float = 1.0) -> Recipe:
-    """Vinyl film with metal powder: a tinted rough reflector and some pigment under a smooth coat."""
+def _felt(spectrum: str, fuzz: float, width: float, rough: float, glint: float, scale: float = 1.0) -> Recipe:
+    """Cloth: matte fibres, some of which glint back to the light, under fuzz that brightens the rim."""
 
     def recipe(bands: Bands) -> BRDF:
         colour = _pigment(spectrum, bands, scale)
-        metal = _tinted_metal(GGX.isotropic(alpha), colour, bands)
-        base = MixedBRDF([(0.75, metal), (0.25, Lambert(0.5 * colour, bands))])
-        return Layered(RoughDielectric(GGX.isotropic(coat), _VARNISH, bands), base)
+        glints = Retroreflection(_tinted_metal(GGX.isotropic(0.6), colour, bands))
+        shine = RoughDielectric(GGX.isotropic(0.45), np.array(1.55), bands)
+        fibres = MixedBRDF([(1.0 - glint, RoughDiffuse(colour, rough, bands)), (glint, glints)])
+        return Layered(Sheen(width, fuzz * np.sqrt(colour), bands), Layered(shine, fibres))
 
     return recipe
 
 
-def _chrome(spectrum: str | None, alpha: float) -> Recipe:
-    """Chrome vinyl: chromium, or a tinted mirror, with a faint haze around the reflection."""
+def _matte(
+    spectrum: str, lobes: Lobes, rough: float, back: float, eta: float = 1.5, scale: float = 1.0
+) -> Recipe:
+    """Paper, wall paint, card: rough pigment, some of it reflecting back to the light, with a surface of its own."""
 
     def recipe(bands: Bands) -> BRDF:
-        lobes: list[BRDF] = []
-        for width in (alpha, 4.0 * alpha):
-            ggx = GGX.isotropic(width)
-            if spectrum is None:
-                eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
-                lobes.append(RoughConductor(ggx, eta, k, bands))
-            else:
-                lobes.append(_tinted_metal(ggx, _pigment(spectrum, bands, 1.4), bands))
-        return MixedBRDF([(0.85, lobes[0]), (0.15, lobes[1])])
+        colour = _pigment(spectrum, bands, scale)
+        beads = Retroreflection(_tinted_metal(GGX.isotropic(0.35), colour, bands))
+        pigment = MixedBRDF([(1.0 - back, RoughDiffuse(colour, rough, bands)), (back, beads)])
+        return Layered(RoughDielectric(GGXMixture(lobes), np.array(eta), bands), pigment)
 
     return recipe
 
 
-def _flake(spectrum: str, flake: float, coat: float) -> Recipe:
-    """Car paint: aluminium flakes among pigment under a glossy clear coat."""
+def _varnished(
+    spectrum: str, lobes: Lobes, depth: float, inner: float, eta: float = 1.5, scale: float = 1.0
+) -> Recipe:
+    """Satin and glossy paint: pigment under varnish, a share `depth` of it a soft lobe of roughness `inner` below."""
+
+    def recipe(bands: Bands) -> BRDF:
+        colour, ggx = _pigment(spectrum, bands, scale), GGXMixture(lobes)
+        soft = _tinted_metal(GGX.isotropic(inner), colour**0.7, bands)
+        below = Layered(RoughDielectric(ggx, np.array(eta), bands), Immersed(soft, eta, np.sqrt(colour)))
+        return MixedBRDF([(1.0 - depth, Plastic(ggx, np.array(eta), colour, bands)), (depth, below)])
+
+    return recipe
+
+
+def _lacquered(reflectors: BRDF, share: float, coat: Lobes, tint: Array, pigment: Array) -> BRDF:
+    """A share of reflectors among pigment, under a coat that refracts and absorbs."""
+    bands, ggx = reflectors.bands, GGXMixture(coat)
+    seen = Layered(RoughDielectric(ggx, _VARNISH, bands), Immersed(reflectors, float(_VARNISH), tint))
+    return MixedBRDF([(share, seen), (1.0 - share, Plastic(ggx, _VARNISH, pigment, bands))])
+
+
+def _metallic(
+    spectrum: str,
+    flakes: Lobes,
+    coat: Lobes,
+    share: float,
+    depth: float,
+    scale: float = 1.0,
+    film_nm: float = 0.0,
+) -> Recipe:
+    """Vinyl film with metal powder under a coat that deepens the colour; a film on the powder makes it change hue."""
+
+    def recipe(bands: Bands) -> BRDF:
+        colour, ggx = _pigment(spectrum, bands, scale), GGXMixture(flakes)
+        metal: RoughConductor | ThinFilm = _tinted_metal(ggx, colour ** (1.0 - depth), bands)
+        if film_nm > 0.0:
+            metal = ThinFilm(ggx, np.array(1.8), film_nm, metal.eta, metal.k, bands)
+        return _lacquered(metal, share, coat, np.clip(colour, 0.05, 1.0) ** (0.5 * depth), 0.6 * colour)
+
+    return recipe
+
+
+def _chrome(spectrum: str | None, lobes: Lobes, depth: float) -> Recipe:
+    """Chrome vinyl: chromium with haze around the reflection, bare or under a tinted coat that reflects as well."""
+
+    def recipe(bands: Bands) -> BRDF:
+        eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
+        chromium = RoughConductor(GGXMixture(lobes), eta, k, bands)
+        if spectrum is None:
+            return chromium
+        coat = RoughDielectric(GGX.isotropic(lobes[0][1]), _VARNISH, bands)
+        tint = np.clip(_pigment(spectrum, bands, 1.4), 0.05, 1.0) ** depth
+        return Layered(coat, Immersed(chromium, float(_VARNISH), tint))
+
+    return recipe
+
+
+def _flake(spectrum: str, flakes: Lobes, coat: Lobes, share: float, depth: float) -> Recipe:
+    """Car paint: aluminium flakes among pigment, both under a glossy coat tinted like it."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Al", np.array(bands.wavelengths_nm))
         colour = _pigment(spectrum, bands)
-        flakes = RoughConductor(GGX.isotropic(flake), eta, k, bands)
-        tinted = _tinted_metal(GGX.isotropic(1.5 * flake), colour, bands)
-        base = MixedBRDF([(0.15, flakes), (0.35, tinted), (0.5, Lambert(0.7 * colour, bands))])
-        return Layered(RoughDielectric(GGX.isotropic(coat), _VARNISH, bands), base)
+        aluminium = RoughConductor(GGXMixture(flakes), eta, k, bands)
+        return _lacquered(aluminium, share, coat, np.clip(colour, 0.05, 1.0) ** depth, 0.8 * colour)
 
     return recipe
 
 
-def _iridescent(thickness_nm: float, alpha: float, spectrum: str) -> Recipe:
-    """Interference pigment: a thin film of high index on absorbing platelets, over a dark base."""
+def _iridescent(
+    thickness_nm: float, spread: float, flakes: Lobes, share: float, base: str, coat: Lobes
+) -> Recipe:
+    """Interference pigment: films whose thickness varies by `spread`, on absorbing platelets among dark pigment."""
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
-        film = ThinFilm(GGX.isotropic(alpha), np.array(1.9), thickness_nm, eta, k, bands)
-        base = MixedBRDF([(0.6, film), (0.4, Lambert(0.4 * _pigment(spectrum, bands), bands))])
-        return Layered(RoughDielectric(GGX.isotropic(0.06), _VARNISH, bands), base)
+        ggx, film = GGXMixture(flakes), np.array(1.6)
+        films = [
+            (1.0 / 3.0, ThinFilm(ggx, film, thickness_nm * (1.0 + d * spread), eta, k, bands))
+            for d in (-1.0, 0.0, 1.0)
+        ]
+        return _lacquered(MixedBRDF(films), share, coat, np.ones(1), 0.5 * _pigment(base, bands))
 
     return recipe
 
 
-def _metal(name: str, ggx: GGX) -> Recipe:
+def _metal(name: str, ggx: GGX | GGXMixture, oxide: float = 0.0, thickness_nm: float = 60.0) -> Recipe:
+    """Bare metal, a share of it under a thin transparent oxide."""
+
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior(name, np.array(bands.wavelengths_nm))
-        return RoughConductor(ggx, eta, k, bands)
+        bare = RoughConductor(ggx, eta, k, bands)
+        if oxide == 0.0:
+            return bare
+        return MixedBRDF(
+            [(1.0 - oxide, bare), (oxide, ThinFilm(ggx, np.array(1.76), thickness_nm, eta, k, bands))]
+        )
 
     return recipe
 
 
 def isotropic_recipes() -> dict[str, Recipe]:
     """The 51 isotropic recipes by name, family first."""
-    return {
-        "felt_green": _felt("ohta/green", 0.25),
-        "felt_orange": _felt("ohta/orange", 0.30),
-        "felt_pink": _felt("ohta/moderate red", 0.35, 1.3),
-        "felt_purple": _felt("ohta/purple", 0.20),
-        "felt_white": _felt("ohta/white 9.5 (.05 D)", 0.30, 0.9),
-        "felt_yellow": _felt("ohta/orange yellow", 0.25),
-        "paper_white": _plastic("ohta/white 9.5 (.05 D)", 0.55, 0.98),
-        "paper_red": _plastic("ohta/red", 0.50),
-        "paper_green": _plastic("pmc/Green Apple", 0.60),
-        "paper_blue": _plastic("ohta/blue sky", 0.50, 1.3),
-        "paper_yellow": _plastic("ohta/yellow", 0.55),
-        "paint_azure": _plastic("pmc/Blue Sky", 0.65),
-        "paint_sand": _plastic("ohta/light skin", 0.70, 1.2),
-        "paint_olive": _plastic("ohta/foliage", 0.60, 1.5),
-        "paint_gray": _plastic("ohta/neutral 5 (.70 D)", 0.75),
-        "card_brown": _plastic("ohta/dark skin", 0.45, 1.6),
-        "card_black": _plastic("ohta/black 2 (1.5 D)", 0.40, 1.2),
-        "leaf_grass": _plastic("pmc/Summer Grass", 0.32, 1.0, np.array(1.45)),
-        "standard_white": _standard(0.985),
-        "satin_blue": _plastic("ohta/blue", 0.22),
-        "satin_gold": _plastic("ohta/orange yellow", 0.25, 0.9),
-        "satin_purple": _plastic("ohta/purplish blue", 0.20),
-        "satin_rose": _plastic("pmc/Magenta", 0.28),
-        "satin_white": _plastic("ohta/white 9.5 (.05 D)", 0.24),
-        "satin_lavender": _plastic("pmc/Lavender", 0.18),
-        "gloss_red": _plastic("pmc/Unitary red", 0.05),
-        "gloss_yellow": _plastic("pmc/Unitary yellow", 0.08),
-        "gloss_green": _plastic("pmc/Unitary green", 0.06),
-        "gloss_black": _plastic("ohta/black 2 (1.5 D)", 0.04),
-        "gloss_white": _plastic("ohta/white 9.5 (.05 D)", 0.07),
-        "gloss_cyan": _plastic("ohta/cyan", 0.10),
-        "metallic_silver": _metallic("ohta/neutral 6.5 (.44 D)", 0.20, 0.08, 1.5),
-        "metallic_gold": _metallic("ohta/orange yellow", 0.25, 0.10, 1.2),
-        "metallic_red": _metallic("ohta/red", 0.22, 0.06),
-        "metallic_violet": _metallic("ohta/magenta", 0.30, 0.12),
-        "metallic_teal": _metallic("ohta/bluish green", 0.18, 0.08),
-        "metallic_bronze": _metallic("ohta/dark skin", 0.28, 0.15, 2.5),
-        "chrome_plain": _chrome(None, 0.03),
-        "chrome_mint": _chrome("pmc/Bluish Green", 0.04),
-        "chrome_orange": _chrome("ohta/orange", 0.05),
-        "chrome_blue": _chrome("ohta/blue flower", 0.035),
-        "flake_blue": _flake("ohta/blue", 0.20, 0.05),
-        "flake_blue_fine": _flake("ohta/blue", 0.14, 0.04),
-        "flake_graphite": _flake("ohta/neutral 3.5 (1.05 D)", 0.25, 0.06),
-        "iridescent_green": _iridescent(230.0, 0.20, "ohta/green"),
-        "iridescent_violet": _iridescent(310.0, 0.16, "ohta/purple"),
-        "iridescent_amber": _iridescent(400.0, 0.24, "ohta/orange"),
-        "metal_aluminium": _metal("Al", GGX.isotropic(0.18)),
-        "metal_copper": _metal("Cu", GGX.isotropic(0.30)),
-        "metal_gold": _metal("Au", GGX.isotropic(0.12)),
-        "metal_tungsten": _metal("W", GGX.isotropic(0.45)),
+    white = "ohta/white 9.5 (.05 D)"
+    recipes = {
+        "felt_green": _felt("ohta/green", 0.55, 0.22, 0.9, 0.10),
+        "felt_orange": _felt("ohta/orange", 0.40, 0.35, 0.6, 0.20),
+        "felt_pink": _felt("ohta/moderate red", 0.70, 0.28, 0.8, 0.05, 1.3),
+        "felt_purple": _felt("ohta/purple", 0.85, 0.18, 1.0, 0.15),
+        "felt_white": _felt(white, 0.50, 0.40, 0.4, 0.08, 0.85),
+        "felt_yellow": _felt("ohta/orange yellow", 0.30, 0.60, 0.4, 0.25),
+        "paper_white": _matte(white, [(0.7, 0.62), (0.3, 0.35)], 0.35, 0.06, 1.50, 0.98),
+        "paper_red": _matte("ohta/red", [(0.8, 0.45), (0.2, 0.20)], 0.20, 0.02, 1.45),
+        "paper_green": _matte("pmc/Green Apple", [(0.6, 0.70), (0.4, 0.42)], 0.55, 0.10, 1.55),
+        "paper_blue": _matte("ohta/blue sky", [(0.9, 0.55), (0.1, 0.25)], 0.10, 0.05, 1.40, 1.3),
+        "paper_yellow": _matte("ohta/yellow", [(0.5, 0.38), (0.5, 0.75)], 0.45, 0.03, 1.52),
+        "paint_azure": _matte("pmc/Blue Sky", [(0.6, 0.75), (0.4, 0.42)], 0.70, 0.15, 1.45),
+        "paint_sand": _matte("ohta/light skin", [(0.8, 0.50), (0.2, 0.30)], 0.95, 0.20, 1.45, 1.2),
+        "paint_olive": _matte("ohta/foliage", [(0.6, 0.36), (0.4, 0.60)], 0.65, 0.08, 1.60, 1.5),
+        "paint_gray": _matte("ohta/neutral 5 (.70 D)", [(1.0, 0.42)], 0.75, 0.30, 1.40),
+        "card_brown": _matte("ohta/dark skin", [(0.75, 0.48), (0.25, 0.24)], 0.50, 0.12, 1.48, 1.6),
+        "card_black": _matte("ohta/black 2 (1.5 D)", [(0.5, 0.30), (0.5, 0.55)], 0.30, 0.05, 1.58, 1.2),
+        "leaf_grass": _varnished("pmc/Summer Grass", [(0.55, 0.24), (0.45, 0.50)], 0.15, 0.45, 1.42),
+        "standard_white": _matte(white, [(0.6, 0.35), (0.4, 0.60)], 0.10, 0.02, 1.30, 1.1),
+        "satin_blue": _metallic("ohta/blue", [(0.7, 0.20), (0.3, 0.45)], [(1.0, 0.35)], 0.75, 0.5, 2.0),
+        "satin_gold": _varnished("ohta/orange yellow", [(0.4, 0.20), (0.6, 0.42)], 0.35, 0.30, 1.55, 0.9),
+        "satin_purple": _metallic(
+            "ohta/purplish blue", [(0.8, 0.16), (0.2, 0.40)], [(0.5, 0.20), (0.5, 0.45)], 0.90, 0.3, 2.0
+        ),
+        "satin_rose": _metallic("pmc/Magenta", [(0.4, 0.12), (0.6, 0.30)], [(1.0, 0.25)], 0.85, 0.6, 1.2),
+        "satin_white": _metallic(
+            white, [(0.5, 0.25), (0.5, 0.50)], [(0.5, 0.22), (0.5, 0.38)], 0.40, 0.2, 0.9, 330.0
+        ),
+        "satin_lavender": _varnished("pmc/Lavender", [(0.3, 0.10), (0.7, 0.28)], 0.60, 0.25, 1.60, 1.5),
+        "gloss_red": _varnished("pmc/Unitary red", [(0.85, 0.060), (0.15, 0.20)], 0.20, 0.30),
+        "gloss_yellow": _varnished("pmc/Unitary yellow", [(0.70, 0.070), (0.30, 0.22)], 0.10, 0.40, 1.45),
+        "gloss_green": _metallic(
+            "pmc/Unitary green",
+            [(0.6, 0.30), (0.4, 0.60)],
+            [(0.6, 0.065), (0.4, 0.15)],
+            0.35,
+            0.3,
+            1.0,
+            380.0,
+        ),
+        "gloss_black": _varnished("ohta/black 2 (1.5 D)", [(0.90, 0.045), (0.10, 0.30)], 0.15, 0.50, 1.52),
+        "gloss_white": _varnished(white, [(0.50, 0.080), (0.50, 0.25)], 0.05, 0.60, 1.40, 0.9),
+        "gloss_cyan": _varnished("ohta/cyan", [(0.75, 0.080), (0.25, 0.35)], 0.50, 0.20, 1.60),
+        "metallic_silver": _metallic(
+            "ohta/neutral 6.5 (.44 D)", [(0.6, 0.16), (0.4, 0.35)], [(1.0, 0.07)], 0.80, 0.2, 1.5
+        ),
+        "metallic_gold": _metallic(
+            "ohta/orange yellow", [(0.3, 0.14), (0.7, 0.38)], [(0.6, 0.09), (0.4, 0.25)], 0.60, 0.7, 1.2
+        ),
+        "metallic_red": _metallic("ohta/red", [(0.8, 0.24), (0.2, 0.10)], [(1.0, 0.06)], 0.70, 0.9),
+        "metallic_violet": _metallic(
+            "ohta/magenta", [(1.0, 0.30)], [(0.5, 0.12), (0.5, 0.30)], 0.55, 0.4, 1.5, 210.0
+        ),
+        "metallic_teal": _metallic(
+            "ohta/bluish green", [(0.5, 0.12), (0.5, 0.28)], [(0.8, 0.07), (0.2, 0.18)], 0.85, 0.6, 1.0, 480.0
+        ),
+        "metallic_bronze": _metallic(
+            "ohta/dark skin", [(0.4, 0.20), (0.6, 0.50)], [(1.0, 0.15)], 0.55, 0.8, 2.5
+        ),
+        "chrome_plain": _chrome(None, [(0.70, 0.030), (0.20, 0.11), (0.10, 0.40)], 0.0),
+        "chrome_mint": _chrome("pmc/Bluish Green", [(0.85, 0.025), (0.15, 0.20)], 0.6),
+        "chrome_orange": _chrome("ohta/orange", [(0.60, 0.050), (0.40, 0.13)], 0.9),
+        "chrome_blue": _chrome("ohta/blue flower", [(0.75, 0.035), (0.25, 0.30)], 0.4),
+        "flake_blue": _flake("ohta/blue", [(0.6, 0.18), (0.4, 0.40)], [(1.0, 0.06)], 0.35, 0.8),
+        "flake_blue_fine": _flake(
+            "ohta/purplish blue", [(0.9, 0.12), (0.1, 0.35)], [(0.9, 0.05), (0.1, 0.2)], 0.50, 0.5
+        ),
+        "flake_graphite": _flake(
+            "ohta/neutral 3.5 (1.05 D)", [(0.5, 0.26), (0.5, 0.50)], [(1.0, 0.06)], 0.25, 0.2
+        ),
+        "iridescent_green": _iridescent(
+            260.0, 0.06, [(0.7, 0.18), (0.3, 0.40)], 0.70, "ohta/green", [(1.0, 0.05)]
+        ),
+        "iridescent_violet": _iridescent(
+            420.0, 0.04, [(1.0, 0.14)], 0.85, "ohta/purple", [(0.7, 0.03), (0.3, 0.12)]
+        ),
+        "iridescent_amber": _iridescent(
+            520.0, 0.10, [(0.5, 0.22), (0.5, 0.45)], 0.55, "ohta/orange", [(1.0, 0.10)]
+        ),
+        "metal_aluminium": _metal("Al", GGXMixture([(0.5, 0.14), (0.5, 0.38)]), 0.30, 90.0),
+        "metal_copper": _metal("Cu", GGXMixture([(0.7, 0.34), (0.3, 0.16)]), 0.40, 45.0),
+        "metal_gold": _metal("Au", GGXMixture([(0.8, 0.10), (0.2, 0.28)])),
+        "metal_tungsten": _metal("W", GGXMixture([(0.35, 0.25), (0.65, 0.55)]), 0.50, 140.0),
     }
+    return recipes
 
 
 def _weave(spectrum_warp: str, spectrum_weft: str, narrow: float, wide: float) -> Recipe:

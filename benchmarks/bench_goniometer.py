@@ -1,7 +1,8 @@
 """Accuracy of files written by the virtual goniometer, read back by Mitsuba's `measured` plugin.
 
 Prints the mean relative error in percent for GGX over a diffuse base, and with --choices what each choice of
-docs/design/goniometer.md contributes.
+docs/design/goniometer.md contributes; with --corpus the same error of the materials of the built-in corpus, without
+noise.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
-from manifold.records import Array, Bands
-from manifold.synthetic import GGX, Plastic
+from manifold.records import Array, Bands, BsdfFile
+from manifold.synthetic import GGX, Plastic, corpus
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 ALPHAS = (0.05, 0.1, 0.3, 0.6)
 SETTINGS = ((32, 8), (32, 16), (64, 32))  # outgoing grid, incident elevations
+FOUR_BANDS = Bands((450.0, 520.0, 590.0, 660.0))
 LIMIT = np.cos(np.deg2rad(80.0))
 
 
@@ -55,23 +57,37 @@ def mean_relative_error(alpha: float, *, in_mitsuba: bool = True, **options: obj
     truth = material(alpha)
     file = goniometer.measure(truth, "truth", **options)  # type: ignore[arg-type]
     wi, wo = direction_pairs(alpha)
-    expected = truth.eval_cos(wi, wo)[:, 0]
-    if in_mitsuba:
-        from mitsuba_reference import measured
+    expected = truth.eval_cos(wi, wo)
+    found = evaluate_in_mitsuba(file, wi, wo) if in_mitsuba else MeasuredBRDF(file).eval_cos(wi, wo)
+    return float(np.mean(np.abs(found[:, 0] - expected[:, 0]) / expected[:, 0]))
 
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "truth_rgb.bsdf"
-            write_bsdf(path, file)
-            found = measured(path, wi, wo, None)[0][:, 0]
-    else:
-        found = MeasuredBRDF(file).eval_cos(wi, wo)[:, 0]
-    return float(np.mean(np.abs(found - expected) / expected))
+
+def evaluate_in_mitsuba(file: BsdfFile, wi: Array, wo: Array) -> Array:
+    """f_cos (n, B) of a file in RGB or in four bands, by the `measured` plugin."""
+    from mitsuba_reference import measured
+
+    nm = None if file.wavelengths_nm is None else np.tile(file.wavelengths_nm.astype(float), (len(wi), 1))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"truth_{'rgb' if nm is None else 'spec'}.bsdf"
+        write_bsdf(path, file)
+        return measured(path, wi, wo, nm)[0]
+
+
+def corpus_error(entry: corpus.Material, n: int = 4_000, **options: object) -> tuple[float, float]:
+    """Mean and 90th percentile of the relative error of f_cos of a noiseless file, over four bands."""
+    truth = entry.truth(FOUR_BANDS)
+    file = goniometer.measure(truth, entry.name, resolution=entry.resolution, **options)  # type: ignore[arg-type]
+    wi, wo = direction_pairs(0.1, n)
+    expected = truth.eval_cos(wi, wo)
+    error = np.abs(evaluate_in_mitsuba(file, wi, wo) - expected) / expected
+    return float(error.mean()), float(np.quantile(error, 0.9))
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choices", action="store_true", help="also compare the alternatives of the design")
+    parser.add_argument("--corpus", action="store_true", help="also print the errors of the corpus by family")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     table: dict[str, list[float]] = {}
@@ -91,6 +107,12 @@ def main() -> None:
         for resolution, n in SETTINGS:
             label = f"{resolution} x {resolution}, {n} elevations, not compensated"
             add(label, in_mitsuba=False, resolution=resolution, n_theta_i=n, compensate=False)
+    families: dict[str, list[tuple[float, float]]] = {}
+    for entry in corpus.isotropic_materials() if arguments.corpus else ():
+        families.setdefault(entry.family, []).append(corpus_error(entry))
+    for family, errors in families.items():
+        mean, high = 100.0 * np.max(errors, axis=0)
+        print(f"{family:<14} largest mean {mean:6.2f}, largest 90th percentile {high:6.2f}")
     if arguments.json:
         arguments.json.write_text(json.dumps({"alpha": ALPHAS, "percent": table}, indent=2) + "\n")
 

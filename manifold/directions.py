@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from manifold.errors import ShapeError
@@ -43,13 +45,22 @@ def require_directions(w: Array, name: str) -> Array:
     return w
 
 
+@lru_cache(maxsize=32)
+def gauss_legendre(n: int) -> tuple[Array, Array]:
+    """Nodes in (-1, 1) and weights of Gauss-Legendre quadrature, each (n,), read-only."""
+    x, weights = np.polynomial.legendre.leggauss(n)
+    x.setflags(write=False)
+    weights.setflags(write=False)
+    return x, weights
+
+
 def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     """Nodes (n_theta * n_phi, 3) and solid-angle weights in sr over the upper hemisphere.
 
     Gauss-Legendre in the squared sine of the elevation, which absorbs one cosine, times a uniform azimuth:
     sum(weights * cos(theta)) is pi to rounding.
     """
-    x, wx = np.polynomial.legendre.leggauss(n_theta)
+    x, wx = gauss_legendre(n_theta)
     s2 = 0.5 * (x + 1.0)  # sin^2 theta in (0, 1); d omega cos theta = 0.5 d(s2) d phi
     theta = np.arcsin(np.sqrt(s2))
     phi = (np.arange(n_phi) + 0.5) * (2.0 * np.pi / n_phi)

@@ -268,14 +268,15 @@ def _measure_incidence(
     return f_cos * scale[..., None], cells.is_above
 
 
-def _second_difference(values: Array, axis: int, nodes: Array) -> Array:
-    """Squared spacing times second derivative along an axis, zero at both ends, same shape as values."""
-    v = np.moveaxis(values, axis, 0)
+def _add_second_difference(out: Array, values: Array, axis: int, nodes: Array, scale: float) -> None:
+    """Add `scale` times squared spacing times second derivative along an axis, nothing at both ends, to `out`."""
+    v, inner = np.moveaxis(values, axis, 0), np.moveaxis(out, axis, 0)[1:-1]
     h = np.diff(nodes).reshape(-1, *[1] * (v.ndim - 1))
-    slope = np.diff(v, axis=0) / h
-    out = np.zeros_like(v)
-    out[1:-1] = np.diff(slope, axis=0) * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
-    return np.moveaxis(out, 0, axis)
+    factor = scale * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
+    step = np.diff(v, axis=0)
+    # in the precision of the values: these are the largest arrays of a measurement
+    inner += (factor / h[1:]).astype(v.dtype) * step[1:]
+    inner -= (factor / h[:-1]).astype(v.dtype) * step[:-1]
 
 
 def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -> Array:
@@ -288,9 +289,12 @@ def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -
     shift = np.zeros_like(spectra)
     for axis, nodes in enumerate((phi_i, theta_i, grid, grid)):
         if len(nodes) > 2:
-            shift -= _second_difference(spectra, axis, nodes).astype(np.float32) / 12.0
-    limit = 0.2 * spectra
-    return np.where(measured[..., None], spectra + np.clip(shift, -limit, limit), 0.0).astype(np.float32)
+            _add_second_difference(shift, spectra, axis, nodes, -1.0 / 12.0)
+    limit = np.float32(0.2) * spectra
+    np.clip(shift, -limit, limit, out=shift)
+    shift += spectra
+    shift[~measured] = 0.0
+    return shift
 
 
 def pack_valid(measured: Array, version: tuple[int, ...]) -> Array:

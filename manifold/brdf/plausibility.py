@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.directions import from_spherical, hemisphere_quadrature
+from manifold.directions import from_spherical, gauss_legendre, hemisphere_quadrature
 from manifold.records import Array, BsdfFile
 
 Evaluate = Callable[[Array, Array], Array]
@@ -151,7 +151,7 @@ def mirrored_quadrature(wi: Array, n_theta: int = 32, n_phi: int = 32) -> tuple[
     Nodes are half vectors, in elevation Gauss-Legendre in its fourth root, so that lobes down to alpha = 0.02
     are resolved; d omega_o = 4 <wi, m> d omega_m.
     """
-    x, weights = np.polynomial.legendre.leggauss(n_theta)
+    x, weights = gauss_legendre(n_theta)
     t = 0.5 * (x + 1.0)
     theta = t**4 * (0.5 * np.pi)
     d_theta = 0.5 * weights * 4.0 * t**3 * (0.5 * np.pi)

@@ -25,13 +25,14 @@ from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.synthetic.recipes import anisotropic_recipes, isotropic_recipes
 
 _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
-# As in the real database, where two files are finer than the others.
-# Noise from cell to cell, as a share of the value, as seen in the real files: 0.2 to 0.5 % of most, 1 % of coats,
-# 2 to 4 % where flakes sparkle or a weave shows.
+# Noise from cell to cell, as a share of the value: 0.2 to 0.7 % in most real files, 1 % in coats, 2 to 4 % where
+# flakes sparkle.
 _SPECKLE = {"metallic": 0.008, "chrome": 0.008, "iridescent": 0.02, "flake": 0.03}
-_DRIFT = 0.005
+_LEAST_SPECKLE = 0.003
+_DRIFT = 0.005  # of the lamp, from one incidence to the next
 _MAX_ALBEDO = 0.99  # of a file at the incidences between its last nodes, before noise
 _STEEPEST = np.deg2rad(87.0)
+# As in the real database, where two files are finer than the others.
 _RESOLUTIONS = {"syn_gloss_yellow": 64, "syn_flake_blue_fine": 48}
 
 
@@ -106,7 +107,7 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
         theta_i_rad=_theta_i(rng),
         version=version,
     )
-    file = _imperfect(_energy_conserving(file), rng, _SPECKLE.get(material.family, 0.003))
+    file = _imperfect(_energy_conserving(file), rng, _SPECKLE.get(material.family, _LEAST_SPECKLE))
     return _to_rgb(file) if rgb else file
 
 
@@ -189,24 +190,13 @@ def _energy_conserving(file: BsdfFile) -> BsdfFile:
 
 def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> BsdfFile:
     """Add what an instrument adds: noise, cells it did not reach, and signals clamped at zero."""
-    values = np.moveaxis(file.spectra, 2, -1).copy()  # (P, T, H, W, B)
-    measured = file.measured_mask
-    # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
-    cells = 1.0 + speckle * rng.standard_normal(values.shape[:-1], dtype=np.float32)
-    # The lamp drifts a little from one incidence to the next.
-    cells *= 1.0 + _DRIFT * rng.standard_normal((1, values.shape[1], 1, 1), dtype=np.float32)
-    band = np.linspace(-1.0, 1.0, values.shape[-1], dtype=np.float32)
-    spread = 0.002 + 0.006 * band**6
-    values *= cells[..., None]
-    values *= 1.0 + spread * rng.standard_normal(values.shape, dtype=np.float32)
-    dark = 2e-4 * np.median(values[measured]) * (1.0 + 20.0 * band**8)
-    values[measured] += dark * rng.standard_normal((np.count_nonzero(measured), band.size), dtype=np.float32)
-    np.maximum(values, 0.0, out=values)
-
+    measured = file.measured_mask  # (P, T, H, W)
     # Cells next to the horizon are extrapolated in the real files: filled, but some not marked as measured.
     rim = measured & find_rim(file) & (rng.random(measured.shape) < 0.9)
     # A few cells are unmeasured: no value in any band.
     lost = measured & (rng.random(measured.shape) < rng.uniform(0.0, 0.004))
+    values = np.moveaxis(file.spectra, 2, -1).copy()  # (P, T, H, W, B)
+    values[measured] = _noisy(values[measured], np.nonzero(measured)[1], rng, speckle)
     values[lost] = 0.0
     relative_luminance = np.maximum(luminance(values, file.bands), 0.0).astype(np.float32)
     return replace(
@@ -215,6 +205,25 @@ def _imperfect(file: BsdfFile, rng: np.random.Generator, speckle: float) -> Bsdf
         luminance=relative_luminance,
         valid=goniometer.pack_valid(measured & ~rim & ~lost, file.version),
     )
+
+
+def _noisy(values: Array, incidence: Array, rng: np.random.Generator, speckle: float) -> Array:
+    """Values (n, B) of cells as an instrument reads them, of the elevations with indices (n,)."""
+    n, n_bands = values.shape
+    # Speckle is common to all bands of a cell; the detector's noise is not, and is worse towards both ends.
+    cells = 1.0 + speckle * rng.standard_normal(n, dtype=np.float32)
+    cells *= 1.0 + _DRIFT * rng.standard_normal(incidence.max() + 1, dtype=np.float32)[incidence]
+    band = np.linspace(-1.0, 1.0, n_bands, dtype=np.float32)
+    dark = 2e-4 * np.median(values[::8]) * (1.0 + 20.0 * band**8)
+    detector = rng.standard_normal((n, n_bands), dtype=np.float32)
+    detector *= 0.002 + 0.006 * band**6
+    detector += 1.0
+    detector *= values
+    detector *= cells[:, None]
+    offset = rng.standard_normal((n, n_bands), dtype=np.float32)
+    offset *= dark
+    detector += offset
+    return np.maximum(detector, 0.0, out=detector)
 
 
 def _to_rgb(file: BsdfFile) -> BsdfFile:

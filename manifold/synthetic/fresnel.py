@@ -88,24 +88,25 @@ def _conductor(cos_theta, eta, k):
 @in_turn
 @njit(cache=True, parallel=True)
 def _thin_film(cos_theta, phase, film, base):
-    """`phase` is 2 pi thickness / wavelength, (B,); `base` the complex index, (B,)."""
+    """`phase` is 2 pi thickness / wavelength, (B,); `film` at least 1; `base` the complex index, (B,)."""
     out = np.empty((cos_theta.size, film.size))
     for i in prange(cos_theta.size):
         c0 = min(max(cos_theta[i], 0.0), 1.0)
         s2 = 1.0 - c0 * c0
         for b in range(film.size):
+            e1, e2 = film[b] * film[b], base[b] * base[b]
             # q is index times cosine of refraction, with the decaying branch (imaginary part >= 0).
-            q1 = np.sqrt(film[b] * film[b] - s2 + 0j)
-            q2 = np.sqrt(base[b] * base[b] - s2 + 0j)
+            q1 = np.sqrt(max(e1 - s2, 0.0))
+            q2 = np.sqrt(e2 - s2)
             if q2.imag < 0.0:
                 q2 = -q2
-            e1, e2 = film[b] * film[b], base[b] * base[b]
-            turn = np.exp(2j * phase[b] * q1)
-            s01 = (c0 - q1) / (c0 + q1) if c0 + q1 != 0 else -1.0 + 0j
-            s12 = (q1 - q2) / (q1 + q2)
-            p01 = (e1 * c0 - q1) / (e1 * c0 + q1) if e1 * c0 + q1 != 0 else -1.0 + 0j
-            p12 = (e2 * q1 - e1 * q2) / (e2 * q1 + e1 * q2)
-            rs = abs((s01 + s12 * turn) / (1.0 + s01 * s12 * turn)) ** 2
-            rp = abs((p01 + p12 * turn) / (1.0 + p01 * p12 * turn)) ** 2
-            out[i, b] = min(0.5 * (rs + rp), 1.0)
+            turn = complex(np.cos(2.0 * phase[b] * q1), np.sin(2.0 * phase[b] * q1))
+            s01 = (c0 - q1) / (c0 + q1) if c0 + q1 > 0.0 else -1.0
+            p01 = (e1 * c0 - q1) / (e1 * c0 + q1) if c0 + q1 > 0.0 else -1.0
+            s12 = (q1 - q2) / (q1 + q2) * turn
+            p12 = (e2 * q1 - e1 * q2) / (e2 * q1 + e1 * q2) * turn
+            rs = (s01 + s12) / (1.0 + s01 * s12)
+            rp = (p01 + p12) / (1.0 + p01 * p12)
+            mean = 0.5 * (rs.real**2 + rs.imag**2 + rp.real**2 + rp.imag**2)
+            out[i, b] = min(mean, 1.0)
     return out

@@ -19,7 +19,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numba import njit, prange
 
-from manifold.directions import half_vector, hemisphere_quadrature, normalize
+from manifold.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.parallel import in_turn
 from manifold.records import Array
@@ -255,7 +255,7 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     phi = np.linspace(0.0, 0.5 * np.pi, 1 if isotropic else _N_AZIMUTHS)
     r = np.sqrt(1.0 - z * z)[:, None]
     stretched = np.stack(np.broadcast_arrays(r * np.cos(phi), r * np.sin(phi), z[:, None]), axis=-1)
-    x, weights = np.polynomial.legendre.leggauss(_N_CAP if isotropic else _N_CAP_ANISOTROPIC)
+    x, weights = gauss_legendre(_N_CAP if isotropic else _N_CAP_ANISOTROPIC)
     # Mirrored directions meet the horizon in the last alpha^2 of the cap: v^2 spreads that edge out.
     v = 0.5 * (x + 1.0)
     moments = _integrate_caps(

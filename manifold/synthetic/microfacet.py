@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.directions import gauss_legendre
 from manifold.errors import UsageError
 from manifold.records import Array, Bands
 from manifold.synthetic.analytic import (
@@ -62,7 +63,7 @@ class _RoughReflector(AnalyticBRDF):
     @cached_property
     def _multiple_colour(self) -> Array:
         """Albedo per band of the light scattered more than once, shape (B,); see the class."""
-        x, w = np.polynomial.legendre.leggauss(64)
+        x, w = gauss_legendre(64)
         cosine = 0.5 * (x + 1.0)
         f_avg = (w * cosine) @ self.reflectance(cosine)
         e_avg = float(self._white.hemispherical[0])

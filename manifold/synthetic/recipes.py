@@ -109,8 +109,11 @@ def _metallic(
     return recipe
 
 
-def _chrome(spectrum: str | None, lobes: Lobes, depth: float) -> Recipe:
-    """Chrome vinyl: chromium with haze around the reflection, bare or under a tinted coat that reflects as well."""
+def _chrome(spectrum: str | None, lobes: Lobes, depth: float = 0.0, haze: float = 0.0) -> Recipe:
+    """Chrome vinyl: chromium with haze around the reflection, bare or under a coat of tint with scattering pigment.
+
+    The pigment covers a share `haze`, as it seems to in real films: 0.01 to 0.04 1/sr far from the mirror direction.
+    """
 
     def recipe(bands: Bands) -> BRDF:
         eta, k = metal_ior("Cr", np.array(bands.wavelengths_nm))
@@ -118,8 +121,9 @@ def _chrome(spectrum: str | None, lobes: Lobes, depth: float) -> Recipe:
         if spectrum is None:
             return chromium
         coat = RoughDielectric(GGX.isotropic(lobes[0][1]), _VARNISH, bands)
-        tint = np.clip(_pigment(spectrum, bands, 1.4), 0.05, 1.0) ** depth
-        return Layered(coat, Immersed(chromium, float(_VARNISH), tint))
+        colour = np.clip(_pigment(spectrum, bands, 1.4), 0.05, 1.0)
+        metal = Immersed(chromium, float(_VARNISH), colour**depth)
+        return Layered(coat, MixedBRDF([(1.0 - haze, metal), (haze, RoughDiffuse(colour, 0.5, bands))]))
 
     return recipe
 
@@ -190,7 +194,7 @@ def isotropic_recipes() -> dict[str, Recipe]:
         "card_brown": _matte("ohta/dark skin", [(0.75, 0.48), (0.25, 0.24)], 0.50, 0.12, 1.48, 1.6),
         "card_black": _matte("ohta/black 2 (1.5 D)", [(0.5, 0.30), (0.5, 0.55)], 0.30, 0.05, 1.58, 1.2),
         "leaf_grass": _varnished("pmc/Summer Grass", [(0.55, 0.24), (0.45, 0.50)], 0.15, 0.45, 1.42),
-        "standard_white": _matte(white, [(0.6, 0.35), (0.4, 0.60)], 0.10, 0.02, 1.30, 1.1),
+        "standard_white": lambda bands: RoughDiffuse(0.985, 0.10, bands),
         "satin_blue": _metallic("ohta/blue", [(0.7, 0.20), (0.3, 0.45)], [(1.0, 0.35)], 0.75, 0.5, 2.0),
         "satin_gold": _varnished("ohta/orange yellow", [(0.4, 0.20), (0.6, 0.42)], 0.35, 0.30, 1.55, 0.9),
         "satin_purple": _metallic(
@@ -231,10 +235,10 @@ def isotropic_recipes() -> dict[str, Recipe]:
         "metallic_bronze": _metallic(
             "ohta/dark skin", [(0.4, 0.20), (0.6, 0.50)], [(1.0, 0.15)], 0.55, 0.8, 2.5
         ),
-        "chrome_plain": _chrome(None, [(0.70, 0.030), (0.20, 0.11), (0.10, 0.40)], 0.0),
-        "chrome_mint": _chrome("pmc/Bluish Green", [(0.85, 0.025), (0.15, 0.20)], 0.6),
-        "chrome_orange": _chrome("ohta/orange", [(0.60, 0.050), (0.40, 0.13)], 0.9),
-        "chrome_blue": _chrome("ohta/blue flower", [(0.75, 0.035), (0.25, 0.30)], 0.4),
+        "chrome_plain": _chrome(None, [(0.70, 0.030), (0.20, 0.11), (0.10, 0.40)]),
+        "chrome_mint": _chrome("pmc/Bluish Green", [(0.85, 0.025), (0.15, 0.20)], 0.6, 0.10),
+        "chrome_orange": _chrome("ohta/orange", [(0.60, 0.050), (0.40, 0.13)], 0.9, 0.05),
+        "chrome_blue": _chrome("ohta/blue flower", [(0.75, 0.035), (0.25, 0.30)], 0.4, 0.03),
         "flake_blue": _flake("ohta/blue", [(0.6, 0.18), (0.4, 0.40)], [(1.0, 0.06)], 0.35, 0.8),
         "flake_blue_fine": _flake(
             "ohta/purplish blue", [(0.9, 0.12), (0.1, 0.35)], [(0.9, 0.05), (0.1, 0.2)], 0.50, 0.5

@@ -36,7 +36,7 @@ class Example:
 
 EXAMPLES: Mapping[str, Example] = MappingProxyType(
     {
-        "felt": Example("syn_felt_green", "D65", 0.10, ((-4.0, -3.0, 5.0, 2.0), (5.0, -2.0, 3.0, 1.0))),
+        "felt": Example("syn_felt_yellow", "D65", 0.10, ((-4.0, -3.0, 5.0, 2.0), (5.0, -2.0, 3.0, 1.0))),
         "paint": Example("syn_satin_rose", "A", 0.06, ((-4.0, -3.0, 5.0, 1.6), (5.0, -2.0, 2.5, 0.8))),
         "chrome": Example("syn_chrome_orange", "F11", 0.10, ((-4.0, -3.0, 5.0, 1.8), (4.5, -3.0, 2.5, 1.2))),
     }

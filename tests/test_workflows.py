@@ -23,7 +23,7 @@ from manifold.synthetic import corpus
 from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 
-FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_gloss_red", "syn_felt_green"}
+FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_gloss_red", "syn_felt_yellow"}
 SCENE = {"felt": example_scenes.EXAMPLES["felt"]}
 
 

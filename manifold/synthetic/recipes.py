@@ -194,7 +194,7 @@ def isotropic_recipes() -> dict[str, Recipe]:
         "card_brown": _matte("ohta/dark skin", [(0.75, 0.48), (0.25, 0.24)], 0.50, 0.12, 1.48, 1.6),
         "card_black": _matte("ohta/black 2 (1.5 D)", [(0.5, 0.30), (0.5, 0.55)], 0.30, 0.05, 1.58, 1.2),
         "leaf_grass": _varnished("pmc/Summer Grass", [(0.55, 0.24), (0.45, 0.50)], 0.15, 0.45, 1.42),
-        "standard_white": lambda bands: RoughDiffuse(0.985, 0.10, bands),
+        "standard_white": lambda bands: RoughDiffuse(np.array(0.985), 0.10, bands),
         "satin_blue": _metallic("ohta/blue", [(0.7, 0.20), (0.3, 0.45)], [(1.0, 0.35)], 0.75, 0.5, 2.0),
         "satin_gold": _varnished("ohta/orange yellow", [(0.4, 0.20), (0.6, 0.42)], 0.35, 0.30, 1.55, 0.9),
         "satin_purple": _metallic(

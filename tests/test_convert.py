@@ -33,7 +33,20 @@ def test_rgl_files_meet_a_smooth_material_at_the_nodes_of_its_file(files, name, 
     made = convert([files[name]], tmp_path / "out.bsdf")
     assert made.error.linear < 0.01  # issue 14 asks for 1 %
     assert made.error.median < 0.005
-    assert MeasuredBRDF(read_bsdf(tmp_path / "out.bsdf")).is_isotropic == (name != "utia")
+    brdf = MeasuredBRDF(read_bsdf(tmp_path / "out.bsdf"))
+    assert brdf.is_isotropic == (name != "utia")
+    # Mitsuba sees what was read: away from the horizon, at nodes of the file.
+    mi = pytest.importorskip("mitsuba_reference", reason="Mitsuba is not installed")
+    readings = registry.read_readings(files[name], limit=3000)
+    inside = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) > 0.3
+    if name == "utia":  # at azimuth 0 exactly Mitsuba reads half-turn files beyond their last node
+        inside &= np.abs(readings.wi[:, 1]) > 1e-6
+    nodes = np.flatnonzero(inside)[::7]
+    wi, wo = readings.wi[nodes], readings.wo[nodes]
+    nm = None if brdf.bands.is_rgb else np.tile([465.0, 525.0, 630.0, 630.0], (len(nodes), 1))
+    found = mi.measured(tmp_path / "out.bsdf", wi, wo, nm)[0][:, :3]
+    f_cos = readings.values[nodes] * wo[:, 2:]
+    assert np.linalg.norm(found - f_cos) < 0.01 * np.linalg.norm(f_cos)
 
 
 @pytest.mark.parametrize("to", ["astm", "csv"])
@@ -108,20 +121,6 @@ def test_non_reciprocal_files_give_merl_the_mean_of_both_directions(tmp_path):
     np.testing.assert_allclose(
         table.values[40, 30, 20], both[0], rtol=1e-4
     )  # the file is in single precision
-
-
-def test_mitsuba_evaluates_a_converted_file_as_the_readings_say(files, tmp_path):
-    pytest.importorskip("mitsuba")
-    from mitsuba_reference import measured
-
-    convert([files["zemax"]], tmp_path / "out_rgb.bsdf")
-    readings = registry.read_readings(files["zemax"])
-    steep = (readings.wi[:, 2] < 0.3) | (readings.wo[:, 2] < 0.3)
-    wi, wo = readings.wi[~steep], readings.wo[~steep]
-    found, _ = measured(tmp_path / "out_rgb.bsdf", wi, wo, None)
-    f_cos = readings.values[~steep] * wo[:, 2:]
-    assert np.linalg.norm(found - f_cos) < 0.01 * np.linalg.norm(f_cos)  # issue 14 asks for 1 %
-    np.testing.assert_allclose(found, f_cos, rtol=0.05)
 
 
 def test_the_command_reports_the_error_and_what_was_assumed(files, tmp_path, capsys):

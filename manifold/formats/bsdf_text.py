@@ -23,11 +23,19 @@ class Words:
         """Read the file. Raises: as `read_lines`."""
         self.place = Place(path, _REMEDY)
         self._lines = [
-            (number, line.replace("=", " ").replace('"', " ").split())
+            (number, line)
             for number, line in enumerate(read_lines(path), start=1)
             if line.strip() and not line.lstrip().startswith(("#", "!"))
         ]
         self._line, self._word = 0, 0
+        self._split: tuple[int, list[str]] = (-1, [])
+
+    @property
+    def _words(self) -> list[str]:
+        """The words of the line that was begun; lines are split one at a time, to save memory."""
+        if self._split[0] != self._line:
+            self._split = self._line, self._lines[self._line][1].replace("=", " ").replace('"', " ").split()
+        return self._split[1]
 
     @property
     def line(self) -> str:
@@ -38,7 +46,7 @@ class Words:
     def next(self) -> str | None:
         """The next word, or None at the end."""
         while self._line < len(self._lines):
-            words = self._lines[self._line][1]
+            words = self._words
             if self._word < len(words):
                 self._word += 1
                 return words[self._word - 1]
@@ -49,7 +57,7 @@ class Words:
         """What is left of the line that was begun."""
         if self._line >= len(self._lines):
             return ""
-        words = self._lines[self._line][1][self._word :]
+        words = self._words[self._word :]
         self._line, self._word = self._line + 1, 0
         return " ".join(words)
 
@@ -69,7 +77,7 @@ class Words:
                 raise self.place.error(
                     f"the file ends after {len(values)} of {count} {what}: it is cut off", self.line
                 )
-            number, words = self._lines[self._line]
+            number, words = self._lines[self._line][0], self._words
             taken = words[self._word : self._word + count - len(values)]
             if taken and taken[0][:1].isalpha():
                 raise self.place.error(

@@ -24,9 +24,10 @@ _TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")
 
 def sniff(head: bytes) -> bool:
     """Whether a file's beginning is a table of readings."""
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    text = decode(head)
+    if "\0" in text:
         return False
-    lines = [line for line in decode(head).splitlines() if line.strip()][:60]
+    lines = [line for line in text.splitlines() if line.strip()][:60]
     for line in lines:
         words = line.lower()
         if ("geometr" in words or re.search(r"theta\W?_?i", words)) and _separator(line) is not None:

@@ -5,9 +5,16 @@ from __future__ import annotations
 # By how files begin.
 _FOREIGN = (
     (b"tensor_file\0", "an RGL file"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file (a model, AxF, or another)"),
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),
+    (b"\xd0\xcf\x11\xe0", "an old Office file such as .xls; save it as .xlsx"),
+    (b"%PDF", "a PDF document"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\x76\x2f\x31\x01", "an OpenEXR picture"),
+    (b"II*\0", "a TIFF picture"),
+    (b"MM\0*", "a TIFF picture"),
     (b"SCATFUN", "a Fourier BSDF of layerlab or pbrt-v3"),
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
 )

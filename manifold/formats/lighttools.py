@@ -41,6 +41,11 @@ class _Block:
     is_brdf: bool = True
     values: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def is_reflected(self) -> bool:
+        """Whether it holds reflection of light from the front."""
+        return self.is_front and self.is_brdf and self.aoi <= 90.0
+
 
 def sniff(head: bytes) -> bool:
     """Whether a file's beginning has LightTools' keys: scatter angles, and incidence as AOI or none yet."""
@@ -60,10 +65,10 @@ def read(path: Path) -> list[Readings]:
     words = Words(path)
     azimuths, radials, blocks, heading = _blocks(words)
     notes: list[str] = []
-    left = sum(not (b.is_front and b.is_brdf) for b in blocks)
+    left = sum(not b.is_reflected for b in blocks)
     if left:
         notes.append(f"{left} blocks of transmission or of the back are left out")
-    blocks = [b for b in blocks if b.is_front and b.is_brdf]
+    blocks = [b for b in blocks if b.is_reflected]
     if not blocks:
         raise words.place.error(
             "no block of front reflectance, expected AOI, POI, Wavelength, TIS and a table"

@@ -22,7 +22,6 @@ from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.sheet_images import sheet_images
 from manifold.formats.spectro_table import Cell, read_table
 from manifold.formats.text import Place, read_bytes
-from manifold.records import Array
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
@@ -165,15 +164,15 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
     return []
 
 
-def write(path: Path, readings: Readings, factors: Array | None = None) -> None:
+def write(path: Path, readings: Readings) -> None:
     """A workbook with the layout of an MA-T12's; values are reflectance factors.
 
     Args:
         path: where to.
-        readings: at the 12 geometries of `geometry_ma_t12`, in their order.
-        factors: R, shape (12, B), in place of pi f.
+        readings: at the 12 geometries of `geometry_ma_t12`, in their order; texture as `read` gives it.
     """
     import openpyxl
+    from openpyxl.drawing.image import Image
 
     book = openpyxl.Workbook()
     colour = book.active
@@ -186,8 +185,7 @@ def write(path: Path, readings: Readings, factors: Array | None = None) -> None:
     spectral.append([])
     nm = readings.bands.wavelengths_nm or ()
     spectral.append(["Name", "Date/Time", "Geometry", *(f"{w:g}" for w in nm)])
-    R = np.pi * readings.values if factors is None else factors
-    for geometry, row in zip(MA_T12_NAMES, R, strict=True):
+    for geometry, row in zip(MA_T12_NAMES, np.pi * readings.values, strict=True):
         cells = [None if np.isnan(v) else float(v) for v in row]
         spectral.append([readings.name, "2026-01-01 12:00:00", geometry, *cells])
     texture.append([readings.instrument])
@@ -198,5 +196,8 @@ def write(path: Path, readings: Readings, factors: Array | None = None) -> None:
         for entry in entries:
             texture.append(list(entry.values()))
     images.append(["Geometry", "Image"])
+    for row_number, (caption, picture) in enumerate(readings.texture.get("images", {}).items(), start=2):
+        images.cell(row_number, 1, caption)
+        images.add_image(Image(io.BytesIO(picture)), f"B{row_number}")
     with atomic.replacing(path) as partial:
         book.save(partial)

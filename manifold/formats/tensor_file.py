@@ -151,7 +151,7 @@ def _read_header(buffer: mmap.mmap, context: ErrorContext) -> tuple[list[_Entry]
     if magic != MAGIC:
         raise context.error(
             f"found {name_format(buffer[:_SNIFFED])}, expected an RGL tensor file (it begins with 'tensor_file')",
-            remedy="only files of the RGL material database and its tools can be read",
+            remedy="give a file of the RGL database or its tools; `manifold convert` makes one of other formats",
         )
     if (major, minor) != (1, 0):
         raise context.error(

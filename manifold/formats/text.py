@@ -11,7 +11,7 @@ from pathlib import Path
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.tensor_file import printable
 
-LARGEST_TEXT = 400_000_000
+LARGEST_TEXT = 150_000_000
 """Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
 
 _BOMS = (

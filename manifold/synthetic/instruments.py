@@ -5,7 +5,9 @@ What they write has the layout and quirks of real files: see `manifold.formats.m
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,8 +97,6 @@ def write_ma_t12(
     path: Path, brdf: BRDF, name: str, rng: np.random.Generator, *, flakes: bool = False
 ) -> None:
     """A workbook as the MA-T12's program exports it, texture included."""
-    from dataclasses import replace
-
     entries = [
         {
             "Name": name,
@@ -107,7 +107,20 @@ def write_ma_t12(
         for geometry in MA_T12_NAMES[6:]
     ]
     readings = ma_t12_readings(brdf, name, rng)
-    ma_t12.write(path, replace(readings, texture={"values": entries}))
+    images = {geometry: _flake_image(rng, flakes) for geometry in MA_T12_NAMES[6:]}
+    ma_t12.write(path, replace(readings, texture={"values": entries, "images": images}))
+
+
+def _flake_image(rng: np.random.Generator, flakes: bool) -> bytes:
+    """A grey PNG picture of the surface, with bright flakes or without."""
+    from PIL import Image
+
+    grey = 90.0 + 4.0 * rng.standard_normal((64, 64))
+    if flakes:
+        grey += 150.0 * (rng.random((64, 64)) < 0.02)
+    out = io.BytesIO()
+    Image.fromarray(np.clip(grey, 0.0, 255.0).astype(np.uint8)).save(out, "PNG")
+    return out.getvalue()
 
 
 _WRITERS: Mapping[str, tuple[Bands, str]] = {

@@ -1,0 +1,221 @@
+"""Files as programs and people really write them: spelling, separators, marks and units do not matter; numbers do."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from instrument_files import smooth, write_every_format
+
+from manifold.errors import FileFormatError
+from manifold.formats import astm, csv_table, registry
+from manifold.formats.geometry_names import geometry_name, parse_geometry
+from manifold.formats.readings import MA_T12_NAMES, Readings
+from manifold.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_ma_t12
+
+SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
+FACTORS = np.pi * SPECTRO.values
+
+
+def spectro_table(
+    separator=",",
+    point=".",
+    head="{}",
+    geometry=str,
+    scale=1.0,
+    order=1,
+    before="",
+    line_end="\n",
+    columns="Name,Date",
+) -> str:
+    """The table of a spectrophotometer, spelt in many ways."""
+    nm = [f"{w:g}" for w in MA_T12_BANDS.wavelengths_nm][::order]
+    first = columns.split(",") if columns else []
+    lines = [before] if before else []
+    lines.append(separator.join([*first, "Geometry", *(head.format(w) for w in nm)]))
+    for name, row in zip(MA_T12_NAMES, scale * FACTORS, strict=True):
+        cells = [f"{value:.7f}".replace(".", point) for value in row[::order]]
+        lines.append(separator.join([*(["smooth", "2026"][: len(first)]), geometry(name), *cells]))
+    return line_end.join(lines) + line_end
+
+
+TABLES = {
+    "decimal commas": spectro_table(";", ","),
+    "tabs, CR LF": spectro_table("\t", ",", line_end="\r\n"),
+    "CR": spectro_table(line_end="\r"),
+    "byte order mark": b"\xef\xbb\xbf" + spectro_table().encode(),
+    "UTF-16": spectro_table().encode("utf-16"),
+    "UTF-16 without a mark": spectro_table().encode("utf-16-le"),
+    "nm": spectro_table(head="{} nm"),
+    "percent in the heads": spectro_table(head="R{} [%]", scale=100.0),
+    "percent, not said": spectro_table(scale=100.0),
+    "SPECTRAL_NM_400": spectro_table(head="SPECTRAL_NM_{}"),
+    "descending": spectro_table(order=-1),
+    "r45as_15": spectro_table(geometry=lambda g: "r" + g.replace("-", "_")),
+    "upper case": spectro_table(geometry=str.upper),
+    "minus of typesetters": spectro_table(geometry=lambda g: g.replace("-", "\u2212")),
+    "degrees, Latin-1": spectro_table(geometry=lambda g: g.replace("as", "\u00b0as") + "\u00b0").encode(
+        "latin-1"
+    ),
+    "title and sep=": spectro_table(";", before="sep=;"),
+    "no names": spectro_table(columns=""),
+    "quotes": re.sub(r"([^,\n]+)", r'"\1"', spectro_table()),
+    "other columns": spectro_table(columns="Name,L*"),
+    "Markdown": re.sub(r"(?m)^(.*)$", r"| \1 |", spectro_table(" | ").strip()),
+    "turned": "\n".join(
+        [",".join(["nm", *MA_T12_NAMES])]
+        + [
+            ",".join([f"{w:g}", *(f"{v:.7f}" for v in column)])
+            for w, column in zip(MA_T12_BANDS.wavelengths_nm, FACTORS.T, strict=True)
+        ]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_a_spectrophotometer_are_read_however_they_are_spelt(name, tmp_path):
+    content = TABLES[name]
+    path = tmp_path / "table.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values, SPECTRO.values, rtol=1e-5)  # seven decimals of R
+    np.testing.assert_allclose(found.wo, SPECTRO.wo, atol=1e-12)
+    assert found.bands == MA_T12_BANDS
+
+
+@pytest.mark.parametrize("cell", ["NaN", "inf", "-inf", "#N/A", "1e999", "O.3", "0.1.2", "0,1,2"])
+def test_a_cell_that_is_no_number_is_named(cell, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(spectro_table(";").replace(f"{FACTORS[1, 2]:.7f}", cell))
+    with pytest.raises(FileFormatError, match="row 3, column 6"):
+        registry.read_all(path)
+
+
+def test_short_rows_are_named_and_empty_cells_are_not_measured(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(spectro_table()[:-40])
+    with pytest.raises(FileFormatError, match="row 13, column 3"):
+        registry.read_all(path)
+    path.write_text(spectro_table().replace(f"{FACTORS[1, 2]:.7f}", ""))
+    found = registry.read_readings(path)
+    assert np.argwhere(~found.measured).tolist() == [[1, 2]]
+
+
+def test_samples_of_one_table_are_told_apart_and_repeats_averaged(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(spectro_table() + spectro_table(scale=1.02).replace("smooth", "other").partition("\n")[2])
+    assert [r.name for r in registry.read_all(path)] == ["smooth", "other"]
+    path.write_text(spectro_table() + spectro_table(scale=1.02).partition("\n")[2])
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values, 1.01 * SPECTRO.values, rtol=1e-5)
+    assert any("means" in note for note in found.notes)
+
+
+@given(
+    anchor=st.integers(0, 80), aspecular=st.integers(-90, 150), azimuth=st.sampled_from([0, 25, 90, 125]),
+    spelling=st.sampled_from(["{a}as{s}", "r{a}as{u}", "R{a}AS{s}", "{a} as {s}", "{a}\u00b0 as {s}", "{a}:as{s}"]),
+)  # fmt: skip
+def test_geometries_are_read_in_every_spelling(anchor, aspecular, azimuth, spelling):
+    text = spelling.format(a=anchor, s=aspecular, u=str(aspecular).replace("-", "_"))
+    if azimuth:
+        text += f"az{azimuth}"
+    assert parse_geometry(text) == (anchor, aspecular, azimuth)
+    assert parse_geometry(geometry_name(anchor, aspecular, azimuth)) == (anchor, aspecular, azimuth)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_every_format(tmp_path_factory.mktemp("formats"))
+
+
+def mini_diff(text: str, head: str, cells) -> str:
+    """A Mini-Diff's text with another line VARS and other cells."""
+    lines = text.split("\r\n")
+    start = next(k for k, line in enumerate(lines) if line.startswith("VARS"))
+    return "\n".join(
+        [*lines[:start], f"VARS {head}", *(cells(line.split(",")) for line in lines[start + 1 :] if line)]
+    )
+
+
+MINI_DIFFS = {
+    "decimal commas": lambda t: t.replace(",", ";").replace(".", ","),
+    "blanks and decimal commas": lambda t: mini_diff(
+        t, "theta_i,phi_i,theta_s,465nm,525nm,630nm", lambda c: " ".join(c).replace(".", ",")
+    ),
+    "units and case": lambda t: t.replace("theta_i,phi_i,theta_s,465nm", "Theta_I [rad],PHI_I,theta_s [rad],465 nm"),
+    "BRDF_465": lambda t: re.sub(r"(\d{3})nm", r"BRDF_\1", t),
+    "microns": lambda t: re.sub(r"(\d{3})nm", r"0.\1um", t),
+    "phi_s named": lambda t: t.replace("theta_s,465nm", "theta_s,phi_s,465nm"),
+    "keys with colons": lambda t: re.sub(r'(?m)^(\w+) "', r'\1: "', t),
+    "other order": lambda t: mini_diff(
+        t, "phi_s,theta_s,phi_i,theta_i,630nm,525nm,465nm",
+        lambda c: ",".join([c[3], c[2], c[1], c[0], c[6], c[5], c[4]]),
+    ),
+    "degrees": lambda t: mini_diff(
+        t, "theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm",
+        lambda c: ",".join([*(f"{np.rad2deg(float(a)):.6f}" for a in c[:4]), *c[4:]]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MINI_DIFFS)
+def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path):
+    path = tmp_path / "table.txt"
+    path.write_text(MINI_DIFFS[name](files["mini-diff"].read_bytes().decode()))
+    found, straight = registry.read_readings(path), registry.read_readings(files["mini-diff"])
+    np.testing.assert_array_equal(found.values, straight.values)
+    np.testing.assert_allclose(found.wo, straight.wo, atol=2e-6)  # angles of six decimals
+    assert found.bands == MINI_DIFF_BANDS
+
+
+@pytest.mark.parametrize("rows_turned", [0, 3, 6, 9])
+def test_the_azimuth_of_incidence_in_lighttools_files_is_found_from_the_bright_side(
+    files, rows_turned, tmp_path
+):
+    """Tables turned by 90, 180 and 270 degrees, as other programs have them, are the same material."""
+    lines, out = files["lighttools"].read_text().splitlines(), []
+    while lines:
+        out.append(lines.pop(0))
+        if out[-1].startswith("TIS"):
+            table, lines = lines[:12], lines[13:]
+            table = table[-rows_turned:] + table[:-rows_turned] if rows_turned else table
+            out += [*table, table[0]]
+    path = tmp_path / "turned.bsdf"
+    path.write_text("\n".join(out))
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values, smooth(found.bands).eval(found.wi, found.wo), rtol=1e-5)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    pairs=st.integers(1, 12),
+    bands=st.integers(0, 6),
+    seed=st.integers(0, 2**31),
+    writer=st.sampled_from([astm, csv_table]),
+)
+def test_any_readings_survive_tables(pairs, bands, seed, writer, tmp_path):
+    rng = np.random.default_rng(seed)
+    w = rng.standard_normal((2, pairs, 3))
+    w[..., 2] = np.abs(w[..., 2]) + 1e-3
+    w /= np.linalg.norm(w, axis=-1, keepdims=True)
+    nm = np.sort(rng.choice(np.arange(380, 780), bands, replace=False)).astype(float) if bands else None
+    values = np.exp(rng.normal(0.0, 4.0, (pairs, bands or 3)))
+    path = tmp_path / ("any.csv" if writer is csv_table else "any.astm")
+    writer.write(path, Readings("any", "test", w[0], w[1], nm, values))
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values, values, rtol=1e-8)  # nine digits
+    np.testing.assert_allclose(found.wo, w[1], atol=1e-7)
+    assert (found.wavelengths_nm is None) == (nm is None)
+
+
+def test_texture_and_flake_images_stay_with_the_readings(tmp_path, rng):
+    path = tmp_path / "sample.xlsx"
+    write_ma_t12(path, smooth(MA_T12_BANDS), "flaky", rng, flakes=True)
+    found = registry.read_readings(path)
+    assert found.texture["values"][0]["Geometry"] == "15as-45"
+    assert found.texture["values"][0]["Coarseness"] > 1.0
+    assert list(found.texture["images"]) == list(MA_T12_NAMES[6:])
+    assert all(image.startswith(b"\x89PNG") for image in found.texture["images"].values())

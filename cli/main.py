@@ -17,6 +17,7 @@ from manifold.errors import ManifoldError, UsageError
 from . import (
     budget_commands,
     chart_commands,
+    completion_commands,
     fit_commands,
     instrument_commands,
     library_commands,
@@ -69,6 +70,7 @@ render_commands.register(app)
 budget_commands.register(app)
 chart_commands.register(app)
 stability_commands.register(app)
+completion_commands.register(app)
 instrument_commands.register(app)
 
 

@@ -1,0 +1,139 @@
+"""Commands about readings: complete, suggest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+from . import terminal
+from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
+
+if TYPE_CHECKING:
+    from manifold.completion.suggest import Suggested
+
+InstrumentOption = Annotated[
+    str | None,
+    typer.Option(help="Suggest among the directions of ma-t12 or mini-diff.", metavar="NAME"),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        "complete",
+        short_help="Complete a few readings of a material to a full BRDF.",
+        epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture sample.png --suggest 3",
+    )(complete)
+
+
+def complete(
+    readings: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="A file of readings; a second instrument's, of the same sample, is corrected by the first.",
+            metavar="READINGS",
+            show_default=False,
+        ),
+    ] = None,
+    library: LibraryOption = DEFAULT_LIBRARY,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="The file to write. [default: the sample's name, .bsdf]", metavar="FILE"
+        ),
+    ] = None,
+    sample: Annotated[
+        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+    ] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture", help="Also render its ball, beside the file.")
+    ] = False,
+    suggest: Annotated[
+        int,
+        typer.Option(
+            help="Also name this many directions to read next; without READINGS, to begin with.",
+            metavar="K",
+            min=0,
+            max=100,
+        ),
+    ] = 0,
+    instrument: InstrumentOption = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write it even if it returns more than 1.05 times its light.")
+    ] = False,
+    resolution: Annotated[
+        int, typer.Option(help="Nodes per axis of the outgoing grid.", metavar="N", min=2, max=512)
+    ] = 32,
+    incidences: Annotated[int, typer.Option(help="Incident elevations.", metavar="N", min=2, max=512)] = 8,
+    json: JsonOption = None,
+) -> None:
+    """Complete readings of one material to a full BRDF, by what the materials of a library are like.
+
+    Says what error to expect, how well the readings are met, and which other materials would meet them as well.
+    """
+    from manifold.workflows import completions
+
+    results = terminal.Results(json)
+    if not readings:
+        if not suggest:
+            raise UsageError("no file of readings; name one, or say --suggest K for directions to begin with")
+        first = completions.suggest_first(library, suggest, instrument)
+        _show_suggested(results, first, "Read first")
+        results.document({"suggested_deg": first.angles_deg.tolist()})
+        return
+    name, _ = completions.read(readings[:1], sample)
+    target = output or Path(f"{_file_name(name.name)}.bsdf")
+    with terminal.progress("Completing") as step:
+        made = completions.complete_files(
+            readings, library, target, sample=sample, picture=target.with_suffix(".png") if picture else None,
+            count=suggest, instrument=instrument, force=force, resolution=resolution, n_theta_i=incidences,
+            on_progress=step,
+        )  # fmt: skip
+    found, expected = made.found, made.expected
+    results.rows(
+        f"Completed {made.path}",
+        {
+            "readings": f"{len(found.readings)} of {found.readings.name}, {found.readings.instrument}, "
+            f"{found.readings.bands}",
+            "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
+            f"linear {100 * expected['linear']:.0f} %",
+            "readings met": f"to {100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
+            f"the worst to {100 * found.misfits.max():.1f} %",
+            "made of": ", ".join(f"{name} {weight:.2f}" for name, weight in found.made_of),
+            "albedo": f"at most {made.plausibility.max_albedo:.2f}",
+            **({"picture": str(made.picture)} if made.picture else {}),
+            "time": f"{made.seconds:.1f} s",
+            **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
+        },
+    )
+    results.text("\nMaterials that meet the readings as well, or nearly:\n")
+    results.table(
+        ("like", "probability", "readings met to", "ball differs by"),
+        [
+            (
+                " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
+                f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
+            )
+            for a in found.alternatives
+        ],
+    )  # fmt: skip
+    if made.suggested is not None:
+        _show_suggested(results, made.suggested, "Read next")
+    results.document(made.to_json())
+
+
+def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:
+    results.text(f"\n{title}, angles in degrees; azimuth 0 is the mirror direction's side:\n")
+    results.table(
+        ("incidence", "outgoing", "azimuth"),
+        [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],
+    )
+
+
+def _file_name(name: str) -> str:
+    """A sample's name as that of a file."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "completed"

@@ -1,0 +1,117 @@
+"""Two instruments' readings of one sample as one: a goniometer's few bands, corrected by a spectrophotometer's many.
+
+Where both read, the goniometer's values are set against the spectra; what is learned there makes spectra of all its
+readings. Directions agree in half and difference angles, between which the goniometer is interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+
+from manifold.colour.correction import ColourCorrection, learn_correction
+from manifold.directions import to_rusinkiewicz
+from manifold.errors import BandMismatchError, UsageError
+from manifold.formats.readings import Readings
+from manifold.records import Array
+
+_CAMERA_BANDS = 3
+_MOST = 2000  # readings of a goniometer that are used
+_BETWEEN = 4  # incidences at least, between which directions are interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class Hybrid:
+    """Readings of two instruments, corrected.
+
+    Attributes:
+        readings: of both, in the bands of the reference.
+        correction: what was learned; None where bands were the same.
+        shared: how many directions both read.
+    """
+
+    readings: Readings
+    correction: ColourCorrection | None
+    shared: int
+
+
+def combine(reference: Readings, other: Readings) -> Hybrid:
+    """One set of readings in the bands of `reference`.
+
+    Args:
+        reference: whose colours are right: a spectrophotometer's.
+        other: a goniometer's, in the same bands, or in three.
+    Raises:
+        BandMismatchError: it has other bands, and not three.
+        UsageError: too few directions are shared.
+    """
+    if reference.bands == other.bands:
+        return Hybrid(_joined(reference, other, other.values), None, 0)
+    if other.values.shape[1] != _CAMERA_BANDS:
+        raise BandMismatchError(
+            f"{other.name}: {other.values.shape[1]} bands beside the {reference.values.shape[1]} of {reference.name}, "
+            "expected the same, or three to correct; give the spectrophotometer's file first"
+        )
+    at_reference = interpolated(other, reference.wi, reference.wo)
+    is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)
+    if np.count_nonzero(is_shared) < 4:
+        raise UsageError(
+            f"{other.name}: {np.count_nonzero(is_shared)} directions of {reference.name} lie among its readings, "
+            "expected four or more to correct colours by"
+        )
+    correction = learn_correction(at_reference[is_shared], reference.values[is_shared])
+    taken = _thinned(other)
+    joined = _joined(reference, taken, correction.apply(np.nan_to_num(taken.values)))
+    beyond = float(np.mean(correction.is_beyond(np.nan_to_num(taken.values))))
+    note = (
+        f"{other.instrument} corrected by {reference.instrument}: {correction.form}, "
+        f"at {int(is_shared.sum())} directions"
+    )
+    if beyond > 0.0:
+        note += f"; {100.0 * beyond:.0f} % of its readings are brighter than any of these, corrected in proportion"
+    return Hybrid(joined.with_note(note), correction, int(is_shared.sum()))
+
+
+def interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
+    """Values of an isotropic sample at direction pairs (P, 3), between its readings: (P, B), NaN beyond them."""
+    known = readings.measured.all(axis=1)
+    at, roots = _coordinates(readings.wi[known], readings.wo[known]), np.cbrt(readings.values[known])
+    _, first = np.unique(at.round(4), axis=0, return_index=True)
+    if len(first) < _BETWEEN:
+        return np.full((len(wi), readings.values.shape[1]), np.nan)
+    try:
+        found = LinearNDInterpolator(at[first], roots[first])(_coordinates(wi, wo))
+    except Exception as error:  # Qhull: points in a plane
+        raise UsageError(
+            f"{readings.name}: its directions lie in one plane, expected several incidences to interpolate between"
+        ) from error
+    return np.asarray(found) ** 3
+
+
+def _coordinates(wi: Array, wo: Array) -> Array:
+    """Half and difference angles of an isotropic, reciprocal BRDF: `sqrt(theta_h)`, theta_d by phi_d; (P, 3)."""
+    theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
+    folded = np.abs(np.mod(phi_d + 0.5 * np.pi, np.pi) - 0.5 * np.pi)  # [0, pi / 2]
+    return np.column_stack([np.sqrt(theta_h), theta_d * np.cos(folded), theta_d * np.sin(folded)])
+
+
+def _thinned(readings: Readings) -> Readings:
+    """At most `_MOST` readings, evenly taken."""
+    step = -(-len(readings) // _MOST)
+    return readings.select_pairs(np.arange(0, len(readings), step)) if step > 1 else readings
+
+
+def _joined(reference: Readings, other: Readings, values: Array) -> Readings:
+    """The readings of both; a reading of the reference weighs as many of the other as there are to each."""
+    share = max(len(other) / len(reference), 1.0)
+    return replace(
+        reference,
+        instrument=f"{reference.instrument} + {other.instrument}",
+        wi=np.vstack([reference.wi, other.wi]),
+        wo=np.vstack([reference.wo, other.wo]),
+        values=np.vstack([reference.values, values]),
+        weights=np.concatenate([reference.weights, other.weights / share]),
+        notes=(*reference.notes, *other.notes),
+    )

@@ -1,0 +1,72 @@
+"""Readings in the bands that a library can be compared in, and weights found there in all bands of the library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from manifold.colour.conversion import to_srgb
+from manifold.errors import BandMismatchError
+from manifold.formats.readings import Readings
+from manifold.records import Array, Bands
+
+_NARROW = 3  # bands of camera-like instruments
+_RANGES_NM = ((580.0, 700.0), (480.0, 580.0), (400.0, 500.0))  # red, green, blue
+
+
+def for_library(readings: Readings, bands: Bands) -> Readings:
+    """Readings that a library of some bands can complete: RGB for RGB, spectral as they are.
+
+    Raises:
+        BandMismatchError: linear sRGB cannot become a spectrum; or three bands are not red, green and blue.
+    """
+    if not bands.is_rgb:
+        if readings.wavelengths_nm is None:
+            raise BandMismatchError(
+                f"{readings.name}: readings in linear sRGB, expected wavelengths for a library of {bands}; complete "
+                "them with an RGB library"
+            )
+        return readings
+    nm = readings.wavelengths_nm
+    if nm is None:
+        return readings
+    if len(nm) == _NARROW:
+        rgb = nm[::-1]
+        if not all(low <= at <= high for at, (low, high) in zip(rgb, _RANGES_NM, strict=True)):
+            raise BandMismatchError(
+                f"{readings.name}: bands at {', '.join(f'{at:g}' for at in nm)} nm, expected blue, green and red, or a "
+                "spectrum, for an RGB library"
+            )
+        taken = replace(readings, wavelengths_nm=None, values=readings.values[:, ::-1])
+        return taken.with_note(f"bands at {', '.join(f'{at:g}' for at in rgb)} nm are taken for R, G, B")
+    if len(nm) < _NARROW:
+        raise BandMismatchError(
+            f"{readings.name}: {len(nm)} bands, expected three or a spectrum for an RGB library"
+        )
+    rgb = np.full((len(readings), 3), np.nan)
+    whole = readings.measured.all(axis=1)
+    rgb[whole] = to_srgb(readings.values[whole], readings.bands)
+    converted = replace(readings, wavelengths_nm=None, values=rgb)
+    return converted.with_note("spectra are converted to linear sRGB under D65, as the library is RGB")
+
+
+def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
+    """Weights (B_r, n) at the bands of readings in all B bands of a library: linear between, constant beyond."""
+    if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
+        return weights
+    used = np.flatnonzero(weights.any(axis=0))
+    spread = np.zeros((bands.count, weights.shape[1]))
+    at = np.array(bands.wavelengths_nm)
+    for k in used:
+        spread[:, k] = np.interp(at, readings.wavelengths_nm, weights[:, k])
+    return spread
+
+
+def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
+    """The wavelengths in nm within which readings reach, where a library reaches further; else None."""
+    nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
+    if nm is None or of_library is None:
+        return None
+    low, high = float(nm[0]), float(nm[-1])
+    return (low, high) if of_library[0] < low - 1.0 or of_library[-1] > high + 1.0 else None

@@ -1,0 +1,163 @@
+"""The samples of a library that readings are completed from: single bands of its materials, and a Lambertian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.mapping import CubeRoot
+from manifold.metrics import RusinkiewiczGrid
+from manifold.model.combination import Combination
+from manifold.model.materials import MaterialCache
+from manifold.model.prediction import PredictedBRDF
+from manifold.models.decoder import EncodingPairs
+from manifold.models.dictionary import Dictionary
+from manifold.models.lobes import Lobes
+from manifold.records import Array, Bands, Progress, evenly_spaced
+
+SAMPLE_BANDS = 5  # of a spectral material; more gain nothing (docs/design/completion.md)
+LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
+"""What samples are combined with: nothing but a Lambertian."""
+
+ball_pairs = cache(ball_colours.ball)
+"""The pairs that light a ball; the same for every material."""
+
+_BALL_STRIDE = 7  # of a ball's direction pairs, one in so many stands for them
+
+
+@dataclass(frozen=True, eq=False)
+class LibrarySamples:
+    """Cube roots of n samples and, last, of a Lambertian, where readings are judged: all directions, and a ball.
+
+    Attributes:
+        names: of the materials, N of them.
+        bands: of the library.
+        sample_bands: which of them are samples, shape (B_s,); sample m * B_s + s is band s of material m.
+        materials: in these bands alone; empty where tables are all there is.
+        directions: cube roots at the encoding grid, then at some pairs that light a ball, shape (n + 1, P).
+        weights: of these pairs; grid and ball have the same energy, shape (P,).
+        n_grid: how many pairs are the grid's.
+        ball: cube roots at all pairs that light a ball, shape (n + 1, P_b).
+    """
+
+    names: tuple[str, ...]
+    bands: Bands
+    sample_bands: Array
+    materials: Sequence[MeasuredBRDF]
+    directions: Array
+    weights: Array
+    n_grid: int
+    ball: Array
+
+    @classmethod
+    def of(cls, cache: MaterialCache, on_progress: Progress | None = None) -> LibrarySamples:
+        """Evaluate the materials of a library.
+
+        Raises:
+            UsageError: there are fewer than three.
+            LibraryError: a material cannot be read.
+        """
+        if len(cache.names) < 3:
+            raise UsageError(
+                f"{cache.library.path}: {len(cache.names)} materials, expected three or more to complete readings "
+                "from; import some"
+            )
+        bands = cache.library.bands
+        chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
+        materials = cache.in_bands(chosen.tolist(), on_progress)
+        grid, ball = EncodingPairs.of_grid(RusinkiewiczGrid.named("default")), ball_pairs()
+        on_grid, on_ball = (
+            with_lambertian(roots_at(materials, wi, wo), wi, wo)
+            for wi, wo in ((grid.wi, grid.wo), (ball.wi, ball.wo))
+        )
+        return cls.of_tables(cache.names, bands, chosen, materials, on_grid, grid.cosines, on_ball)
+
+    @classmethod
+    def of_tables(
+        cls,
+        names: Sequence[str],
+        bands: Bands,
+        sample_bands: Array,
+        materials: Sequence[MeasuredBRDF],
+        on_grid: Array,
+        cosines: Array,
+        on_ball: Array,
+    ) -> LibrarySamples:
+        """From cube roots on a grid (n + 1, P_g) with its cosines (P_g,), and on the ball (n + 1, P_b)."""
+        some = slice(None, None, _BALL_STRIDE)
+        on_grid_weights = cosines ** (2.0 / 3.0)
+        on_ball_weights = ball_pairs().light[some] ** (2.0 / 3.0)
+        energy = [
+            float(np.sum(roots**2 @ weights))
+            for roots, weights in ((on_grid, on_grid_weights), (on_ball[:, some], on_ball_weights))
+        ]
+        on_ball_weights = on_ball_weights * energy[0] / max(energy[1], np.finfo(float).tiny)
+        return cls(
+            tuple(names), bands, sample_bands, materials, np.hstack([on_grid, on_ball[:, some]]),
+            np.concatenate([on_grid_weights, on_ball_weights]), on_grid.shape[1], on_ball,
+        )  # fmt: skip
+
+    @property
+    def per_material(self) -> int:
+        """B_s."""
+        return len(self.sample_bands)
+
+    @cached_property
+    def material_of(self) -> Array:
+        """Which material a sample is of, shape (n + 1,); the Lambertian is of one more."""
+        N = len(self.names)
+        return np.append(np.repeat(np.arange(N), self.per_material), N)
+
+    @cached_property
+    def gram(self) -> Array:
+        """Inner products of samples, averaged over the grid, shape (n + 1, n + 1)."""
+        roots, weights = self.directions[:, : self.n_grid], self.weights[: self.n_grid]
+        return (roots * weights) @ roots.T / self.n_grid
+
+    def rows(self, materials: Array) -> Array:
+        """Where the samples of some materials, and the Lambertian, stand."""
+        return np.flatnonzero(np.isin(self.material_of, np.append(materials, len(self.names))))
+
+    def without(self, material: int) -> LibrarySamples:
+        """The samples of all other materials."""
+        others = np.delete(np.arange(len(self.names)), material)
+        rows = self.rows(others)
+        left = replace(
+            self,
+            names=tuple(self.names[int(m)] for m in others),
+            materials=[self.materials[int(m)] for m in others] if self.materials else (),
+            directions=self.directions[rows],
+            ball=self.ball[rows],
+        )
+        left.__dict__["gram"] = self.gram[np.ix_(rows, rows)]
+        return left
+
+    def at(self, wi: Array, wo: Array) -> Array:
+        """Cube roots of samples and Lambertian at direction pairs (P, 3), shape (n + 1, P)."""
+        return with_lambertian(roots_at(self.materials, wi, wo), wi, wo)
+
+    def predicted(self, weights: Array) -> PredictedBRDF:
+        """The BRDF that weights (B, n + 1) of samples make in the bands of the library."""
+        combination = Combination(CubeRoot(), weights, self.sample_bands, dictionary=LAMBERTIAN)
+        return PredictedBRDF(self.materials, combination, self.bands)
+
+
+def roots_at(materials: Sequence[MeasuredBRDF], wi: Array, wo: Array) -> Array:
+    """Cube roots of f, 0 where it is negative, of N materials in B_s bands: shape (N * B_s, P)."""
+    pairs = DirectionPairs(wi, wo)
+    f = np.empty((len(materials), len(pairs), materials[0].bands.count))
+    for k, material in enumerate(materials):
+        material.eval_into(pairs, f[k])
+    return np.cbrt(np.maximum(np.moveaxis(f, 2, 1), 0.0)).reshape(-1, len(pairs))
+
+
+def with_lambertian(roots: Array, wi: Array, wo: Array) -> Array:
+    """One more row: the Lambertian of albedo 1."""
+    return np.vstack([roots, LAMBERTIAN.lobes.cube_roots(wi, wo)])

@@ -1,0 +1,196 @@
+"""`manifold complete`: readings in, a full BRDF out, with what is known of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__, atomic
+from manifold.brdf import goniometer
+from manifold.brdf.plausibility import Plausibility, plausibility_of_file
+from manifold.completion.complete import Completion, complete
+from manifold.completion.expected import calibrate
+from manifold.completion.hybrid import Hybrid, combine
+from manifold.completion.samples import LibrarySamples
+from manifold.completion.suggest import Suggested, suggest
+from manifold.errors import UsageError
+from manifold.formats import registry
+from manifold.formats.readings import Readings
+from manifold.io_rgl import material_name, write_bsdf
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.materials import MaterialCache
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Progress
+from manifold.workflows import renders
+
+_MOST_READINGS = 2000
+_PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
+_PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """A completed material, as written.
+
+    Attributes:
+        path: the written file.
+        picture: of its ball; None where none was asked for.
+        found: the completion.
+        hybrid: how instruments were put together; None where there was one.
+        expected: errors to expect: ball CIEDE2000, cube-root and linear error.
+        plausibility: of the written file, read back.
+        suggested: the next readings to take; None where none were asked for.
+        diagnostics: what a user should know before trusting it, in sentences.
+        seconds: in all.
+    """
+
+    path: Path
+    picture: Path | None
+    found: Completion
+    hybrid: Hybrid | None
+    expected: dict[str, float]
+    plausibility: Plausibility
+    suggested: Suggested | None
+    diagnostics: tuple[str, ...]
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, with the program's version."""
+        found = self.found
+        return {
+            "program": f"manifold {__version__}",
+            "path": str(self.path),
+            "picture": None if self.picture is None else str(self.picture),
+            "sample": found.readings.name,
+            "instrument": found.readings.instrument,
+            "readings": len(found.readings),
+            "misfits": found.misfits.tolist(),
+            "made_of": dict(found.made_of),
+            "alternatives": [vars(a) for a in found.alternatives],
+            "expected": self.expected,
+            "uncertainty": uncertainty(found),
+            "correction": None
+            if self.hybrid is None or self.hybrid.correction is None
+            else self.hybrid.correction.to_json(),
+            "plausibility": vars(self.plausibility),
+            "suggested_deg": None if self.suggested is None else self.suggested.angles_deg.tolist(),
+            "diagnostics": list(self.diagnostics),
+            "seconds": self.seconds,
+        }
+
+
+def complete_files(
+    paths: Sequence[Path],
+    library: Path,
+    output: Path,
+    *,
+    sample: str | None = None,
+    picture: Path | None = None,
+    count: int = 0,
+    instrument: str | None = None,
+    force: bool = False,
+    resolution: int = 32,
+    n_theta_i: int = 8,
+    on_progress: Progress | None = None,
+) -> Completed:
+    """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
+
+    Args:
+        paths: of one instrument, or of several, whose colours are right first.
+        library: of measured materials.
+        output: the file to write; its name becomes the material's.
+        sample: which of a file's samples.
+        picture: of the ball, to render.
+        count: how many further readings to suggest.
+        instrument: whose directions to suggest.
+        force: write a file, too, that returns more than 1.05 times its light.
+        resolution: nodes per axis of the outgoing grid.
+        n_theta_i: incident elevations.
+        on_progress: called while materials are read.
+    Raises:
+        FileFormatError: a file is of no known format, or damaged.
+        BandMismatchError: bands of readings and library do not go together.
+        UsageError: the output does not end in `.bsdf`, or nothing was read.
+    """
+    start = time.perf_counter()
+    if output.suffix != ".bsdf" or not material_name(output):
+        raise UsageError(
+            f"{output}: completed materials are written as .bsdf files; name one with -o NAME.bsdf"
+        )
+    atomic.require_writable(output)
+    readings, hybrid = read(paths, sample)
+    opened = Library.open(library)
+    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True), on_progress)
+    found = complete(samples, readings)
+    expected = calibrate(samples, found.readings).expected(found)
+    suggested = suggest(samples, count, found, instrument) if count else None
+    file = goniometer.measure(
+        ClippedBRDF(found.brdf),
+        material_name(output),
+        description=_describe(found),
+        resolution=resolution,
+        n_theta_i=n_theta_i,
+        version=(1, 0) if opened.bands.is_rgb else (3, 1),
+    )
+    plausibility = plausibility_of_file(file)
+    if plausibility.max_albedo > diagnostics.MOST_ALBEDO and not force:
+        raise UsageError(
+            f"{output}: would return {plausibility.max_albedo:.2f} times its light at an incidence to 85 degrees, "
+            f"expected at most {diagnostics.MOST_ALBEDO}; read more directions near the highlight, or --force it"
+        )
+    write_bsdf(output, file)
+    if picture is not None:
+        settings = renders.make_settings(size=256, samples=64, seed=0, illuminant="D65", environment=None)
+        renders.render(renders.file_source(output), picture, settings, on_progress)
+    return Completed(
+        output, picture, found, hybrid, expected, plausibility, suggested,
+        (*found.notes, *diagnostics.of_prediction(False, plausibility)), time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def read(paths: Sequence[Path], sample: str | None = None) -> tuple[Readings, Hybrid | None]:
+    """Readings of one sample from its files; those of several instruments are put together.
+
+    Raises: as `complete_files`.
+    """
+    readings = [
+        registry.read_readings(path, sample if k == 0 else None, _MOST_READINGS)
+        for k, path in enumerate(paths)
+    ]
+    hybrid, first = None, readings[0]
+    for other in readings[1:]:
+        hybrid = combine(first, other)
+        first = hybrid.readings
+    return first, hybrid
+
+
+def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
+    """The readings to begin with, for a library, before anything is read."""
+    opened = Library.open(library)
+    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    return suggest(samples, count, None, instrument)
+
+
+def uncertainty(found: Completion) -> dict[str, Any]:
+    """Standard deviation of f over hypotheses, relative, in the plane of incidence, direction by direction."""
+    from manifold.directions import from_spherical
+
+    profiles: dict[str, list[float]] = {}
+    for incidence in _PROFILE_INCIDENCES_DEG:
+        wi = from_spherical(np.deg2rad(incidence), np.pi)
+        wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
+        profiles[f"{incidence:g}"] = found.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+    return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
+
+
+def _describe(found: Completion) -> str:
+    return (
+        f"Completed from {len(found.readings)} readings ({found.readings.instrument}) of {found.readings.name} through "
+        f"{len(found.samples.names)} materials by manifold {__version__}"
+    )

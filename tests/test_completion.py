@@ -1,0 +1,268 @@
+"""Completion of readings: weights, hypotheses, what to read next, two instruments as one, and the command."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from small_library import NAMES, small_library
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.correction import learn_correction
+from manifold.completion import LibrarySamples, calibrate, complete, suggest
+from manifold.completion.expected import completion_errors, leave_out
+from manifold.completion.hybrid import combine
+from manifold.completion.reading_bands import for_library, in_all_bands
+from manifold.directions import from_spherical
+from manifold.errors import BandMismatchError, UsageError
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.model.materials import MaterialCache
+from manifold.models.completion_weights import completion_weights
+from manifold.models.mixtures import posterior
+from manifold.models.next_readings import next_readings
+from manifold.records import Bands
+
+DIRECTIONS = geometry_ma_t12()
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return small_library(tmp_path_factory.mktemp("completion"))
+
+
+@pytest.fixture(scope="module")
+def samples(library):
+    opened = Library.open(library)
+    return LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+
+
+def readings(values, directions=DIRECTIONS, nm=None):
+    return Readings("sample", "test", *directions, nm, values)
+
+
+def random_samples(rng, n=5, P=9, Q=40):
+    everywhere = rng.random((n + 1, Q)) + 0.1
+    return everywhere[:, :P], everywhere, everywhere @ everywhere.T / Q
+
+
+# -- hypotheses -------------------------------------------------------------------------------------------------
+
+
+def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(rng):
+    at, _, gram = random_samples(rng)
+    target, weights = rng.random(9) + 0.2, rng.random(9) + 0.5
+    found = posterior(at, target, weights, gram, noise=0.1)
+    assert found.probability.sum() == pytest.approx(1.0)
+    amplitude = np.sqrt(weights) / (0.1 * np.sqrt(target**2 + 0.09 * np.average(target**2, weights=weights)))
+
+    def cost(k, a, lambertian):
+        mixed = found.share[k] * at[found.first[k]] + (1 - found.share[k]) * at[found.second[k]]
+        wrong = (a * mixed + lambertian * at[-1] - target) * amplitude
+        return wrong @ wrong + 4.0 * (a - 1.0) ** 2 + 4.0 * lambertian**2
+
+    for k in rng.choice(len(found.share), 20, replace=False):
+        best = cost(k, found.scale[k], found.lambertian[k])
+        for da, dl in rng.normal(0.0, 0.05, (50, 2)):
+            moved = max(found.scale[k] + da, 0.0), max(found.lambertian[k] + dl, 0.0)
+            assert cost(k, *moved) >= best - 1e-9
+
+
+def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
+    at, _, gram = random_samples(rng, n=6, P=9)
+    target = 0.5 * at[1] + 0.5 * at[4]
+    found = posterior(at, target, np.ones(9), gram)
+    best = found.likeliest(1)[0]
+    assert {found.first[best], found.second[best]} == {1, 4}
+    np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
+    weights = found.weights(np.arange(len(found.share)))
+    np.testing.assert_allclose(found.probability @ weights, found.mean)
+
+
+def test_weights_are_never_negative_and_meet_what_samples_can(rng):
+    at, _, gram = random_samples(rng, n=6, P=9)
+    truth = np.array([[0.5, 0, 0.3, 0, 0, 0, 0.2], [0.2, 0, 0.6, 0, 0, 0, 0.1]])
+    targets = truth @ at
+    group = np.append(np.repeat(np.arange(3), 2), 3)
+    structure = posterior(at, targets.mean(axis=0), np.ones(9), gram).mean
+    found = completion_weights(at, targets, np.ones(9), gram, group, structure)
+    assert found.min() >= 0.0
+    assert np.abs(found @ at - targets).max() < 0.05 * targets.max()
+    targets[1, :4] = np.nan
+    some = completion_weights(at, targets, np.ones(9), gram, group, structure)
+    assert np.isfinite(some).all()
+    assert np.abs(some[1] @ at - truth[1] @ at).max() < 0.1 * targets[0].max()
+
+
+def test_the_next_reading_is_the_one_that_lowers_the_variance_most(rng):
+    H, D, P = 30, 7, 11
+    everywhere, weights = rng.random((H, P)) + 1.0, rng.random(P)
+    candidates, probability = rng.random((H, D)) + 1.0, np.full(H, 1.0 / H)
+    chosen = next_readings(everywhere, candidates, probability, weights, 3, relative=0.0)
+    joint = np.hstack([everywhere, candidates])
+    covariance = np.cov(joint.T, bias=True)
+    square = np.mean(candidates**2, axis=0)
+    noise = 0.02**2 * (square + 0.1**2 * square.mean())
+
+    def left(read):
+        k = P + np.array(read)
+        K = covariance[np.ix_(k, k)] + np.diag(noise[np.array(read)])
+        posterior = covariance - covariance[:, k] @ np.linalg.solve(K, covariance[k])
+        return np.diag(posterior)[:P] @ weights
+
+    read: list[int] = []
+    for best in chosen:
+        options = {d: left([*read, d]) for d in range(D) if d not in read}
+        assert best == min(options, key=options.get)
+        read.append(int(best))
+
+
+# -- completions ------------------------------------------------------------------------------------------------
+
+
+def test_a_completion_is_never_negative_meets_its_readings_and_grows_better_with_more(samples):
+    material = NAMES.index("syn_satin_gold")
+    errors = []
+    for count in (2, 40):
+        found = suggest(samples, count)
+        directions = (found.wi, found.wo)
+        at = samples.at(*directions)
+        made = leave_out(samples, material, at, readings(np.ones((count, 3)), directions))
+        errors.append(completion_errors(samples, material, made)[1])
+        assert made.weights.min() >= 0.0
+    assert errors[1] < errors[0]
+    assert float(np.median(made.misfits)) < 0.1
+
+
+def test_a_material_of_the_library_is_completed_to_what_it_is(samples, library):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_paper_white"))
+    wi, wo = DIRECTIONS
+    made = complete(samples, readings(brdf.eval(wi, wo)))
+    assert made.misfits.max() < 0.05
+    grid = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(10.0), 0.7)
+    np.testing.assert_allclose(made.brdf.eval(*grid), brdf.eval(*grid), rtol=0.1)
+    assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
+    assert len(made.spread_at(wi, wo)) == 12
+
+
+def test_expected_errors_are_learned_from_the_other_materials(samples):
+    found = calibrate(samples, readings(np.ones((12, 3))))
+    assert found.errors.shape == (len(NAMES), 3)
+    assert np.all(found.left_out > 0.0)
+    at = samples.at(*DIRECTIONS)
+    made = leave_out(samples, 0, at, readings(np.ones((12, 3))))
+    expected = found.expected(made)
+    assert set(expected) == {"ball", "cube_root", "linear"}
+    assert found.errors.min() * 0.1 < expected["ball"] < found.errors[:, 0].max() * 10.0
+
+
+def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples):
+    first = suggest(samples, 12, instrument="ma-t12")
+    assert len({tuple(row) for row in first.angles_deg.round()}) == 12
+    made = complete(samples, readings(np.full((12, 3), 0.1)))
+    with pytest.raises(UsageError, match="expected 1 to 0"):
+        suggest(samples, 1, made, "ma-t12")
+    assert len(suggest(samples, 3, made).wi) == 3
+    with pytest.raises(UsageError, match="no instrument"):
+        suggest(samples, 1, instrument="gonio")
+
+
+# -- bands ------------------------------------------------------------------------------------------------------
+
+
+def test_spectra_become_rgb_for_an_rgb_library_and_rgb_no_spectrum():
+    nm = np.arange(400.0, 701.0, 10.0)
+    white = readings(np.full((12, 31), 1.0 / np.pi), nm=nm)
+    taken = for_library(white, Bands(None))
+    np.testing.assert_allclose(taken.values, 1.0 / np.pi, rtol=0.02)  # the light beyond 400 to 700 nm
+    narrow = readings(np.tile([0.1, 0.2, 0.3], (12, 1)), nm=np.array([465.0, 525.0, 630.0]))
+    np.testing.assert_array_equal(for_library(narrow, Bands(None)).values[0], [0.3, 0.2, 0.1])
+    with pytest.raises(BandMismatchError, match="linear sRGB"):
+        for_library(readings(np.ones((12, 3))), Bands((400.0, 500.0)))
+
+
+def test_weights_between_bands_are_linear_and_beyond_them_constant():
+    bands = Bands((380.0, 400.0, 410.0, 420.0, 800.0))
+    read = readings(np.ones((12, 2)), nm=np.array([400.0, 420.0]))
+    weights = in_all_bands(np.array([[1.0, 0.0], [3.0, 0.0]]), read, bands)
+    np.testing.assert_allclose(weights[:, 0], [1.0, 1.0, 2.0, 3.0, 3.0])
+    assert not weights[:, 1].any()
+
+
+def test_no_reading_with_light_is_one_error(samples):
+    with pytest.raises(UsageError, match="none of 12 readings"):
+        complete(samples, readings(np.zeros((12, 3))))
+
+
+# -- two instruments --------------------------------------------------------------------------------------------
+
+
+def test_an_exact_linear_relation_is_found_and_continued_in_proportion(rng):
+    x = rng.random((20, 3))
+    M = rng.random((3, 5))
+    found = learn_correction(x, x @ M)
+    assert found.form == "linear"
+    np.testing.assert_allclose(found.apply(7.0 * x), 7.0 * x @ M, rtol=1e-9)
+
+
+def test_overfitting_forms_lose_on_values_left_out(rng):
+    x = rng.random((12, 3)) + 0.05
+    y = (x @ rng.random((3, 4))) * (1.0 + 0.05 * rng.standard_normal((12, 4)))
+    found = learn_correction(x, y)
+    assert found.errors["Cheung 2004, 10 terms"] > found.errors["linear"]
+    assert found.form in ("linear", "root polynomial of degree 2")
+    with pytest.raises(UsageError, match="four or more"):
+        learn_correction(x[:3], y[:3])
+
+
+def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_felt_green"))
+    nm = np.linspace(400.0, 700.0, 31)
+    spectra = np.array([np.interp(nm, [420.0, 550.0, 650.0], row[::-1]) for row in brdf.eval(*DIRECTIONS)])
+    theta_i, theta_o, phi = (
+        a.ravel() for a in np.meshgrid([0, 20, 40, 60], np.arange(0, 75, 5), np.arange(0, 181, 20))
+    )
+    wi = from_spherical(np.deg2rad(theta_i.astype(float)), np.pi)
+    wo = from_spherical(np.deg2rad(theta_o.astype(float)), np.deg2rad(phi.astype(float)))
+    camera = np.array([[0.7, 0.1, 0.1], [0.2, 0.9, 0.1], [0.0, 0.1, 0.5]])
+    gonio = readings(brdf.eval(wi, wo) @ camera, (wi, wo), np.array([465.0, 525.0, 630.0]))
+    found = combine(readings(spectra, nm=nm), gonio)
+    assert found.shared >= 6
+    assert found.correction is not None
+    truth = np.array([np.interp(nm, [420.0, 550.0, 650.0], row[::-1]) for row in brdf.eval(wi, wo)])
+    made = found.readings.values[12:]
+    assert float(np.median(np.abs(made - truth) / truth.max(axis=1, keepdims=True))) < 0.03
+    assert found.readings.bands.count == 31
+    with pytest.raises(BandMismatchError, match="expected the same, or three"):
+        combine(readings(spectra, nm=nm), readings(spectra[:, :5], nm=nm[:5]))
+
+
+# -- the command ------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_path):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_felt_orange"))
+    wi, wo = DIRECTIONS
+    with (tmp_path / "felt.csv").open("w", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", "R", "G", "B"])
+        for a, b, f in zip(wi, wo, brdf.eval(wi, wo), strict=True):
+            angles = [np.degrees(x) for w in (a, b) for x in (np.arccos(w[2]), np.arctan2(w[1], w[0]))]
+            table.writerow([*angles, *f])
+    status, out, err = run(
+        "complete", "felt.csv", "-L", library, "-o", "felt_rgb.bsdf", "--suggest", "2", "--json", "felt.json",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert status == 0, err
+    assert "expected error" in out
+    assert "Read next" in out
+    written = MeasuredBRDF(read_bsdf(tmp_path / "felt_rgb.bsdf"))
+    assert float(np.median(np.abs(written.eval(wi, wo) / brdf.eval(wi, wo) - 1.0))) < 0.05
+    document = json.loads((tmp_path / "felt.json").read_text())
+    assert len(document["suggested_deg"]) == 2
+    assert document["expected"]["ball"] > 0.0
+    status, _, err = run("complete", "-L", library, cwd=tmp_path)
+    assert (status, "no file of readings" in err) == (2, True)

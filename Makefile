@@ -1,14 +1,17 @@
 # Everything sets itself up: a Debian machine with Python 3.11 or newer is enough.
 BIN := .venv/bin
 OUT ?= demo
+SEED ?= 0
+MINUTES ?= 10
 
-.PHONY: demo test test-slow check bench clean help
+.PHONY: demo test test-slow check attack bench clean help
 
 help:
 	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
 	@echo "make test        run the tests, all but the slow ones"
 	@echo "make test-slow   run the slow ones"
 	@echo "make check       ruff, mypy, import-linter"
+	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
 
 .venv/ready: pyproject.toml tools/setup.sh
@@ -32,6 +35,9 @@ check: .venv/readydev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+attack: .venv/readydev
+	$(BIN)/python tools/attack --seed $(SEED) --minutes $(MINUTES) --flips 20000 --kills 200
 
 bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py

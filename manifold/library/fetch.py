@@ -98,10 +98,10 @@ def fetch(
                 downloader.fetch(entry, target)
                 downloaded.append(target)
         except HopelessError as error:
-            failed[entry.name] = str(error)
+            failed[entry.name] = _one_line(error)
             break
         except FetchError as error:
-            failed[entry.name] = str(error)
+            failed[entry.name] = _one_line(error)
     kept = {path.name for path in (*downloaded, *present)}
     unchecked = tuple(e.name for e in entries if e.sha256 is None and f"{e.name}_spec.bsdf" in kept)
     result = FetchResult(tuple(downloaded), tuple(present), unchecked)
@@ -148,6 +148,11 @@ def _is_complete(target: Path, entry: Entry) -> bool:
     except FetchError:
         return False
     return True
+
+
+def _one_line(error: FetchError) -> str:
+    """What a server says may have several lines."""
+    return " ".join(str(error).split())
 
 
 def _summary(count: int, result: FetchResult, failed: dict[str, str], folder: Path) -> str:

@@ -17,7 +17,11 @@ from manifold.errors import ManifoldError, UsageError
 from . import (
     budget_commands,
     chart_commands,
+<<<<<<< HEAD
     completion_commands,
+=======
+    explore_commands,
+>>>>>>> d66429f (manifold explore --html: the map as a self-contained page that predicts as the package does)
     fit_commands,
     instrument_commands,
     library_commands,
@@ -65,6 +69,7 @@ def _options(
 library_commands.register(app)
 model_commands.register(app)
 picture_commands.register(app)
+explore_commands.register(app)
 fit_commands.register(app)
 render_commands.register(app)
 budget_commands.register(app)

@@ -6,7 +6,7 @@
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # libllvm19 lets Mitsuba run its fast variants. It is installed where it is missing and apt may be used;
-# without it everything works, slower.
+# without it everything works, slower. The tests of pages need Debian's chromium, which `dev` installs likewise.
 set -eu
 cd "$(dirname "$0")/.."
 extra=${1:-}
@@ -60,6 +60,10 @@ fi
 
 if ! has_llvm; then
     apt_install libllvm19 || echo "setup: libllvm19 is missing and could not be installed; Mitsuba will run its slower scalar variants" >&2
+fi
+
+if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
+    apt_install chromium || echo "setup: chromium is missing and could not be installed; tests of pages are skipped" >&2
 fi
 
 target=.

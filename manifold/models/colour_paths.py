@@ -9,7 +9,7 @@ What is not a measured band is approximated by a non-negative combination of all
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -35,6 +35,7 @@ class ColourPaths:
         dark, bright: weights of the vertices below the darkest and above the brightest band, shape (N, n).
         dark_coordinate, bright_coordinate: cube roots of what these reflect, (N,); 0 where there is no such vertex.
         reflectances: of the samples, (n,), material by material.
+        vertices: coordinates (V,) and weights (V, n) of every path, black first.
 
     The coordinate of a path is the cube root of its reflectance.
     """
@@ -44,20 +45,21 @@ class ColourPaths:
     dark_coordinate: Array
     bright_coordinate: Array
     reflectances: Array
+    vertices: list[tuple[Array, Array]] = field(init=False)
 
     def __post_init__(self) -> None:
         n_bands = len(self.reflectances) // len(self.dark)
-        object.__setattr__(self, "_paths", [self._path(i, n_bands) for i in range(len(self.dark))])
+        object.__setattr__(self, "vertices", [self._path(i, n_bands) for i in range(len(self.dark))])
 
     @property
     def last(self) -> float:
         """The largest coordinate of any path."""
-        return max(float(coordinate[-1]) for coordinate, _ in self._paths)  # type: ignore[attr-defined]
+        return max(float(coordinate[-1]) for coordinate, _ in self.vertices)
 
     def weights(self, u: Array, coordinates: Array) -> Array:
         """Weights of the samples where materials are blended by u (N,), at coordinates (B,), shape (B, n)."""
         total = np.zeros((len(coordinates), len(self.reflectances)))
-        for share, (vertices, W) in zip(u, self._paths, strict=True):  # type: ignore[attr-defined]
+        for share, (vertices, W) in zip(u, self.vertices, strict=True):
             if share > 0.0:
                 at = np.clip(coordinates, vertices[0], vertices[-1])
                 k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)

@@ -1,0 +1,286 @@
+// A ball under the studio's light or under a lamp, in WebGL2, from one table of cube roots per prediction.
+
+// Azimuths of the picture in polar coordinates, which the studio lights first; half as many elevations.
+const FINE = 96;
+export const COARSE = 48;
+// Rings and spokes of half vectors: as in manifold/colour/ball_colours.py while moving, finer at rest.
+const MOVING = [18, 12], RESTING = [36, 24];
+
+const QUAD = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+
+const COMMON = `#version 300 es
+precision highp float;
+precision highp sampler3D;
+uniform sampler3D table; // cube roots of f cos(theta_i) cos(theta_o) over phi_d, theta_d, theta_h
+uniform vec3 nodes, view;
+uniform float thetaHMax, thetaHPower, thetaDShare;
+const float PI = 3.14159265358979;
+out vec4 result;
+
+vec3 fCosines(float thetaH, float cosD, float phiD) {
+  float largest = atan(1.0, tan(thetaH) * abs(cos(phiD)));
+  float h = pow(clamp(thetaH / thetaHMax, 0.0, 1.0), 1.0 / thetaHPower);
+  float d = clamp(acos(clamp(cosD, -1.0, 1.0)) / largest / thetaDShare, 0.0, 1.0);
+  vec3 at = vec3(abs(phiD) / PI, d, h);
+  vec3 root = texture(table, (at * (nodes - 1.0) + 0.5) / nodes).rgb;
+  return root * root * root;
+}
+
+// Frame of the surface at a place of the disc, (right, up) in radii.
+mat3 frameAt(vec2 place) {
+  vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
+  vec3 normal = place.x * right + place.y * up + sqrt(max(1.0 - dot(place, place), 0.0)) * view;
+  vec3 tangent = normalize(cross(up, normal));
+  return mat3(tangent, cross(normal, tangent), normal);
+}
+
+float phiDifference(vec3 w, float thetaH, float phiH) {
+  float x = cos(thetaH) * (w.x * cos(phiH) + w.y * sin(phiH)) - sin(thetaH) * w.z;
+  return atan(w.y * cos(phiH) - w.x * sin(phiH), x);
+}
+`;
+
+const STUDIO = `${COMMON}
+uniform sampler2D environment;
+uniform vec2 size, cells;
+uniform int rings, spokes;
+
+void main() {
+  vec2 at = gl_FragCoord.xy / size;
+  float theta = min(at.y, 0.985) * 0.5 * PI, azimuth = at.x * 2.0 * PI;
+  mat3 frame = frameAt(sin(theta) * vec2(cos(azimuth), sin(azimuth)));
+  vec3 wi = view * frame;
+  vec3 sum = vec3(0.0);
+  for (int ring = 0; ring < rings; ring++) {
+    float u = (float(ring) + 0.5) / float(rings), thetaM = 0.5 * PI * u * u;
+    float area = sin(thetaM) * PI * u / float(rings) * 2.0 * PI / float(spokes);
+    for (int spoke = 0; spoke < spokes; spoke++) {
+      float phiM = 2.0 * PI * ((float(spoke) + 0.5) / float(spokes) + 0.6180339887498949 * float(ring));
+      vec3 m = vec3(sin(thetaM) * cos(phiM), sin(thetaM) * sin(phiM), cos(thetaM));
+      float cosine = dot(wi, m);
+      vec3 wo = 2.0 * cosine * m - wi;
+      if (cosine <= 0.0 || wo.z <= 0.0) continue;
+      vec3 world = frame * wo;
+      vec2 look = vec2(atan(world.x, world.y) / (2.0 * PI), acos(clamp(world.z, -1.0, 1.0)) / PI);
+      // Light is averaged over half the width of what a half vector stands for, else lamps leave its pattern.
+      float texel = 2.0 * PI * PI / cells.x / cells.y * max(length(world.xy), 0.1);
+      float radiance = textureLod(environment, look, 0.5 * log2(max(4.0 * cosine * area / texel, 4.0)) - 1.0).r;
+      sum += fCosines(thetaM, cosine, phiDifference(wi, thetaM, phiM)) * (radiance * 4.0 * cosine * area);
+    }
+  }
+  result = vec4(sum / wi.z, 1.0);
+}`;
+
+const SHOW = `${COMMON}
+uniform sampler2D lit;
+uniform vec2 corner;
+uniform float side, exposure, flip;
+uniform bool isLamp;
+uniform vec3 lamp; // towards the lamp: right, up, towards the viewer
+
+vec3 encoded(vec3 linear) {
+  vec3 c = clamp(linear, 0.0, 1.0);
+  return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
+}
+
+void main() {
+  vec2 place = ((gl_FragCoord.xy - corner) / side * 2.0 - 1.0) * 1.02;
+  place.y *= flip;
+  float radius = length(place), edge = 3.0 / side;
+  float alpha = clamp((1.0 - radius) / edge + 0.5, 0.0, 1.0);
+  if (alpha <= 0.0) { result = vec4(0.0); return; }
+  place *= min(1.0, 0.999 / max(radius, 1e-6));
+  vec3 linear;
+  if (isLamp) {
+    mat3 frame = frameAt(place);
+    vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
+    vec3 wi = view * frame, wo = (lamp.x * right + lamp.y * up + lamp.z * view) * frame;
+    linear = vec3(0.0);
+    if (wo.z > 0.0) {
+      vec3 h = normalize(wi + wo);
+      float thetaH = atan(length(h.xy), h.z), phiH = atan(h.y, h.x);
+      linear = PI * fCosines(thetaH, dot(wi, h), phiDifference(wi, thetaH, phiH)) / wi.z;
+    }
+  } else {
+    float theta = asin(min(length(place), 1.0)), azimuth = atan(place.y, place.x);
+    linear = texture(lit, vec2(azimuth / (2.0 * PI), theta / (0.5 * PI))).rgb;
+  }
+  result = vec4(encoded(linear * exposure) * alpha, alpha);
+}`;
+
+/** Draws predictions as balls into the canvas it is given; `null` of `create` where there is no WebGL2. */
+export class BallRenderer {
+  static create(canvas, data) {
+    const gl = canvas.getContext("webgl2", { alpha: true, antialias: false });
+    if (!gl || !(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"))) {
+      return null;
+    }
+    return new BallRenderer(gl, data);
+  }
+
+  constructor(gl, data) {
+    this.gl = gl;
+    this.data = data;
+    const { light } = data;
+    this.studio = this._program(STUDIO);
+    this.show = this._program(SHOW);
+    const radiance = new Float32Array(light.radiance.length * 4);
+    light.radiance.forEach((v, k) => radiance.fill(v, 4 * k, 4 * k + 4));
+    this.environment = this._texture2d(light.columns, light.rows, radiance);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.generateMipmap(gl.TEXTURE_2D);
+    this.surfaces = [];
+    this.thumbnail = null;
+  }
+
+  /** Take a prediction, as surface 0, 1, ..., from its table (nGrid, 4), and light it by the studio. */
+  setSurface(k, table, azimuths = FINE) {
+    const { gl } = this;
+    const [h, d, p] = this.data.grid.shape;
+    if (!this.surfaces[k]) {
+      const lit = this._texture2d(azimuths, azimuths / 2, null);
+      const target = gl.createFramebuffer();
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, lit, 0);
+      const texture = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_3D, texture);
+      gl.texStorage3D(gl.TEXTURE_3D, 1, gl.RGBA16F, p, d, h);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
+        gl.texParameteri(gl.TEXTURE_3D, name, gl.LINEAR);
+      }
+      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
+        gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+      }
+      this.surfaces[k] = { texture, lit, target };
+    }
+    const surface = this.surfaces[k];
+    gl.bindTexture(gl.TEXTURE_3D, surface.texture);
+    gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, p, d, h, gl.RGBA, gl.FLOAT, table);
+    surface.azimuths = azimuths;
+    this._lightByStudio(surface, MOVING);
+  }
+
+  /** Light a surface by the studio again, as finely as befits a still picture. */
+  refine(k) {
+    if (this.surfaces[k]) this._lightByStudio(this.surfaces[k], RESTING);
+  }
+
+  _lightByStudio(surface, [rings, spokes]) {
+    const { gl } = this, { azimuths } = surface;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, surface.target);
+    gl.viewport(0, 0, azimuths, azimuths / 2);
+    gl.disable(gl.BLEND);
+    this._use(this.studio, surface);
+    gl.uniform1i(this.studio.at("rings"), rings);
+    gl.uniform1i(this.studio.at("spokes"), spokes);
+    gl.uniform2f(this.studio.at("size"), azimuths, azimuths / 2);
+    gl.uniform2f(this.studio.at("cells"), this.data.light.columns, this.data.light.rows);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** Draw surfaces side by side, each in a square; light is {lamp: null or direction, exposure}. */
+  draw(surfaces, light) {
+    const { gl } = this, { width, height } = gl.canvas;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const side = Math.min(height, width / surfaces.length);
+    surfaces.forEach((k, column) => {
+      const left = (width - side * surfaces.length) / 2 + column * side;
+      this._show(this.surfaces[k], [left, (height - side) / 2], side, light, 1);
+    });
+  }
+
+  /** A surface as ImageData, size x size, under the studio's light. */
+  image(k, size) {
+    const { gl } = this;
+    if (!this.thumbnail || this.thumbnail.size !== size) {
+      const texture = gl.createTexture(), target = gl.createFramebuffer();
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, size, size);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+      this.thumbnail = { size, target };
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.thumbnail.target);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    this._show(this.surfaces[k], [0, 0], size, { lamp: null, exposure: 1 }, -1); // rows from the top
+    const pixels = new Uint8ClampedArray(4 * size * size);
+    gl.readPixels(0, 0, size, size, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+    for (let k4 = 0; k4 < pixels.length; k4 += 4) { // ImageData is not premultiplied
+      const alpha = pixels[k4 + 3];
+      if (alpha > 0 && alpha < 255) {
+        for (let c = 0; c < 3; c++) pixels[k4 + c] = (pixels[k4 + c] * 255) / alpha;
+      }
+    }
+    return new ImageData(pixels, size, size);
+  }
+
+  _show(surface, corner, side, light, flip) {
+    const { gl } = this;
+    this._use(this.show, surface);
+    gl.viewport(...corner.map(Math.round), Math.round(side), Math.round(side));
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, surface.lit);
+    gl.uniform1i(this.show.at("lit"), 1);
+    gl.uniform2f(this.show.at("corner"), ...corner.map(Math.round));
+    gl.uniform1f(this.show.at("side"), Math.round(side));
+    gl.uniform1f(this.show.at("exposure"), light.exposure);
+    gl.uniform1f(this.show.at("flip"), flip);
+    gl.uniform1i(this.show.at("isLamp"), light.lamp ? 1 : 0);
+    gl.uniform3f(this.show.at("lamp"), ...(light.lamp ?? [0, 0, 1]));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  _use(program, surface) {
+    const { gl, data } = this, [h, d, p] = data.grid.shape;
+    gl.useProgram(program.handle);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_3D, surface.texture);
+    gl.uniform1i(program.at("table"), 0);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.environment);
+    gl.uniform1i(program.at("environment"), 1);
+    gl.uniform3f(program.at("nodes"), p, d, h);
+    gl.uniform3f(program.at("view"), ...data.light.view);
+    gl.uniform1f(program.at("thetaHMax"), data.grid.thetaHMax);
+    gl.uniform1f(program.at("thetaHPower"), data.grid.thetaHPower);
+    gl.uniform1f(program.at("thetaDShare"), data.grid.thetaDShare);
+    gl.activeTexture(gl.TEXTURE0);
+  }
+
+  _texture2d(width, height, values) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, width, height, 0, gl.RGBA, gl.FLOAT, values);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    return texture;
+  }
+
+  _program(fragment) {
+    const { gl } = this, handle = gl.createProgram();
+    for (const [type, source] of [[gl.VERTEX_SHADER, QUAD], [gl.FRAGMENT_SHADER, fragment]]) {
+      const shader = gl.createShader(type);
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(handle, shader);
+    }
+    gl.linkProgram(handle);
+    if (!gl.getProgramParameter(handle, gl.LINK_STATUS)) {
+      const logs = gl.getAttachedShaders(handle).map((shader) => gl.getShaderInfoLog(shader));
+      throw new Error(`a shader does not compile: ${logs.join(" ")} ${gl.getProgramInfoLog(handle)}`);
+    }
+    const places = new Map();
+    const at = (name) => {
+      if (!places.has(name)) places.set(name, gl.getUniformLocation(handle, name));
+      return places.get(name);
+    };
+    return { handle, at };
+  }
+}

@@ -1,0 +1,330 @@
+// Predictions as the package makes them: (sum_i v_i f_i^(1/3))^3 in every band. No page is touched here.
+
+const NEGLIGIBLE = 1e-6; // as in manifold/models/blending.py
+const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/models/colour_paths.py
+const PATH_NODES = 10; // coordinates at which a spectral blend's colour path is followed
+
+/** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
+export function blendWeights(x, X, lengthScale) {
+  const squared = X.map((row) => row.reduce((sum, v, q) => sum + (v - x[q]) ** 2, 0) / lengthScale ** 2);
+  let u;
+  if (squared.includes(0)) {
+    u = squared.map((s) => (s === 0 ? 1 : 0));
+  } else {
+    const log = squared.map((s) => -0.5 * s - Math.log(s));
+    const most = log.reduce((a, b) => Math.max(a, b));
+    u = log.map((v) => Math.exp(v - most));
+  }
+  u = u.map((v) => Math.max(v - NEGLIGIBLE, 0));
+  const total = u.reduce((a, b) => a + b);
+  return u.map((v) => v / total);
+}
+
+/** Linear interpolation of y over increasing x, constant beyond the ends. */
+export function interpolate(at, x, y) {
+  if (!(at > x[0])) return y[0];
+  const last = x.length - 1;
+  if (at >= x[last]) return y[last];
+  let low = 0, high = last;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (x[middle] <= at) low = middle; else high = middle;
+  }
+  return y[low] + ((y[high] - y[low]) * (at - x[low])) / (x[high] - x[low]);
+}
+
+async function inflate(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
+}
+
+function halfToFloat() {
+  const table = new Float32Array(65536);
+  for (let k = 0; k < 65536; k++) {
+    const sign = k & 0x8000 ? -1 : 1, exponent = (k >> 10) & 31, fraction = k & 1023;
+    if (exponent === 0) table[k] = sign * fraction * 2 ** -24;
+    else table[k] = sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
+  }
+  return table;
+}
+
+/** The materials of a page's data, and what they predict. */
+export class Materials {
+  static async load(data) {
+    const { first, ratios, scales } = data.components;
+    const [halves, steps] = [new Uint16Array(await inflate(first)), new Int8Array(await inflate(ratios))];
+    return new Materials(data, halves, steps, scales);
+  }
+
+  constructor(data, halves, steps, scales) {
+    this.data = data;
+    this.count = data.names.length;
+    this.nPairs = data.pairs.count;
+    this.nGrid = data.pairs.grid;
+    this.nNodes = data.basis.length;
+    this.nComponents = data.basis[0].length;
+    const P = this.nPairs, R = this.nComponents, float = halfToFloat();
+    this.components = new Float32Array(this.count * R * P); // [N, R, P]
+    for (let i = 0; i < this.count; i++) {
+      for (let p = 0; p < P; p++) {
+        const lightness = float[halves[i * P + p]];
+        this.components[i * R * P + p] = lightness;
+        for (let r = 1; r < R; r++) {
+          const step = steps[(i * (R - 1) + r - 1) * P + p];
+          this.components[(i * R + r) * P + p] = (lightness * step * scales[i][r - 1]) / 127;
+        }
+      }
+    }
+    const { slices } = data.pairs;
+    this.sphereStart = this.nGrid + slices.reduce((sum, slice) => sum + slice.angles.length, 0);
+  }
+
+  weights(x) {
+    return blendWeights(x, this.data.X, this.data.lengthScale);
+  }
+
+  index(name) {
+    return this.data.names.indexOf(name);
+  }
+
+  /** The material whose place x is, or -1. */
+  materialAt(x) {
+    return this.data.X.findIndex((row) => row.every((v, q) => v === x[q]));
+  }
+
+  /** Weights of the samples (single bands of materials) on the path of a blend u at coordinate t, sparse. */
+  pathWeights(u, t) {
+    const total = new Map();
+    u.forEach((share, i) => {
+      if (share <= 0) return;
+      const { at, weights } = this.data.paths.vertices[i];
+      const clipped = Math.min(Math.max(t, at[0]), at[at.length - 1]);
+      let k = 0;
+      while (k < at.length - 2 && at[k + 1] <= clipped) k++;
+      const s = (clipped - at[k]) / (at[k + 1] - at[k]);
+      for (const [vertex, part] of [[weights[k], 1 - s], [weights[k + 1], s]]) {
+        if (part !== 0) for (const [n, w] of vertex) total.set(n, (total.get(n) ?? 0) + share * part * w);
+      }
+    });
+    return total;
+  }
+
+  /** The same over the components of materials. */
+  pathComponents(u, t) {
+    const { sampleBasis } = this.data.paths, R = this.nComponents;
+    const total = new Map();
+    for (const [n, w] of this.pathWeights(u, t)) {
+      const i = Math.floor(n / sampleBasis.length), basis = sampleBasis[n % sampleBasis.length];
+      for (let r = 0; r < R; r++) total.set(i * R + r, (total.get(i * R + r) ?? 0) + w * basis[r]);
+    }
+    return total;
+  }
+
+  /** Sum of components by sparse weights at the pairs from start to stop, a cube root of f times cosines. */
+  combine(weights, start, stop) {
+    const out = new Float32Array(stop - start), P = this.nPairs;
+    for (const [row, w] of weights) {
+      if (w === 0) continue;
+      const source = this.components.subarray(row * P + start, row * P + stop);
+      for (let p = 0; p < out.length; p++) out[p] += w * source[p];
+    }
+    return out;
+  }
+
+  /** Reflectance that one set of weights, seen through one spectral row (R), has in the integrating sphere. */
+  sphereReflectance(roots) {
+    const { sphereMeasure, amplitude } = this.data.pairs;
+    const offset = this.sphereStart - this.nGrid;
+    let sum = 0;
+    for (let p = 0; p < sphereMeasure.length; p++) {
+      const root = Math.max(roots[p] / amplitude[offset + p], 0);
+      sum += root ** 3 * sphereMeasure[p];
+    }
+    return sum;
+  }
+
+  /** Path coordinates (J) that give a blend u a reflectance (J), and the reflectance that they do give. */
+  coordinatesOf(u, reflectance) {
+    const { last } = this.data.paths;
+    const reached = (t) =>
+      this.sphereReflectance(this.combine(this.pathComponents(u, t), this.sphereStart, this.nPairs));
+    const grid = Array.from({ length: TABLE }, (_, k) => (last * k) / (TABLE - 1));
+    const table = [];
+    for (const t of grid) table.push(Math.max(reached(t), table[table.length - 1] ?? -Infinity));
+    const coordinates = reflectance.map((asked) => {
+      let at = interpolate(asked, table, grid);
+      for (let step = 0; step < NEWTON_STEPS; step++) {
+        const rise = interpolate(at + PROBE, grid, table) - interpolate(at - PROBE, grid, table);
+        const slope = rise / (2 * PROBE);
+        const move = slope > 1e-6 ? (asked - reached(at)) / slope : 0;
+        at = Math.min(Math.max(at + Math.min(Math.max(move, -LARGEST_STEP), LARGEST_STEP), 0), last);
+      }
+      return at;
+    });
+    return { coordinates, reached: coordinates.map(reached) };
+  }
+
+  /**
+   * What a place is made of: outputs as sparse weights over components, and the matrix (J, M) from outputs to nodes.
+   * Without a colour (J reflectances) materials are blended whole.
+   */
+  combination(u, reflectance) {
+    const R = this.nComponents;
+    if (!reflectance) {
+      const outputs = [];
+      for (let r = 0; r < R; r++) {
+        const weights = new Map();
+        u.forEach((share, i) => share > 0 && weights.set(i * R + r, share));
+        outputs.push(weights);
+      }
+      return { outputs, toNodes: this.data.basis, coordinates: null, missed: 0 };
+    }
+    const { coordinates, reached } = this.coordinatesOf(u, reflectance);
+    const missed = Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j])));
+    const low = Math.min(...coordinates), high = Math.max(...coordinates);
+    const isShort = coordinates.length <= PATH_NODES;
+    const nodes = isShort ? coordinates
+      : Array.from({ length: PATH_NODES }, (_, k) => low + ((high - low) * k) / (PATH_NODES - 1));
+    const toNodes = coordinates.map((t, j) => nodes.map((_, k) => {
+      if (isShort) return j === k ? 1 : 0;
+      const position = high > low ? ((t - low) / (high - low)) * (PATH_NODES - 1) : 0;
+      return Math.max(0, 1 - Math.abs(position - k));
+    }));
+    return { outputs: nodes.map((t) => this.pathComponents(u, t)), toNodes, coordinates, missed };
+  }
+
+  /** A prediction at all pairs; see `Prediction`. */
+  predict(x, reflectance = null) {
+    const u = this.weights(x);
+    const isOwn = reflectance && this.materialAt(x) >= 0 && reflectance === this.data.reflectances[this.materialAt(x)];
+    const { outputs, toNodes, coordinates, missed } = this.combination(u, isOwn ? null : reflectance);
+    const values = outputs.map((weights) => this.combine(weights, 0, this.nPairs));
+    return new Prediction(this, x, u, values, toNodes, coordinates, missed);
+  }
+}
+
+/** Values of a place: colours in linear sRGB under an illuminant, slices, reflectance. */
+export class Prediction {
+  constructor(materials, x, u, values, toNodes, coordinates, missed) {
+    Object.assign(this, { materials, x, u, values, toNodes, coordinates, missed });
+  }
+
+  /** Linear sRGB of f times cosines at the pairs from start to stop, (3, K). */
+  colours(illuminant, start, stop) {
+    const toSrgb = this.materials.data.toSrgb[illuminant];
+    const out = [new Float32Array(stop - start), new Float32Array(stop - start), new Float32Array(stop - start)];
+    const M = this.values.length, J = this.toNodes.length;
+    const matrix = Float64Array.from(this.toNodes.flat()), rgb = Float64Array.from(toSrgb.flat());
+    for (let p = start; p < stop; p++) {
+      let red = 0, green = 0, blue = 0;
+      for (let j = 0; j < J; j++) {
+        let root = 0;
+        for (let m = 0; m < M; m++) root += matrix[j * M + m] * this.values[m][p];
+        if (root <= 0) continue;
+        const f = root * root * root;
+        red += f * rgb[3 * j];
+        green += f * rgb[3 * j + 1];
+        blue += f * rgb[3 * j + 2];
+      }
+      out[0][p - start] = red;
+      out[1][p - start] = green;
+      out[2][p - start] = blue;
+    }
+    return out;
+  }
+
+  /** Cube roots of those on the grid, RGBA for a texture, (nGrid, 4). */
+  gridTexture(illuminant) {
+    const { nGrid } = this.materials;
+    const colours = this.colours(illuminant, 0, nGrid);
+    const out = new Float32Array(4 * nGrid);
+    for (let p = 0; p < nGrid; p++) {
+      for (let c = 0; c < 3; c++) out[4 * p + c] = Math.cbrt(colours[c][p]);
+      out[4 * p + 3] = 1;
+    }
+    return out;
+  }
+
+  /** Luminance of f over the angles of each slice. */
+  slices(illuminant) {
+    const { slices, amplitude } = this.materials.data.pairs, { nGrid } = this.materials;
+    let start = nGrid;
+    return slices.map(({ incidence, angles }) => {
+      const [red, green, blue] = this.colours(illuminant, start, start + angles.length);
+      const offset = start - nGrid;
+      start += angles.length;
+      const f = angles.map((_, k) =>
+        (0.2126 * red[k] + 0.7152 * green[k] + 0.0722 * blue[k]) / amplitude[offset + k] ** 3);
+      return { incidence, angles, f };
+    });
+  }
+
+  /** Reflectance at 8 degrees, specular included, at the nodes (J). */
+  reflectance() {
+    const { sphereStart, nPairs } = this.materials;
+    const count = nPairs - sphereStart;
+    return this.toNodes.map((row) => {
+      const roots = new Float32Array(count);
+      row.forEach((w, m) => {
+        if (w !== 0) for (let p = 0; p < count; p++) roots[p] += w * this.values[m][sphereStart + p];
+      });
+      return this.materials.sphereReflectance(roots);
+    });
+  }
+}
+
+/** The deepest valley of a profile within 20 degrees of the mirror direction, as a share of its lower side. */
+export function deepestValley({ incidence, angles, f }) {
+  const near = f.filter((_, k) => Math.abs(angles[k] - incidence) <= 20);
+  let deepest = 0;
+  for (let k = 1; k < near.length - 1; k++) {
+    const side = Math.min(Math.max(...near.slice(0, k)), Math.max(...near.slice(k + 1)));
+    if (side > 0) deepest = Math.max(deepest, 1 - near[k] / side);
+  }
+  return deepest;
+}
+
+/** A regular grid over the map, linear between its nodes; null outside of it. */
+export function fieldAt(field, x) {
+  if (!field) return null;
+  const n = field.nodes, Q = x.length;
+  const base = [], part = [];
+  for (let q = 0; q < Q; q++) {
+    const at = ((x[q] - field.low[q]) / (field.high[q] - field.low[q])) * (n - 1);
+    if (!(at >= 0 && at <= n - 1)) return null;
+    base.push(Math.min(Math.floor(at), n - 2));
+    part.push(at - base[q]);
+  }
+  let sum = 0;
+  for (let corner = 0; corner < 1 << Q; corner++) {
+    let index = 0, weight = 1;
+    for (let q = 0; q < Q; q++) {
+      const up = (corner >> q) & 1;
+      index = index * n + base[q] + up;
+      weight *= up ? part[q] : 1 - part[q];
+    }
+    sum += weight * field.values[index];
+  }
+  return sum;
+}
+
+/** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws in words. */
+export function parseSpectrum(text) {
+  const rows = [];
+  for (const line of text.split(/\r?\n/)) {
+    if (line.trimStart().startsWith("#") || !line.trim()) continue;
+    const parts = line.trim().split(/[\s,;]+/).map(Number);
+    if (parts.length >= 2 && parts.every(Number.isFinite)) rows.push(parts.slice(0, 2));
+    else if (rows.length) throw new Error(`no numbers in the line “${line.slice(0, 40)}”`);
+  }
+  rows.sort((a, b) => a[0] - b[0]);
+  const nm = rows.map((row) => row[0]), values = rows.map((row) => row[1]);
+  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance");
+  if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength is there twice");
+  if (Math.min(...values) < 0 || Math.max(...values) > 1) throw new Error("expected reflectances from 0 to 1");
+  if (Math.min(nm[nm.length - 1], 700) - Math.max(nm[0], 400) < 150) {
+    throw new Error("expected most of 400 to 700 nm to be covered");
+  }
+  return { nm, values };
+}

@@ -1,0 +1,92 @@
+// What the page shows, as one object; what was before; and the same as the fragment of a link.
+
+/** The state at the start: the material nearest to the middle of the map. */
+export function initialState(data) {
+  const Q = data.X[0].length;
+  const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
+  return {
+    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", light: "studio", lamp: [-0.4, 0.5],
+    illuminant: "D65", exposure: 0, pin: null, path: null,
+  };
+}
+
+const numbers = (text, count) => {
+  const values = (text ?? "").split(",").map(Number);
+  return text && values.length === count && values.every(Number.isFinite) ? values : null;
+};
+
+/** A state as the fragment of a link, without what is as at the start. */
+export function toFragment(state) {
+  const parts = new URLSearchParams();
+  const place = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
+  parts.set("x", state.at ?? place(state.x));
+  if (state.colour === "like") parts.set("like", state.like);
+  if (state.colour === "picked") parts.set("srgb", state.srgb);
+  if (state.light === "lamp") parts.set("lamp", place(state.lamp));
+  if (state.illuminant !== "D65") parts.set("illuminant", state.illuminant);
+  if (state.exposure) parts.set("exposure", state.exposure);
+  if (state.pin) {
+    parts.set("pin", state.pin.at ?? place(state.pin.x));
+    if (state.pin.colour === "like") parts.set("pin-like", state.pin.like);
+    if (state.pin.colour === "picked") parts.set("pin-srgb", state.pin.srgb);
+  }
+  if (state.path) parts.set("path", JSON.stringify([state.path.from, state.path.to, state.path.t]));
+  return parts.toString();
+}
+
+/** The state of a fragment; whatever is not understood stays as at the start. */
+export function fromFragment(fragment, data) {
+  const state = initialState(data), Q = data.X[0].length;
+  const parts = new URLSearchParams(fragment.replace(/^#/, ""));
+  const known = (name) => data.names.includes(name);
+  const colour = (name) => (/^#[0-9a-f]{6}$/i.test(name ?? "") ? name : null);
+  const place = (text) => {
+    if (known(text)) return { at: text, x: [...data.X[data.names.indexOf(text)]] };
+    const x = numbers(text, Q);
+    return x && { x };
+  };
+  Object.assign(state, place(parts.get("x")));
+  if (known(parts.get("like"))) Object.assign(state, { colour: "like", like: parts.get("like") });
+  if (colour(parts.get("srgb"))) Object.assign(state, { colour: "picked", srgb: parts.get("srgb") });
+  const lamp = numbers(parts.get("lamp"), 2);
+  if (lamp) Object.assign(state, { light: "lamp", lamp });
+  if (parts.get("illuminant") in data.toSrgb) state.illuminant = parts.get("illuminant");
+  const exposure = Number(parts.get("exposure"));
+  if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
+  const pin = place(parts.get("pin"));
+  if (pin) {
+    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, ...pin };
+    if (known(parts.get("pin-like"))) Object.assign(state.pin, { colour: "like", like: parts.get("pin-like") });
+    if (colour(parts.get("pin-srgb"))) Object.assign(state.pin, { colour: "picked", srgb: parts.get("pin-srgb") });
+  }
+  try {
+    const [from, to, t] = JSON.parse(parts.get("path"));
+    if (known(from) && known(to) && t >= 0 && t <= 1) state.path = { from, to, t };
+  } catch { /* no path */ }
+  return state;
+}
+
+/** States before and after the present one. */
+export class History {
+  constructor(state) {
+    this.states = [structuredClone(state)];
+    this.at = 0;
+  }
+
+  push(state) {
+    if (JSON.stringify(state) === JSON.stringify(this.states[this.at])) return;
+    this.states.splice(this.at + 1);
+    this.states.push(structuredClone(state));
+    if (this.states.length > 200) this.states.shift();
+    this.at = this.states.length - 1;
+  }
+
+  move(by) {
+    this.at = Math.min(Math.max(this.at + by, 0), this.states.length - 1);
+    return structuredClone(this.states[this.at]);
+  }
+
+  can(by) {
+    return this.at + by >= 0 && this.at + by < this.states.length;
+  }
+}

@@ -1,0 +1,29 @@
+"""How far to trust the places of a map, tabulated over it for a page."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from manifold.model.manifold import Manifold
+
+_NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
+_MARGIN = 0.25  # of the materials' extent, beyond them
+
+
+def error_field(model: Manifold) -> dict[str, Any] | None:
+    """Values on a regular grid over the map, the last dimension running fastest; None above three dimensions."""
+    X = model.X
+    Q = X.shape[1]
+    if Q not in _NODES:
+        return None
+    extent = np.maximum(np.ptp(X, axis=0), 1e-6)
+    low, high = X.min(axis=0) - _MARGIN * extent, X.max(axis=0) + _MARGIN * extent
+    axes = [np.linspace(a, b, _NODES[Q]) for a, b in zip(low, high, strict=True)]
+    places = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    return {
+        "what": "uncertainty", "unit": "posterior over prior standard deviation", "low": low.tolist(),
+        "high": high.tolist(), "nodes": _NODES[Q], "values": np.round(model.std(places), 3).tolist(),
+        "warning": float(np.sqrt(0.5)),
+    }  # fmt: skip

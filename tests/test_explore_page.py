@@ -1,0 +1,280 @@
+"""The page in a browser: it predicts as Python does, and every control works by mouse and by keyboard."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from browser import chromium, visit
+from small_library import NAMES, small_library, small_model
+
+from manifold.colour import ball_colours
+from manifold.colour.conversion import decode_srgb, srgb_to_xyz
+from manifold.explorer.page import make_page
+from manifold.explorer.tables import tabulate, to_document
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return Manifold.load(small_model(tmp_path_factory.mktemp("map")))
+
+
+@pytest.fixture(scope="module")
+def document(model):
+    return to_document(model, tabulate(model))
+
+
+@pytest.fixture(scope="module")
+def address(document, tmp_path_factory):
+    page = tmp_path_factory.mktemp("page") / "map.html"
+    page.write_text(make_page(document), encoding="utf-8")
+    return page.as_uri()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def visited(browser, address):
+    made = visit(browser, address)
+    yield made
+    made.page.close()
+    assert made.errors == []
+    assert made.requests == []
+
+
+def state(page):
+    return page.evaluate("window.explorer.state")
+
+
+def settle(page):
+    """Wait until what was asked for is shown."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def ball_of_page(page, places):
+    """Encoded sRGB (K, 3) of the page's ball at places (K, 2), right and up in radii."""
+    script = """(places) => {
+      const canvas = document.getElementById("ball"), gl = canvas.getContext("webgl2");
+      window.explorer.drawBalls();
+      const side = Math.min(canvas.width, canvas.height), pixel = new Uint8Array(4);
+      return places.map(([x, y]) => {
+        const at = [x, y].map((v, k) => [canvas.width, canvas.height][k] / 2 + (v / 1.02) * side / 2);
+        gl.readPixels(Math.floor(at[0]), Math.floor(at[1]), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+        return [...pixel].slice(0, 3);
+      });
+    }"""
+    return np.array(page.evaluate(script, places.tolist())) / 255.0
+
+
+def test_weights_are_those_of_python(visited, model, rng):
+    places = np.vstack([rng.normal(size=(50, 2)) * 2.0, model.X, model.X + 1e-7])
+    script = "(places) => places.map((x) => window.explorer.materials.weights(x))"
+    found = np.array(visited.page.evaluate(script, places.tolist()))
+    assert np.allclose(found, model.weights(places), rtol=0, atol=1e-5)
+
+
+def test_the_ball_of_the_page_is_that_of_the_package(visited, model, rng):
+    ball = ball_colours.ball(rings=54, spokes=36)  # finer than the page at rest
+    errors = []
+    for shares in rng.dirichlet(np.ones(len(NAMES)), 10):
+        x = shares @ model.X
+        visited.page.evaluate("(x) => window.explorer.change({ x })", x.tolist())
+        settle(visited.page)
+        visited.page.wait_for_selector("html[data-refined=true]", state="attached")
+        shown = srgb_to_xyz(decode_srgb(ball_of_page(visited.page, ball.places)))
+        expected = ball.xyz(model.predict(x).eval(ball.wi, ball.wo), model.bands)
+        errors.append(ball_colours.delta_e(shown, expected))
+    print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
+    assert np.mean(errors) < 1.0
+
+
+@pytest.mark.parametrize("choice", [{"like": "syn_metal_copper"}, {"srgb": "#3070c0"}, {"srgb": "#101010"}])
+def test_a_chosen_colour_gives_the_reflectance_that_python_gives(visited, model, choice, rng):
+    x = rng.dirichlet(np.ones(len(NAMES))) @ model.X
+    colours = choose_colour(model, x, ColourChoice(**choice)).colours
+    expected = model.colours.reached(x, colours)
+    mode = {"colour": "like" if "like" in choice else "picked", **choice}
+    visited.page.evaluate("([x, mode]) => window.explorer.change({ x, ...mode })", [x.tolist(), mode])
+    settle(visited.page)
+    found = visited.page.evaluate("window.explorer.reflectance")
+    assert np.allclose(found, expected, atol=0.01)  # spheres of 200 and of 1024 nodes
+
+
+def test_dragging_and_keys_move_the_point(visited):
+    page = visited.page
+    box = page.locator("#map").bounding_box()
+    page.mouse.move(box["x"] + 20, box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 250, steps=4)
+    page.mouse.up()
+    settle(page)
+    dragged = state(page)["x"]
+    assert f"x={dragged[0]:.3f}"[:6] in page.evaluate("decodeURIComponent(location.hash)")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowUp")
+    settle(page)
+    moved = state(page)["x"]
+    assert moved[0] > dragged[0]
+    assert moved[1] > dragged[1]
+    page.keyboard.press("Enter")
+    settle(page)
+    assert state(page)["at"] in NAMES
+    page.keyboard.press("Control+z")
+    settle(page)
+    assert state(page)["x"] == pytest.approx(moved)
+    page.locator("#redo").click()
+    settle(page)
+    assert state(page)["at"] in NAMES
+
+
+def test_every_control_does_what_it_says(visited):
+    page = visited.page
+    page.locator("#search").fill("copper")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert state(page)["at"] == "syn_metal_copper"
+    page.locator("#pin").press("Enter")
+    page.locator("#nearest button").nth(1).press("Enter")
+    page.locator('input[name="light"][value="lamp"]').press("Space")
+    page.locator("#ball").focus()
+    page.keyboard.press("ArrowLeft")
+    page.locator("#ball").hover(position={"x": 150, "y": 100})
+    page.locator("#exposure").press("ArrowRight")
+    page.locator("#like").select_option("syn_felt_green")
+    settle(page)
+    now = state(page)
+    assert now["pin"]["at"] == "syn_metal_copper"
+    assert now["at"] != "syn_metal_copper"
+    assert now["light"] == "lamp"
+    assert now["exposure"] == 0.25
+    assert now["like"] == "syn_felt_green"
+    page.locator("#picked").fill("#3366aa")
+    settle(page)
+    assert state(page)["colour"] == "picked"
+    page.locator('input[name="colour"][value="blend"]').check()
+    page.locator("#path-from").select_option(NAMES[0])
+    page.locator("#path-to").select_option(NAMES[3])
+    page.locator("#path-t").press("End")
+    settle(page)
+    assert state(page)["at"] == NAMES[3]
+    assert state(page)["path"]["t"] == 1
+    page.locator("#pinned").select_option(NAMES[1])
+    page.locator("#unpin").click()
+    settle(page)
+    assert state(page)["pin"] is None
+    page.locator("#coordinates input").first.fill("0.25")
+    page.keyboard.press("Tab")
+    settle(page)
+    assert state(page)["x"][0] == 0.25
+    before = page.evaluate("document.documentElement.dataset.theme")
+    page.locator("#theme").press("Enter")
+    assert page.evaluate("document.documentElement.dataset.theme") != before
+    page.locator("#zoom-in").click()
+    page.locator("#zoom-out").press("Enter")
+    assert page.evaluate("window.explorer.map.zoom") == 1
+
+
+def test_a_link_restores_what_was_shown(browser, address):
+    fragment = "#x=0.5,-0.25&srgb=%23336699&lamp=0.2,0.3&exposure=1&pin=syn_metal_copper"
+    made = visit(browser, address + fragment)
+    now = state(made.page)
+    assert now["x"] == [0.5, -0.25]
+    assert now["colour"] == "picked"
+    assert now["srgb"] == "#336699"
+    assert now["light"] == "lamp"
+    assert now["pin"]["at"] == "syn_metal_copper"
+    assert now["exposure"] == 1
+    bad = visit(browser, address + "#x=nan,1&like=%3Cimg%3E&pin=1&path=%5B1&exposure=1e9")
+    assert bad.errors == []
+    assert state(bad.page)["pin"] is None
+    assert state(bad.page)["colour"] == "blend"
+    made.page.close()
+    bad.page.close()
+
+
+def test_dropped_spectra_colour_the_material_and_bad_files_are_named(visited):
+    page = visited.page
+    good = "nm,reflectance\n" + "\n".join(f"{nm},{0.1 if nm < 580 else 0.8}" for nm in range(380, 781, 10))
+    chosen = page.locator("#spectrum-file")
+    chosen.set_input_files({"name": "red.csv", "mimeType": "text/csv", "buffer": good.encode()})
+    page.locator("#caption", has_text="red.csv").wait_for()
+    red, _, blue = page.evaluate("window.explorer.reflectance")
+    assert red > 3 * blue
+    for text in ("", "a b c", "400 0.5\n500 90", "\x00\xff" * 50, "400 0.5\n410 0.5"):
+        chosen.set_input_files({"name": "bad.txt", "mimeType": "text/plain", "buffer": text.encode()})
+        page.locator("#problem", has_text="bad.txt").wait_for()
+        page.evaluate("window.explorer.problem('')")
+
+
+def test_downloads_hold_the_latent_and_the_colours(visited):
+    page = visited.page
+    page.locator("#like").select_option("syn_felt_green")
+    documents = {}
+    for name in ("latent", "colours"):
+        with page.expect_download() as download:
+            page.locator(f"#save-{name}").click()
+        with open(download.value.path(), encoding="utf-8") as stream:
+            documents[name] = json.load(stream)
+    assert documents["latent"]["latent"] == state(page)["x"]
+    assert sum(documents["latent"]["weights"].values()) == pytest.approx(1.0)
+    assert documents["colours"]["colour"] == {"like": "syn_felt_green"}
+    assert len(documents["colours"]["reflectance"]) == 3
+
+
+def test_hostile_names_are_text(browser, document, tmp_path):
+    page = tmp_path / "hostile.html"
+    names = [HOSTILE, "javascript:alert(1)", *document["names"][2:]]
+    page.write_text(make_page(document | {"names": names, "library": HOSTILE}), encoding="utf-8")
+    made = visit(browser, page.as_uri())
+    dialogs = []
+    made.page.on("dialog", lambda dialog: dialogs.append(dialog.message) or dialog.dismiss())
+    made.page.locator("#search").fill("script")
+    made.page.keyboard.press("Enter")
+    made.page.locator("#pin").click()
+    made.page.locator("#map").hover()
+    assert HOSTILE in made.page.locator("#library").text_content()
+    assert made.page.locator("img").count() == 0
+    assert dialogs == []
+    assert made.errors == []
+    assert made.requests == []
+    made.page.close()
+
+
+def test_everything_that_can_be_operated_has_a_name(visited):
+    script = """[...document.querySelectorAll("button, select, input, canvas, svg")].filter((e) =>
+      !(e.getAttribute("aria-label") || e.labels?.length || e.textContent.trim())).map((e) => e.outerHTML)"""
+    assert visited.page.evaluate(script) == []
+    assert visited.page.locator("[aria-live=polite]").count() == 1
+
+
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_nothing_is_wider_than_the_window(browser, address, width):
+    made = visit(browser, address, width=width)
+    assert made.page.evaluate("document.documentElement.scrollWidth") <= width
+    made.page.close()
+
+
+def test_three_dimensions_have_a_slider(browser, tmp_path):
+    from manifold.library.store import Library
+    from manifold.model.settings import Settings
+
+    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(latent_dim=3))
+    (tmp_path / "map.html").write_text(make_page(to_document(model, tabulate(model))), encoding="utf-8")
+    made = visit(browser, (tmp_path / "map.html").as_uri())
+    before = state(made.page)["x"]
+    made.page.locator("#coordinates input[type=range]").press("ArrowRight")
+    settle(made.page)
+    after = state(made.page)["x"]
+    assert after[:2] == before[:2]
+    assert after[2] > before[2]
+    assert made.errors == []
+    made.page.close()

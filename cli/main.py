@@ -17,11 +17,8 @@ from manifold.errors import ManifoldError, UsageError
 from . import (
     budget_commands,
     chart_commands,
-<<<<<<< HEAD
     completion_commands,
-=======
     explore_commands,
->>>>>>> d66429f (manifold explore --html: the map as a self-contained page that predicts as the package does)
     fit_commands,
     instrument_commands,
     library_commands,

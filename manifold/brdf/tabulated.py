@@ -18,6 +18,8 @@ from manifold.records import Array, Bands
 
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
+_DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highlights
+_LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets from growing further
 
 
 class TabulatedBRDF(ABC):
@@ -130,7 +132,8 @@ class ReadingsBRDF(TabulatedBRDF):
     """A goniometer's readings: a hemisphere of directions at each of several incidences.
 
     Between two incidences values are blended at the same half vector, so that highlights move with the incidence and
-    do not appear twice. Steeper incidences than any measured are read with light and view exchanged.
+    do not appear twice; what exceeds the diffuse level follows D F G / (4 cos cos) of microfacets. Steeper incidences
+    than any measured are read with light and view exchanged.
     """
 
     def __init__(self, readings: Readings) -> None:
@@ -175,14 +178,19 @@ class ReadingsBRDF(TabulatedBRDF):
             weight = (1 - t) * (low == ring) + t * (high == ring)
             rows = np.flatnonzero(weight > 0)
             if rows.size:
-                f[rows] += weight[rows, None] * self._ring(ring, phi[rows], h[rows])
+                cosines = wi[rows, 2] * wo[rows, 2]
+                f[rows] += weight[rows, None] * self._ring(ring, phi[rows], h[rows], cosines)
         return f
 
-    def _ring(self, ring: int, phi: Array, h: Array) -> Array:
-        """Values (n, B) at an elevation of incidence, for azimuths (n,) and half vectors (n, 3)."""
+    def _ring(self, ring: int, phi: Array, h: Array, cosines: Array) -> Array:
+        """Values (n, B) for azimuths (n,), half vectors (n, 3) and cos(theta_i) cos(theta_o) (n,).
+
+        They are read at an elevation of incidence that was measured.
+        """
         theta, members = float(self._thetas[ring]), self._rings[ring]
         if self._isotropic:
-            return self._slices[members[0]](_disk(_mirrored(from_spherical(theta, phi), h), -phi))
+            wo = _mirrored(from_spherical(theta, phi), h)
+            return self._slices[members[0]](_disk(wo, -phi), np.cos(theta) * wo[:, 2] / cosines)
         low, high, t = _bracket(self._phis[members], phi, 2 * np.pi)
         f = np.zeros((len(phi), self._bands.count))
         for k, member in enumerate(members):
@@ -190,7 +198,9 @@ class ReadingsBRDF(TabulatedBRDF):
             rows = np.flatnonzero(weight > 0)
             if rows.size:
                 wi = from_spherical(theta, np.full(rows.size, self._phis[member]))
-                f[rows] += weight[rows, None] * self._slices[member](_disk(_mirrored(wi, h[rows]), 0.0))
+                wo = _mirrored(wi, h[rows])
+                ratio = np.cos(theta) * wo[:, 2] / cosines[rows]
+                f[rows] += weight[rows, None] * self._slices[member](_disk(wo, 0.0), ratio)
         return f
 
 
@@ -200,6 +210,7 @@ class _Slice:
     def __init__(self, place: Array, values: Array) -> None:
         self._inside = LinearNDInterpolator(place, values)
         self._tree, self._values = cKDTree(place), values
+        self._diffuse = np.percentile(values, _DIFFUSE_PERCENTILE, axis=0)
 
     @classmethod
     def made(cls, place: Array, values: Array, what: str) -> _Slice:
@@ -212,12 +223,18 @@ class _Slice:
         except QhullError:
             raise UsageError(f"{what}, all in the plane of incidence, {remedy}") from None
 
-    def __call__(self, place: Array) -> Array:
+    def __call__(self, place: Array, ratio: Array) -> Array:
+        """Values (n, B) at places (n, 2).
+
+        What exceeds the diffuse level is taken as D F G / (4 cos cos) of microfacets and multiplied by the ratio (n,)
+        of the cosines here to those asked for.
+        """
         values = self._inside(place)
         outside = np.isnan(values).any(axis=1)
         if np.any(outside):
             values[outside] = self._values[self._tree.query(place[outside])[1]]
-        return values
+        lobe = np.maximum(values - self._diffuse, 0.0)
+        return values + lobe * (np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO) - 1.0)[:, None]
 
 
 def _angles(w: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from . import (
     chart_commands,
     completion_commands,
     explore_commands,
+    export_commands,
     fit_commands,
     instrument_commands,
     library_commands,
@@ -68,6 +69,7 @@ model_commands.register(app)
 picture_commands.register(app)
 explore_commands.register(app)
 fit_commands.register(app)
+export_commands.register(app)
 render_commands.register(app)
 budget_commands.register(app)
 chart_commands.register(app)

@@ -26,7 +26,7 @@ from manifold.model.manifold import Manifold
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
     "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report",
-    "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget",
+    "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget", "export",
 )  # fmt: skip
 
 

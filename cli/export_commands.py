@@ -1,0 +1,158 @@
+"""The command that writes materials for engines: export."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold import atomic
+from manifold.errors import FileFormatError, UsageError
+
+from . import terminal
+from .library_commands import JsonOption, MovedLibraryOption
+from .model_commands import (
+    DEFAULT_MODEL,
+    LikeOption,
+    ModelOption,
+    ReflectanceOption,
+    SrgbOption,
+    parse_latent,
+)
+
+if TYPE_CHECKING:
+    from manifold.workflows.exports import ExportOutcome
+
+
+class TargetName(StrEnum):
+    """Choices of --target."""
+
+    gltf = "gltf"
+    openpbr = "openpbr"
+    standard_surface = "standard-surface"
+    usd = "usd"
+    usd_materialx = "usd-materialx"
+    blender = "blender"
+    blender_json = "blender-json"
+    unreal = "unreal"
+    unity = "unity"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        "export",
+        short_help="Write a material for engines: glTF, MaterialX, USD, Blender, Unreal, Unity.",
+        epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
+    )(export)
+
+
+def export(
+    source: Annotated[
+        Path | None,
+        typer.Argument(
+            help="The JSON of a fit, or a .bsdf file, which is fitted; or a library or folder of them.",
+            metavar="[SOURCE]",
+        ),
+    ] = None,
+    latent: Annotated[
+        str | None, typer.Option(help="Instead of a source: a place on the map.", metavar="X,Y|NAME")
+    ] = None,
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    like: LikeOption = None,
+    reflectance: ReflectanceOption = None,
+    srgb: SrgbOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="The file: .glb, .mtlx, .usda, .py, .json; of many materials, the folder.",
+            metavar="FILE",
+        ),
+    ] = None,
+    target: Annotated[
+        TargetName | None,
+        typer.Option(help="What it is for, where the suffix does not tell. [default for folders: gltf]"),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="For a fit: the measured .bsdf to compare with.", metavar="FILE"),
+    ] = None,
+    json: JsonOption = None,
+) -> None:  # fmt: skip
+    """Write materials as parameters of engines, and say what each engine's own shading model loses.
+
+    The loss is the mean CIEDE2000 on the ball between the material and the target's model, evaluated as its
+    specification says; beside it is that of Mitsuba's principled, from whose parameters those of the target are made.
+    """
+    from manifold.exports.targets import TARGETS, target_of
+    from manifold.model.colours import NEAREST, ColourChoice
+    from manifold.workflows import export_folders, exports
+
+    results = terminal.Results(json)
+    if (source is None) == (latent is None):
+        raise UsageError("expected either a source or --latent X,Y; name what to export")
+    colour = ColourChoice(like, reflectance, srgb)
+    if source is not None and colour != NEAREST:
+        raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
+    if source is not None and source.is_dir():
+        if against is not None:
+            raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
+        many = TARGETS[target.value if target else "gltf"]
+        folder = output or Path("exports")
+        with terminal.progress("Exporting") as step:
+            outcomes = export_folders.export_all(source, many, folder, step)
+        _show_all(results, outcomes, folder)
+        return
+    path = output or Path("material.glb")
+    chosen = target_of(None if target is None else target.value, path)
+    atomic.require_writable(path)
+    with terminal.progress("Exporting") as step:
+        if source is not None:
+            subject = exports.subject_of(source, against)
+        else:
+            subject = exports.subject_of_prediction(
+                model, parse_latent(latent or ""), library=library, colour=colour, on_progress=step
+            )
+        outcome = exports.export(subject, chosen, path)
+    _show(results, outcome)
+
+
+def _show(results: terminal.Results, outcome: ExportOutcome) -> None:
+    content = outcome.export or {}
+    rows: dict[str, object] = {
+        key: ", ".join(f"{v:.4g}" for v in value) if isinstance(value, list) else f"{value:.4g}"
+        for key, value in content["parameters"].items()
+    }
+    lost = content["ciede2000"]
+    rows["CIEDE2000 on the ball"] = (
+        "the model of this target is not evaluated"
+        if lost is None
+        else f"{lost:.2f}, against the {content['against']}"
+    )
+    if content["principled_ciede2000"] is not None:
+        rows["of principled"] = f"{content['principled_ciede2000']:.2f}"
+    for k, note in enumerate(outcome.notes):
+        rows["note" if k == 0 else f"note {k + 1}"] = note
+    results.rows(f"Exported {outcome.path} ({content['target']})", rows)
+    results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
+
+
+def _show_all(results: terminal.Results, outcomes: list[ExportOutcome], folder: Path) -> None:
+    rows = []
+    for outcome in outcomes:
+        if outcome.export is not None:
+            losses = (outcome.export["ciede2000"], outcome.export["principled_ciede2000"])
+            rows.append(
+                [outcome.name, *("" if v is None else f"{v:.2f}" for v in losses), "kept" * outcome.was_there]
+            )
+    results.table(["material", "CIEDE2000", "of principled", ""], rows)
+    failed = [f"{o.name}: {o.failure}" for o in outcomes if o.failure is not None]
+    results.text(f"{len(rows)} materials in {folder}\n")
+    made = [o.export | {"path": str(o.path)} for o in outcomes if o.export is not None]
+    results.document({"exports": made, "failed": failed})
+    if failed:
+        more = f"; and {len(failed) - 3} more (--json lists them)" if failed[3:] else ""
+        raise FileFormatError("; ".join(failed[:3]) + more)

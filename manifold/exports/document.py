@@ -1,0 +1,56 @@
+"""What is written about one material for one target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from manifold import __version__
+
+
+@dataclass(frozen=True)
+class Export:
+    """A material as parameters of a target.
+
+    Attributes:
+        name: of the material.
+        target: name of the target.
+        parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
+        source: where the parameters come from, plain values.
+        loss: mean CIEDE2000 on the ball of the target's own model, against what `loss_against` names; None where
+            the target's model is not evaluated.
+        principled_loss: the same of Mitsuba's `principled`.
+        loss_against: `measured file`, `prediction` or `fit`.
+    """
+
+    name: str
+    target: str
+    parameters: Mapping[str, Any]
+    source: Mapping[str, Any] = field(default_factory=dict)
+    loss: float | None = None
+    principled_loss: float | None = None
+    loss_against: str | None = None
+
+    def about(self) -> dict[str, Any]:
+        """Everything but the parameters, as plain values."""
+        return {
+            "program": f"manifold {__version__}",
+            "material": self.name,
+            "target": self.target,
+            "source": dict(self.source),
+            "ciede2000": self.loss,
+            "principled_ciede2000": self.principled_loss,
+            "against": self.loss_against,
+        }
+
+    def sentence(self) -> str:
+        """One line for people."""
+        text = f"{self.name}: Exported by manifold {__version__} for {self.target}"
+        if self.loss is not None:
+            text += f"; mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
+        return text
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return self.about() | {"parameters": dict(self.parameters)}

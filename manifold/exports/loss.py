@@ -1,0 +1,48 @@
+"""What a target's shading model loses of a material: CIEDE2000 on the ball."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Protocol
+
+from manifold.colour import ball_colours
+from manifold.colour.ball_colours import Ball
+from manifold.records import Array, Bands
+
+
+class Evaluated(Protocol):
+    """A BRDF as far as balls need it."""
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B)."""
+
+
+@lru_cache(maxsize=1)
+def _ball() -> Ball:
+    return ball_colours.ball()
+
+
+def ball_xyz(f: Callable[[Array, Array], Array], bands: Bands) -> Array:
+    """CIE XYZ under D65 of a ball's pixels, shape (K, 3).
+
+    Args:
+        f: BRDF in 1/sr, shape (P, B), of directions to the viewer and to the light, each (P, 3).
+        bands: of its values.
+    """
+    ball = _ball()
+    return ball.xyz(f(ball.wi, ball.wo), bands)
+
+
+def material_xyz(material: Evaluated) -> Array:
+    """The same of a measured or predicted BRDF."""
+    return ball_xyz(material.eval, material.bands)
+
+
+def rgb_xyz(f: Callable[[Array, Array], Array]) -> Array:
+    """The same of a shading model in linear sRGB."""
+    return ball_xyz(f, Bands(None))

@@ -1,0 +1,120 @@
+"""The parameters of Mitsuba's `principled` that exports start from, and quantities of its lobes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.records import Array
+
+_END = 1e-4  # how near to an end of its range a value stands for the end
+_LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as Mitsuba's
+
+
+@dataclass(frozen=True)
+class Principled:
+    """An opaque surface of Mitsuba's `principled`; defaults are Mitsuba's.
+
+    Attributes:
+        base_color: linear sRGB, 0 to 1.
+        metallic, roughness, specular, clearcoat, clearcoat_gloss, sheen, spec_tint, sheen_tint, flatness,
+            anisotropic: 0 to 1, as in Mitsuba's documentation.
+        is_diffuse: nothing but a Lambertian base.
+    """
+
+    base_color: tuple[float, float, float]
+    metallic: float = 0.0
+    roughness: float = 0.5
+    specular: float = 0.5
+    clearcoat: float = 0.0
+    clearcoat_gloss: float = 0.0
+    sheen: float = 0.0
+    spec_tint: float = 0.0
+    sheen_tint: float = 0.0
+    flatness: float = 0.0
+    anisotropic: float = 0.0
+    is_diffuse: bool = False
+
+    @classmethod
+    def from_fit(cls, bsdf: Mapping[str, Any], values: Mapping[str, Any]) -> Principled:
+        """The values of a fit, base colours clipped to 0 to 1.
+
+        Args:
+            bsdf: description of the fitted family, as `BsdfFamily.to_json` gives it.
+            values: by name.
+        Raises:
+            UsageError: the fit is neither of `principled` nor of `diffuse`, or transmits light.
+        """
+        known = {**bsdf.get("fixed", {}), **values}
+        if bsdf["type"] == "diffuse":
+            return cls(_colour(known["reflectance"]), specular=0.0, is_diffuse=True)
+        if bsdf["type"] != "principled":
+            raise UsageError(
+                f"a fit of {bsdf['type']} has no counterpart in engines; fit principled (manifold fit without --bsdf)"
+            )
+        if known.get("spec_trans", 0.0):
+            raise UsageError("a fit with spec_trans transmits light, which exports leave out; fit without it")
+        numbers: dict[str, Any] = {
+            k: _snapped(known[k]) for k in cls.__dataclass_fields__ if k in known and k != "base_color"
+        }
+        if "specular" not in known and "eta" in known:
+            numbers["specular"] = float(ior_to_f0(float(known["eta"])) / 0.08)
+        return cls(base_color=_colour(known.get("base_color", 0.5)), **numbers)
+
+    @property
+    def ior(self) -> float:
+        """Index of refraction: `2 / (1 - sqrt(0.08 specular)) - 1`, where Mitsuba takes no specular below 0.001."""
+        return float(2.0 / (1.0 - np.sqrt(0.08 * max(self.specular, 1e-3))) - 1.0)
+
+    @property
+    def tint(self) -> Array:
+        """The base colour over its luminance, shape (3,); white for black."""
+        colour = np.asarray(self.base_color)
+        luminance = float(colour @ _LUMINANCE)
+        return colour / luminance if luminance > 0 else np.ones(3)
+
+    @property
+    def coat_weight(self) -> float:
+        """The weight of a coat of index 1.5.
+
+        Mitsuba's clear coat lacks the division by both cosines: it is a whole one along the normal and falls with
+        their product, whose mean over the disc of a ball, lit as it is seen, is one half.
+        """
+        return 0.5 * self.clearcoat
+
+    @property
+    def coat_alpha(self) -> float:
+        """GGX alpha of a coat whose distribution has the peak of Mitsuba's GTR1; both are normalised."""
+        a2 = (0.1 + (0.001 - 0.1) * self.clearcoat_gloss) ** 2
+        return float(np.sqrt(a2 * np.log(1.0 / a2) / (1.0 - a2)))
+
+    @property
+    def sheen_colour(self) -> Array:
+        """What `(1 - cos(theta_d))^5` is multiplied by, in 1/sr, shape (3,)."""
+        return self.sheen * (1.0 - self.metallic) * (1.0 + self.sheen_tint * (self.tint - 1.0))
+
+    @property
+    def alphas(self) -> tuple[float, float]:
+        """GGX alpha along x and y: the square of roughness, stretched by the aspect `sqrt(1 - 0.9 anisotropic)`."""
+        aspect = float(np.sqrt(1.0 - 0.9 * self.anisotropic))
+        return self.roughness**2 / aspect, self.roughness**2 * aspect
+
+
+def _colour(value: Any) -> tuple[float, float, float]:
+    red, green, blue = np.broadcast_to(np.asarray(value, float), 3)
+    return _snapped(red), _snapped(green), _snapped(blue)
+
+
+def _snapped(value: Any) -> float:
+    """A value from 0 to 1, the ends where a fit has come as near to them as it can."""
+    value = min(max(float(value), 0.0), 1.0)
+    return 0.0 if value < _END else 1.0 if value > 1.0 - _END else value
+
+
+def ior_to_f0(ior: float) -> float:
+    """Reflectance at normal incidence."""
+    return ((ior - 1.0) / (ior + 1.0)) ** 2

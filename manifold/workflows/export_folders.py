@@ -1,0 +1,130 @@
+"""Many exports into one folder, resumed where an earlier run ended: a library's materials, or a folder's files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from manifold import __version__, atomic, small_files
+from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.exports.targets import Target
+from manifold.io_rgl import material_name
+from manifold.library import Library
+from manifold.records import Progress
+from manifold.workflows.exports import (
+    ExportOutcome,
+    Subject,
+    export,
+    file_sha256,
+    subject_of,
+    subject_of_file,
+)
+
+INDEX = "exports.json"
+"""What a folder of exports holds beside them: which material each file is of, and what it loses."""
+
+
+def export_all(
+    source: Path, target: Target, folder: Path, on_progress: Progress | None = None
+) -> list[ExportOutcome]:
+    """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
+
+    Args:
+        source: the library or the folder; of the folder, at every depth.
+        target: for all.
+        folder: where to; made if missing. Its `exports.json` names what is done, after each material.
+        on_progress: called after each material.
+    Returns:
+        One outcome per material; one that cannot be exported does not stop the others.
+    Raises:
+        UsageError: there is nothing to export, or the folder cannot be used.
+    """
+    subjects = dict(_subjects(source))
+    if not subjects:
+        raise UsageError(
+            f"{source}: neither a library nor a folder with .bsdf files or fits; name another source"
+        )
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder}: is a file, expected a folder for {len(subjects)} exports; name another")
+    folder.mkdir(parents=True, exist_ok=True)
+    index = _read_index(folder / INDEX)
+    outcomes = []
+    for name, (identity, read) in subjects.items():
+        path = folder / f"{name}{target.suffix}"
+        if _is_done(index.get(path.name), identity, target, path):
+            outcomes.append(ExportOutcome(name, path, index[path.name]["export"], was_there=True))
+        else:
+            outcomes.append(_export_one(name, read, target, path))
+            made = outcomes[-1].export
+            if made is not None:
+                index[path.name] = {"identity": identity, "file_sha256": file_sha256(path), "export": made}
+                _write_index(folder / INDEX, index)
+        if on_progress is not None:
+            on_progress(len(outcomes), len(subjects), name)
+    return outcomes
+
+
+def _export_one(name: str, read: Callable[[], Subject], target: Target, path: Path) -> ExportOutcome:
+    try:
+        return replace(export(read(), target, path), name=name)
+    except ManifoldError as error:
+        return ExportOutcome(name, path, None, failure=str(error))
+
+
+def _subjects(source: Path) -> Iterator[tuple[str, tuple[str, Callable[[], Subject]]]]:
+    """Name, identity and reader of every material of a source, none read yet."""
+    if (source / "zarr.json").is_file():
+        library = Library.open(source)
+        for name in library.names:
+            info = library.attributes(name)
+            described = {"library": source.name, "file": info.source_file, "sha256": info.sha256}
+            yield name, (info.content_sha256, partial(_read_material, library, name, described))
+        return
+    fits: dict[str, Path] = {}
+    files: dict[str, Path] = {}
+    for path in sorted(source.rglob("*")):
+        kind = {".bsdf": files, ".json": fits if path.name.endswith(".fit.json") else None}.get(path.suffix)
+        if kind is None or not path.is_file():
+            continue
+        name = material_name(Path(path.name.removesuffix(".fit.json")))
+        if kind.setdefault(name, path) != path:
+            raise UsageError(f"{path} and {kind[name]} have the same name; export them into two folders")
+    for name in sorted({*fits, *files}):
+        used = [path for path in (fits.get(name), files.get(name)) if path is not None]
+        yield name, ("".join(map(file_sha256, used)), partial(subject_of, *used))
+
+
+def _read_material(library: Library, name: str, described: dict[str, Any]) -> Subject:
+    return subject_of_file(library.read(name), described)
+
+
+def _is_done(entry: dict[str, Any] | None, identity: str, target: Target, path: Path) -> bool:
+    try:
+        return (
+            entry is not None
+            and entry["identity"] == identity
+            and entry["export"]["target"] == target.name
+            and entry["export"]["program"] == f"manifold {__version__}"
+            and path.is_file()
+            and entry["file_sha256"] == file_sha256(path)
+        )
+    except (KeyError, TypeError):
+        return False
+
+
+def _read_index(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    content = small_files.read_json(path, "the index of a folder of exports")
+    if not isinstance(content, dict) or content.get("format") != "manifold exports":
+        raise FileFormatError(f"{path}: not an index of exports; name another folder, or remove it")
+    return dict(content.get("exports", {}))
+
+
+def _write_index(path: Path, entries: dict[str, Any]) -> None:
+    content = {"format": "manifold exports", "program": f"manifold {__version__}", "exports": entries}
+    atomic.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -1,0 +1,156 @@
+"""The work behind `manifold export`: a fit, a prediction or a file in; a file of an engine out."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from manifold import atomic
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.exports import loss
+from manifold.exports.document import Export
+from manifold.exports.principled_values import Principled
+from manifold.exports.targets import Target
+from manifold.fitting import fit_json, fit_samples
+from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.fitting.principled import fit_bsdf
+from manifold.io_rgl import read_bsdf
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.latents import Place
+from manifold.model.manifold import Manifold
+from manifold.records import BsdfFile, Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A material that is to be exported.
+
+    Attributes:
+        name: of the material.
+        source: where it comes from, plain values.
+        fit: content of its fit's JSON.
+        material: what the loss is measured against; the fit itself if None.
+        against: that in words.
+    """
+
+    name: str
+    source: dict[str, Any]
+    fit: dict[str, Any]
+    material: BRDF | None
+    against: str
+
+
+@dataclass(frozen=True)
+class ExportOutcome:
+    """One material of a run.
+
+    Attributes:
+        name: of the material.
+        path: the written file.
+        export: what was written; None where that failed, or an earlier run did it.
+        was_there: whether an earlier run had made it.
+        failure: why there is none, else None.
+        notes: of the fit.
+    """
+
+    name: str
+    path: Path
+    export: dict[str, Any] | None
+    was_there: bool = False
+    failure: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def subject_of(path: Path, against: Path | None = None) -> Subject:
+    """The material of a fit's JSON or of a `.bsdf` file, which is fitted.
+
+    Args:
+        path: the file.
+        against: for a fit, the measured file to compare with; the fit itself if None.
+    Raises:
+        UsageError, FileFormatError: a file cannot be used.
+    """
+    if path.suffix.lower() == ".bsdf":
+        if against is not None:
+            raise UsageError(f"--against goes with the JSON of a fit; {path} is compared with itself")
+        return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
+    content = fit_json.read(path)
+    source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}
+    measured = None if against is None else MeasuredBRDF(read_bsdf(against))
+    return Subject(
+        content["source"]["name"], source, content, measured, "fit" if against is None else "measured file"
+    )
+
+
+def subject_of_prediction(
+    model: Path, latent: Place, *, library: Path | None = None, colour: ColourChoice = NEAREST,
+    on_progress: Progress | None = None,
+) -> Subject:  # fmt: skip
+    """The material that a model predicts at a latent, fitted.
+
+    Raises:
+        UsageError, LatentError, ModelError: the model or the latent cannot be used.
+    """
+    loaded = Manifold.load(model, library)
+    x = loaded.require_latent(latent)
+    loaded.prepare(on_progress)
+    chosen = choose_colour(loaded, x, colour)
+    brdf = loaded.predict(x, chosen.colours)
+    name = latent if isinstance(latent, str) else "predicted"
+    source = {
+        "model": model.name,
+        "model_sha256": file_sha256(model),
+        "latent": [float(v) for v in x],
+        "colour": chosen.words,
+    }
+    return _fitted(name, source, fit_samples.from_brdf(brdf), brdf, "prediction")
+
+
+def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
+    """A measured material, fitted, with plain values that say where it comes from."""
+    return _fitted(file.name, source, fit_samples.from_file(file), MeasuredBRDF(file), "measured file")
+
+
+def _fitted(name: str, source: dict[str, Any], samples: FitSamples, material: BRDF, against: str) -> Subject:
+    content = fit_json.document(fit_bsdf(samples), fit_json.Source(name))
+    return Subject(name, source, content, material, against)
+
+
+def export(subject: Subject, target: Target, path: Path) -> ExportOutcome:
+    """Write a material for a target.
+
+    Raises:
+        UsageError: the fit has no counterpart in engines, or the file cannot be written.
+    """
+    principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"])
+    parameters = target.parameters(principled)
+    fitted = FittedBRDF(subject.fit)
+    reference = loss.material_xyz(fitted if subject.material is None else subject.material)
+    own = None
+    if target.brdf is not None:
+        brdf = target.brdf
+        own = loss.rgb_xyz(lambda view, light: brdf(parameters, view, light))
+    made = Export(
+        name=subject.name,
+        target=target.name,
+        parameters=parameters,
+        source=subject.source,
+        loss=None if own is None else ball_colours.delta_e(own, reference),
+        principled_loss=None
+        if subject.material is None
+        else ball_colours.delta_e(loss.material_xyz(fitted), reference),
+        loss_against=subject.against,
+    )
+    atomic.write_bytes(path, target.content(made, principled))
+    return ExportOutcome(subject.name, path, made.to_json(), notes=tuple(subject.fit["notes"]))
+
+
+def file_sha256(path: Path) -> str:
+    """The hash of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

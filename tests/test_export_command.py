@@ -1,0 +1,183 @@
+"""`manifold export`: sources, folders, resuming, losses, errors."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+from small_library import NAMES, measured, small_library
+from typer.testing import CliRunner
+
+from manifold.cli.main import app
+from manifold.errors import ManifoldError, UsageError
+from manifold.exports import TARGETS, Principled, glb, gltf
+from manifold.fitting import fit_json
+from manifold.fitting.bsdf_parameters import principled
+from manifold.fitting.principled import fit_bsdf
+from manifold.io_rgl import write_bsdf
+from manifold.model.manifold import Manifold
+from manifold.workflows import export_folders, exports
+
+COPPER = "syn_metal_copper"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A file `copper_rgb.bsdf` and its fit."""
+    path = tmp_path_factory.mktemp("exports")
+    write_bsdf(path / "copper_rgb.bsdf", measured(COPPER))
+    result = fit_bsdf(measured(COPPER), principled(["base_color", "metallic", "roughness"]))
+    source = fit_json.Source("copper", file="copper_rgb.bsdf")
+    fit_json.write(path / "copper_rgb.fit.json", result, source)
+    return path
+
+
+def run(*words):
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
+    result = run("export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb", "--json", "-")
+    assert result.exit_code == 0, result.output
+    (made,) = json.loads(result.stdout)["exports"]
+    assert made["against"] == "fit"
+    assert made["principled_ciede2000"] is None
+    assert made["ciede2000"] < 1.0  # a copper of principled is one of glTF
+    document, _ = glb.read(tmp_path / "x.glb")
+    values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
+    found = gltf.from_json(document["materials"][0])
+    assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
+    assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
+    assert document["materials"][0]["extras"]["ciede2000"] == made["ciede2000"]
+
+
+def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_path):
+    subject = exports.subject_of(folder / "copper_rgb.fit.json", folder / "copper_rgb.bsdf")
+    made = exports.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx").export
+    assert made["against"] == "measured file"
+    assert made["principled_ciede2000"] > 0.0
+    assert abs(made["ciede2000"] - made["principled_ciede2000"]) < 1.0
+
+
+def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
+    result = run("export", folder / "copper_rgb.bsdf", "-o", tmp_path / "x.json", "--target", "unreal")
+    assert result.exit_code == 0, result.output
+    assert "CIEDE2000 on the ball" in result.stdout
+    assert "of principled" in result.stdout
+    content = json.loads((tmp_path / "x.json").read_text())
+    assert content["source"]["file"] == "copper_rgb.bsdf"
+    assert content["parameters"]["Metallic"] > 0.5
+
+
+def test_a_prediction_is_exported(tmp_path):
+    library = small_library(tmp_path)
+    Manifold.fit(export_folders.Library.open(library)).save(tmp_path / "model.h5")
+    words = ["export", "--latent", NAMES[0], "-M", tmp_path / "model.h5", "-o", tmp_path / "felt.usda"]
+    result = run(*words, "--json", tmp_path / "report.json")
+    assert result.exit_code == 0, result.output
+    (made,) = json.loads((tmp_path / "report.json").read_text())["exports"]
+    assert (made["material"], made["against"], made["target"]) == (NAMES[0], "prediction", "usd")
+    assert len(made["source"]["latent"]) == 2
+    assert made["ciede2000"] is not None
+
+
+def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
+    source = tmp_path / "source"
+    shutil.copytree(folder, source)
+    shutil.copy(source / "copper_rgb.fit.json", source / "other.fit.json")
+    (source / "broken.fit.json").write_text("{}")
+    done = []
+    outcomes = export_folders.export_all(
+        source, TARGETS["gltf"], tmp_path / "out", lambda *step: done.append(step)
+    )
+    assert [(o.name, o.failure is None, o.was_there) for o in outcomes] == [
+        ("broken", False, False), ("copper", True, False), ("other", True, False),
+    ]  # fmt: skip
+    assert [step[:2] for step in done] == [(1, 3), (2, 3), (3, 3)]
+    assert outcomes[1].export["against"] == "measured file"  # the fit, beside the file of that name
+    assert outcomes[2].export["against"] == "fit"
+    (source / "broken.fit.json").unlink()
+    (tmp_path / "out" / "other.glb").write_bytes(b"changed")
+    before = (tmp_path / "out" / "copper.glb").stat().st_mtime_ns
+    again = export_folders.export_all(source, TARGETS["gltf"], tmp_path / "out")
+    assert [(o.name, o.was_there) for o in again] == [("copper", True), ("other", False)]
+    assert (tmp_path / "out" / "copper.glb").stat().st_mtime_ns == before
+    assert glb.read(tmp_path / "out" / "other.glb")[0]["materials"][0]["name"] == "copper"
+    other = export_folders.export_all(source, TARGETS["openpbr"], tmp_path / "out")
+    assert not any(o.was_there for o in other)
+
+
+def test_a_library_is_exported(tmp_path, monkeypatch, folder):
+    library = small_library(tmp_path)
+    content = fit_json.read(folder / "copper_rgb.fit.json")
+    monkeypatch.setattr(exports, "fit_bsdf", lambda samples: None)
+    monkeypatch.setattr(exports.fit_json, "document", lambda result, source: content)
+    result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
+        [*(f"{name}.glb" for name in NAMES), "exports.json"]
+    )
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert [made["material"] for made in report["exports"]] == sorted(NAMES)
+    losses = {made["material"]: made["ciede2000"] for made in report["exports"]}
+    assert losses[COPPER] == min(losses.values())  # all were exported as copper
+    assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
+
+
+def test_two_files_of_one_name_are_refused(folder, tmp_path):
+    for part in ("a", "b"):
+        (tmp_path / part).mkdir()
+        shutil.copy(folder / "copper_rgb.fit.json", tmp_path / part)
+    with pytest.raises(UsageError, match="have the same name"):
+        export_folders.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+
+
+def test_an_output_of_another_kind_is_not_replaced(folder, tmp_path):
+    (tmp_path / "x.glb").write_bytes(b"glTF of somebody else")
+    words = ["export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb"]
+    result = run(*words)
+    assert isinstance(result.exception, UsageError)
+    assert "not what this command writes" in str(result.exception)
+    for _ in range(2):  # and then its own
+        assert run(*words, "--force").exit_code == 0
+    assert run(*words).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "expected either a source or --latent"),
+        (["copper_rgb.fit.json", "--latent", "0,0"], "expected either a source or --latent"),
+        (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
+        (["copper_rgb.fit.json", "-o", "x.json"], "say which with --target"),
+        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with --latent"),
+        (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "compared with itself"),
+        (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
+        (["nowhere.bsdf", "-o", "x.glb"], "No such file"),
+        (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
+        ([".", "-o", "copper_rgb.bsdf"], "not what this command writes"),
+    ],
+)
+def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expected):
+    monkeypatch.chdir(folder)
+    result = run("export", *words)
+    assert isinstance(result.exception, ManifoldError), result.output
+    assert expected in str(result.exception)
+    assert not (folder / "x.glb").exists()
+
+
+def test_an_empty_folder_is_one_clear_error(tmp_path):
+    with pytest.raises(UsageError, match="neither a library nor a folder"):
+        export_folders.export_all(tmp_path, TARGETS["gltf"], tmp_path / "out")
+
+
+def test_a_folder_with_another_index_is_refused(folder, tmp_path):
+    (tmp_path / "exports.json").write_text("[]")
+    with pytest.raises(ManifoldError, match="not an index of exports"):
+        export_folders.export_all(folder, TARGETS["gltf"], tmp_path)
+
+
+def test_fits_of_diffuse_surfaces_are_exported():
+    made = Principled.from_fit({"type": "diffuse", "fixed": {}}, {"reflectance": [0.1, 0.2, 0.3]})
+    assert gltf.parameters(made)["specularFactor"] == 0.0

@@ -1,0 +1,338 @@
+"""Files of exports: structure by the specifications, parameters read back, and what other programs say of them."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from manifold.errors import FileFormatError, UsageError
+from manifold.exports import (
+    TARGETS,
+    Export,
+    Principled,
+    blender,
+    glb,
+    gltf,
+    materialx,
+    openpbr,
+    preview_surface,
+    target_of,
+)
+
+FULL = Principled(
+    (0.8123456, 0.3, 0.05), metallic=0.3, roughness=0.4, specular=0.7, clearcoat=0.8, clearcoat_gloss=0.9, sheen=0.5,
+    spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6,
+)  # fmt: skip
+MATERIALS = {
+    "full": FULL,
+    "plain": Principled((0.8, 0.3, 0.05)),
+    "metal": Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.2),
+    "cloth <&> \"1\"": Principled((0.1, 0.0, 0.3), sheen=1.0, specular=0.0),
+    "diffuse": Principled((0.5, 0.5, 0.5), is_diffuse=True, specular=0.0),
+}  # fmt: skip
+
+
+def export(name, target, material):
+    source = {"file": "x_rgb.bsdf"}
+    return Export(name, target, TARGETS[target].parameters(material), source, 1.25, 1.5, "measured file")
+
+
+def written(folder, name, target):
+    made = export(name, target, MATERIALS[name])
+    path = folder / f"{list(MATERIALS).index(name)}_{target}{TARGETS[target].suffix}"
+    path.write_bytes(TARGETS[target].content(made, MATERIALS[name]))
+    return path, made
+
+
+def same(found, expected):
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        assert found[key] == pytest.approx(value, abs=1e-6), key
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_glb_is_what_the_specification_says_and_gives_the_parameters_back(tmp_path, name):
+    path, made = written(tmp_path, name, "gltf")
+    document, content = glb.read(path)
+    assert document["asset"]["version"] == "2.0"
+    assert len(path.read_bytes()) % 4 == 0
+    assert document["buffers"][0]["byteLength"] <= len(content)
+    (material,) = document["materials"]
+    assert material["name"] == name
+    assert material["extras"]["ciede2000"] == 1.25
+    assert sorted(material.get("extensions", {})) == document.get("extensionsUsed", [])
+    assert set(document.get("extensionsUsed", [])) <= set(gltf.EXTENSIONS)
+    same(gltf.from_json(material), made.parameters)
+    for view in document["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0
+        assert view["byteOffset"] + view["byteLength"] <= len(content)
+    for mesh in document["meshes"]:
+        (primitive,) = mesh["primitives"]
+        points = glb.accessor_values(document, content, primitive["attributes"]["POSITION"])
+        normals = glb.accessor_values(document, content, primitive["attributes"]["NORMAL"])
+        triangles = glb.accessor_values(document, content, primitive["indices"]).reshape(-1, 3).astype(int)
+        bounds = document["accessors"][primitive["attributes"]["POSITION"]]
+        assert bounds["min"] == points.min(axis=0).tolist()
+        assert bounds["max"] == points.max(axis=0).tolist()
+        assert triangles.max() < len(points)
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
+        a, b, c = (points[triangles[:, k]] for k in range(3))
+        across = np.cross(b - a, c - a)
+        assert np.all(np.linalg.norm(across, axis=1) > 0)
+        assert np.all(np.sum(across * normals[triangles[:, 0]], axis=1) > 0)  # counterclockwise from outside
+        if "TANGENT" in primitive["attributes"]:
+            tangents = glb.accessor_values(document, content, primitive["attributes"]["TANGENT"])
+            assert set(tangents[:, 3]) == {1.0}
+            np.testing.assert_allclose(np.sum(tangents[:, :3] * normals, axis=1), 0.0, atol=1e-6)
+
+
+def test_extensions_are_there_only_where_they_apply(tmp_path):
+    used = {
+        name: glb.read(written(tmp_path, name, "gltf")[0])[0].get("extensionsUsed", []) for name in MATERIALS
+    }
+    assert used["plain"] == used["metal"] == []
+    assert used["full"] == sorted(gltf.EXTENSIONS)
+    assert used["diffuse"] == ["KHR_materials_specular"] or used["diffuse"] == [
+        "KHR_materials_ior",
+        "KHR_materials_specular",
+    ]
+
+
+@pytest.mark.parametrize("content", [b"", b"glTF", b"glTF" + bytes(40), b'{"asset": {}}' * 4])
+def test_what_is_no_glb_is_one_clear_error(tmp_path, content):
+    (tmp_path / "x.glb").write_bytes(content)
+    with pytest.raises(FileFormatError, match="expected a binary glTF"):
+        glb.read(tmp_path / "x.glb")
+
+
+@pytest.mark.parametrize("target", ["openpbr", "standard-surface"])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materialx_gives_the_parameters_back(tmp_path, name, target):
+    path, made = written(tmp_path, name, target)
+    same(materialx.read(path, target), made.parameters)
+
+
+@pytest.mark.parametrize("target", ["openpbr", "standard-surface"])
+def test_materialx_validates_and_generates_glsl(tmp_path, target):
+    mx = pytest.importorskip(
+        "MaterialX", reason="the MaterialX library is not installed (pip install materialx)"
+    )
+    from MaterialX import PyMaterialXGenGlsl, PyMaterialXGenShader
+
+    path = mx.getDefaultDataSearchPath()
+    library = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), path, library)
+    for name in MATERIALS:
+        document = mx.createDocument()
+        mx.readFromXmlFile(document, str(written(tmp_path, name, target)[0]))
+        document.setDataLibrary(library)
+        is_valid, message = document.validate()
+        assert is_valid, message
+        (material,) = document.getMaterialNodes()
+        generator = PyMaterialXGenGlsl.GlslShaderGenerator.create()
+        context = PyMaterialXGenShader.GenContext(generator)
+        context.registerSourceCodeSearchPath(path)
+        (element,) = PyMaterialXGenShader.findRenderableElements(document)
+        shader = generator.generate(material.getName(), element, context)
+        assert "void main()" in shader.getSourceCode("pixel")
+        nodes = [n for n in library.getMatchingNodeDefs(materialx.NODES[target][0]) if n.getDefaultVersion()]
+        inputs = {entry.getName(): entry for node in nodes for entry in node.getActiveInputs()}
+        for key, value in TARGETS[target].defaults.items():  # what is left out has this value in MaterialX
+            default = inputs[key].getValue()
+            default = [default[k] for k in range(3)] if isinstance(value, list) else default
+            assert default == pytest.approx(value), key
+
+
+@pytest.mark.parametrize("target", ["usd", "usd-materialx"])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_usd_opens_gives_the_parameters_back_and_passes_usd_s_validators(tmp_path, name, target):
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed (pip install usd-core)")
+    from pxr import UsdShade, UsdValidation
+
+    path, made = written(tmp_path, name, target)
+    stage = usd.Stage.Open(str(path))
+    assert stage.GetRootLayer().documentation == made.sentence()
+    for mesh in ("ball", "plane"):
+        bound = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"/World/{mesh}")).ComputeBoundMaterial()[0]
+        assert bound.GetPrim().GetName() == materialx.identifier(name)
+    surface, _, _ = bound.ComputeSurfaceSource()
+    assert surface.GetShaderId() == "UsdPreviewSurface"
+    same(_inputs(surface, preview_surface.DEFAULTS), made.parameters)
+    if target == "usd-materialx":
+        second, _, _ = bound.ComputeSurfaceSource("mtlx")
+        assert second.GetShaderId() == "ND_open_pbr_surface_surfaceshader"
+        same(_inputs(second, openpbr.DEFAULTS), openpbr.parameters(MATERIALS[name]))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(stage)
+    # usd-core from the registry is built without the plugin that knows MaterialX's nodes
+    ours = [e for e in errors if "ND_open_pbr_surface_surfaceshader" not in e.GetMessage()]
+    assert [e.GetMessage() for e in ours] == []
+
+
+def _inputs(shader, defaults):
+    made = dict(defaults)
+    for entry in shader.GetInputs():
+        value = entry.Get()
+        made[entry.GetBaseName()] = list(value) if hasattr(value, "__len__") else value
+    return made
+
+
+def test_defaults_of_usd_are_the_registry_s():
+    sdr = pytest.importorskip("pxr.Sdr", reason="usd-core is not installed (pip install usd-core)")
+    node = sdr.Registry().GetShaderNodeByIdentifier("UsdPreviewSurface")
+    for key, value in preview_surface.DEFAULTS.items():
+        default = node.GetShaderInput(key).GetDefaultValue()
+        assert (list(default) if isinstance(value, list) else default) == pytest.approx(value), key
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_blender_s_script_sets_the_parameters(tmp_path, name):
+    path, made = written(tmp_path, name, "blender")
+    text = path.read_text(encoding="utf-8")
+    same(blender.read_script(text), made.parameters)
+    shader, material = _Shader(), _Material()
+    material.node_tree.nodes.append(shader)
+    namespace = {"bpy": _Bpy(material)}
+    exec(compile(ast.parse(text.replace("import bpy", "")), str(path), "exec"), namespace)
+    assert shader.inputs["Base Color"].default_value == (*made.parameters["Base Color"], 1.0)
+    assert shader.inputs["Roughness"].default_value == made.parameters["Roughness"]
+
+
+class _Socket:
+    default_value = None
+
+
+class _Shader:
+    type = "BSDF_PRINCIPLED"
+
+    def __init__(self):
+        self.inputs = {key: _Socket() for key in blender.DEFAULTS}
+
+
+class _Material:
+    use_nodes = False
+
+    def __init__(self):
+        self.node_tree = type("Tree", (), {"nodes": [], "links": []})()
+
+
+class _Bpy:
+    """As much of Blender as the script touches."""
+
+    def __init__(self, material):
+        self.data = type("Data", (), {"materials": {}})()
+        self.data.materials = type("Materials", (), {"get": lambda self, name: material})()
+
+
+@pytest.mark.parametrize("target", ["blender-json", "unreal", "unity"])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_json_has_parameters_conventions_and_the_loss(tmp_path, name, target):
+    path, made = written(tmp_path, name, target)
+    content = json.loads(path.read_text(encoding="utf-8"))
+    same(content["parameters"], made.parameters)
+    assert content["material"] == name
+    assert (content["ciede2000"], content["principled_ciede2000"]) == (1.25, 1.5)
+    assert all(
+        any(word in text for word in ("0 to 1", "-1 to 1", "IOR")) for text in content["conventions"].values()
+    )
+    if target == "unreal":
+        assert content["shading_model"] == ("Clear Coat" if name == "full" else "Default Lit")
+
+
+def test_unity_s_colours_are_encoded_and_its_smoothness_is_one_minus_roughness():
+    made = export("x", "unity", Principled((0.2, 0.0, 1.0), roughness=0.3)).parameters
+    assert made["_BaseColor"] == pytest.approx([0.4845, 0.0, 1.0], abs=1e-4)  # IEC 61966-2-1
+    assert made["_Smoothness"] == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "words"),
+    [
+        ("nowhere", "x.glb", "no target is called 'nowhere'"),
+        (None, "x.obj", "suffix '.obj', expected one of .glb"),
+        (None, "x", "suffix 'missing'"),
+        (None, "x.json", "say which with --target: blender-json, unreal, unity"),
+        ("gltf", "x.usda", "expected .glb for gltf"),
+    ],
+)
+def test_targets_that_cannot_be_told_are_one_clear_error(name, path, words):
+    with pytest.raises(UsageError, match=words):
+        target_of(name, Path(path))
+
+
+def test_suffixes_tell_the_target():
+    found = {suffix: target_of(None, Path(f"x{suffix}")).name for suffix in (".glb", ".mtlx", ".USDA", ".py")}
+    assert found == {".glb": "gltf", ".mtlx": "openpbr", ".USDA": "usd", ".py": "blender"}
+
+
+VALIDATE = """
+import validator from 'gltf-validator'; import fs from 'fs';
+const found = {};
+for (const file of process.argv.slice(1)) {
+  const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(file)));
+  found[file] = [report.issues.numErrors, report.issues.numWarnings, report.issues.messages];
+}
+console.log(JSON.stringify(found));
+"""
+
+LOAD = """
+import fs from 'fs'; import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
+globalThis.self = globalThis; globalThis.ProgressEvent ??= class {};
+const found = {};
+for (const file of process.argv.slice(1)) {
+  const bytes = fs.readFileSync(file);
+  const buffer = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
+  const gltf = await new GLTFLoader().parseAsync(buffer, '');
+  const material = gltf.scene.getObjectByName('ball').material;
+  const { metalness, roughness, ior, clearcoat, clearcoatRoughness, sheenRoughness, anisotropy } = material;
+  found[file] = { color: material.color.toArray(), sheen: material.sheenColor?.toArray(), metalness, roughness, ior,
+    clearcoat, clearcoatRoughness, sheenRoughness, anisotropy, meshes: gltf.scene.children.length };
+}
+console.log(JSON.stringify(found));
+"""
+
+
+def node(script, files):
+    """What a script of Node prints, run beside the packages that `MANIFOLD_NODE_MODULES` names."""
+    modules = os.environ.get("MANIFOLD_NODE_MODULES")
+    if shutil.which("node") is None or not modules:
+        pytest.skip("set MANIFOLD_NODE_MODULES to a node_modules folder with three and gltf-validator")
+    run = subprocess.run(
+        ["node", "--input-type=module", "-e", script, "--", *map(str, files)],
+        cwd=Path(modules).parent, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+def test_gltf_validator_finds_no_error_and_no_warning(tmp_path):
+    found = node(VALIDATE, [written(tmp_path, name, "gltf")[0] for name in MATERIALS])
+    assert len(found) == len(MATERIALS)
+    assert {(errors, warnings) for errors, warnings, _ in found.values()} == {(0, 0)}
+
+
+def test_three_js_loads_the_parameters(tmp_path):
+    files = {name: written(tmp_path, name, "gltf") for name in MATERIALS}
+    found = node(LOAD, [path for path, _ in files.values()])
+    for path, made in files.values():
+        loaded, values = found[str(path)], made.parameters
+        assert loaded["meshes"] == 2
+        assert loaded["color"] == pytest.approx(values["baseColorFactor"], abs=1e-6)
+        assert loaded["roughness"] == pytest.approx(values["roughnessFactor"], abs=1e-6)
+        assert loaded["metalness"] == pytest.approx(values["metallicFactor"], abs=1e-6)
+        for key, name in (
+            ("clearcoat", "clearcoatFactor"),
+            ("ior", "ior"),
+            ("anisotropy", "anisotropyStrength"),
+        ):
+            if key in loaded and values[name] != gltf.DEFAULTS[name]:
+                assert loaded[key] == pytest.approx(values[name], abs=1e-6)
+        if values["sheenRoughnessFactor"]:
+            assert loaded["sheen"] == pytest.approx(values["sheenColorFactor"], abs=1e-6)

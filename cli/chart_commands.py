@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,6 +46,10 @@ def chart(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="A picture: .png, .pdf or .svg.", metavar="FILE")
     ] = None,
+    readings: Annotated[
+        bool,
+        typer.Option("--readings", help="Instead: errors of completions against the number of readings."),
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Leave materials out in ten folds with every setting: errors beside time to predict, bytes, and time to fit.
@@ -58,6 +63,9 @@ def chart(
     results = terminal.Results(json)
     if output is not None:
         figures.require_writable(output)
+    if readings:
+        _chart_readings(results, library, only or (), output)
+        return
     with terminal.progress("Chart") as step:
         made = charts.chart(library, model, only or (), step)
     results.table(
@@ -98,3 +106,29 @@ def _rows(made: Chart) -> list[list[str]]:
         ]
         for row in made.rows
     ]
+
+
+def _chart_readings(
+    results: terminal.Results, library: Path | None, only: Sequence[str], output: Path | None
+) -> None:
+    from manifold.plots import figures, plot_readings
+    from manifold.workflows import charts
+
+    with terminal.progress("Chart") as step:
+        curves = charts.readings_chart(library, only, on_progress=step)
+    results.text("Errors of left-out materials, median / 90th percentile:\n")
+    results.table(
+        ["method", "readings", "ball CIEDE2000", "cube root", "linear"],
+        [
+            [
+                curve.title, str(n),
+                *(f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(curve.summary(k), (2, 3, 3), strict=True)),
+            ]
+            for curve in curves
+            for k, n in enumerate(curve.counts)
+            if curve.is_measured(k)
+        ],
+    )  # fmt: skip
+    if output is not None:
+        figures.save(plot_readings.readings_chart(curves), output)
+    results.document({"curves": [curve.to_json() for curve in curves]})

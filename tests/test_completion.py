@@ -218,6 +218,20 @@ def test_overfitting_forms_lose_on_values_left_out(rng):
         learn_correction(x[:3], y[:3])
 
 
+def test_samples_are_left_out_whole(rng):
+    x, groups = rng.random((12, 3)) + 0.05, np.repeat(np.arange(4), 3)
+    y = (x @ rng.random((3, 4))) * (1.0 + 0.05 * rng.standard_normal((12, 4)))
+    found = learn_correction(x, y, ("linear",), groups)
+    norm = np.linalg.norm(y, axis=1, keepdims=True) + 1e-3 * x.max()  # what is darker counts as this dark
+    missed = []
+    for g in range(4):
+        out = groups == g
+        M = np.linalg.lstsq((x / norm)[~out], (y / norm)[~out], rcond=None)[0]
+        missed.append((x / norm)[out] @ M - (y / norm)[out])
+    expected = np.sqrt(np.mean(np.sum(np.vstack(missed) ** 2, axis=1)))
+    assert found.errors["linear"] == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library):
     brdf = MeasuredBRDF(Library.open(library).read("syn_felt_green"))
     nm = np.linspace(400.0, 700.0, 31)

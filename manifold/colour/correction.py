@@ -6,7 +6,7 @@ proportion, since its higher terms explode there.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,12 +78,16 @@ class ColourCorrection:
         }  # fmt: skip
 
 
-def learn_correction(x: Array, y: Array) -> ColourCorrection:
-    """The correction that is best on values left out, one by one; only forms with fewer terms than values are tried.
+def learn_correction(
+    x: Array, y: Array, forms: Sequence[str] = FORMS, groups: Array | None = None
+) -> ColourCorrection:
+    """The correction that is best on values left out; only forms with fewer terms than values are tried.
 
     Args:
         x: of the instrument to correct, at least 0, shape (n, 3).
         y: of the reference at the same places, shape (n, B).
+        forms: which to try.
+        groups: of which sample each value is, shape (n,): they are left out sample by sample; by default one by one.
     Raises:
         UsageError: fewer than four places, or all values are zero.
     """
@@ -97,10 +101,12 @@ def learn_correction(x: Array, y: Array) -> ColourCorrection:
     weight = 1.0 / (np.linalg.norm(target, axis=1) + _LEAST)
     known = _expansions()
     errors: dict[str, float] = {}
-    for form in FORMS:
+    groups = np.arange(len(x)) if groups is None else np.asarray(groups)
+    largest = int(np.unique(groups, return_counts=True)[1].max())
+    for form in forms:
         terms = known[form](unit)
-        if terms.shape[1] < len(x) - 1:
-            errors[form] = _left_out(terms * weight[:, None], target * weight[:, None])
+        if terms.shape[1] < len(x) - largest:
+            errors[form] = _left_out(terms * weight[:, None], target * weight[:, None], groups)
     if not errors:
         errors["linear"] = float("nan")
     best = min(errors, key=lambda form: (errors[form], len(form)))
@@ -109,9 +115,13 @@ def learn_correction(x: Array, y: Array) -> ColourCorrection:
     return ColourCorrection(best, matrix, scale, float(np.linalg.norm(unit, axis=1).max()), errors)
 
 
-def _left_out(terms: Array, target: Array) -> float:
-    """Root mean square of what least squares miss, each row by a fit to the others."""
+def _left_out(terms: Array, target: Array, groups: Array) -> float:
+    """Root mean square of what least squares miss, each group by a fit to the others."""
     inverse = np.linalg.pinv(terms)
     missed = target - terms @ (inverse @ target)
-    leverage = np.clip(np.einsum("nt,tn->n", terms, inverse), 0.0, 1.0 - 1e-9)
-    return float(np.sqrt(np.mean(np.sum((missed / (1.0 - leverage)[:, None]) ** 2, axis=1))))
+    total = 0.0
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        kept = np.eye(len(rows)) * (1.0 + 1e-9) - terms[rows] @ inverse[:, rows]
+        total += float(np.sum(np.linalg.solve(kept, missed[rows]) ** 2))
+    return float(np.sqrt(total / len(target)))

@@ -84,20 +84,29 @@ def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Rea
         None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm),
         at_readings[own].T ** 3, readings.weights,
     )  # fmt: skip
-    others = samples.without(m)
-    return complete_at(_in_sample_bands(others, axis), read, at_readings[~own])
+    return complete_at(in_sample_bands(samples.without(m)), read, at_readings[~own])
 
 
 def completion_errors(samples: LibrarySamples, m: int, found: Completion) -> tuple[float, float, float]:
     """Ball CIEDE2000, cube-root and linear error of what was found for material m, in the sample bands."""
+    on_grid = (found.weights @ found.samples.directions[:, : samples.n_grid]).T ** 3
+    return errors_of(samples, m, on_grid, (found.weights @ found.samples.ball).T ** 3)
+
+
+def errors_of(samples: LibrarySamples, m: int, on_grid: Array, on_ball: Array) -> tuple[float, float, float]:
+    """Ball CIEDE2000, cube-root and linear error of f predicted for material m in the sample bands.
+
+    Args:
+        on_grid: f on the grid, shape (P_g, B_s).
+        on_ball: f at the pairs that light a ball, shape (P_b, B_s).
+    """
     own = samples.material_of == m
     ball, axis, n = ball_pairs(), sample_axis(samples), samples.n_grid
-    truth, guess = samples.ball[own].T ** 3, (found.weights @ found.samples.ball).T ** 3
-    on_ball = ball_colours.delta_e(ball.xyz(truth, axis), ball.xyz(guess, axis))
-    truth = samples.directions[own, :n].T ** 3
-    guess = (found.weights @ found.samples.directions[:, :n]).T ** 3
-    cosines = samples.weights[:n] ** 1.5
-    return on_ball, cube_root_error(truth, guess, cosines), relative_error(truth, guess, cosines)
+    if not np.all(np.isfinite(on_ball)):
+        return np.nan, np.nan, np.nan
+    seen = ball_colours.delta_e(ball.xyz(samples.ball[own].T ** 3, axis), ball.xyz(on_ball, axis))
+    truth, cosines = samples.directions[own, :n].T ** 3, samples.weights[:n] ** 1.5
+    return seen, cube_root_error(truth, on_grid, cosines), relative_error(truth, on_grid, cosines)
 
 
 def sample_axis(samples: LibrarySamples) -> Bands:
@@ -106,8 +115,8 @@ def sample_axis(samples: LibrarySamples) -> Bands:
     return samples.bands if nm is None else Bands(tuple(nm[b] for b in samples.sample_bands))
 
 
-def _in_sample_bands(samples: LibrarySamples, axis: Bands) -> LibrarySamples:
-    """The same samples, of a library that has these bands only."""
-    held = replace(samples, bands=axis)
+def in_sample_bands(samples: LibrarySamples) -> LibrarySamples:
+    """The same samples, of a library that has the sample bands only."""
+    held = replace(samples, bands=sample_axis(samples))
     held.__dict__["gram"] = samples.gram
     return held

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from manifold.completion.samples import LibrarySamples
 from manifold.experiments.chart.experiment import Chart, make_chart
+from manifold.experiments.readings.curve import COUNTS, Curve, measure_curves
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
+from manifold.model.materials import MaterialCache
 from manifold.records import Progress
 
 
@@ -34,3 +37,24 @@ def chart(
         opened = Library.open(Path("library.zarr") if library is None else library)
         names = opened.names
     return make_chart([opened.read(name) for name in names], only, on_progress)
+
+
+def readings_chart(
+    library: Path | None = None,
+    only: Sequence[str] = (),
+    counts: Sequence[int] = COUNTS,
+    on_progress: Progress | None = None,
+) -> list[Curve]:
+    """Errors of left-out materials of a library, completed from n readings.
+
+    Args:
+        library: `library.zarr` by default.
+        only: keys of methods; all by default.
+        counts: n.
+        on_progress: called with (done, total, name).
+    Raises:
+        UsageError, LibraryError: as `measure_curves` and `Library.open`.
+    """
+    opened = Library.open(Path("library.zarr") if library is None else library)
+    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    return measure_curves(samples, counts, only, on_progress)

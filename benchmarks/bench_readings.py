@@ -1,0 +1,158 @@
+"""Do suggested readings beat random ones, are expected errors right, and are corrected colours?
+
+    python benchmarks/bench_readings.py library.zarr
+
+Results: docs/design/completion.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from manifold.colour.conversion import to_xyz
+from manifold.colour.correction import learn_correction
+from manifold.colour.difference import delta_e_2000
+from manifold.completion import LibrarySamples, calibrate, suggest
+from manifold.completion.complete import complete_at
+from manifold.completion.expected import KINDS, completion_errors, in_sample_bands, sample_axis
+from manifold.completion.suggest import all_directions
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.library.store import Library
+from manifold.model.materials import MaterialCache
+from manifold.records import Array, Bands
+
+CASES = 5  # random choices per material
+CHOSEN = 5
+
+
+def read(samples: LibrarySamples, m: int, at: Array, wi: Array, wo: Array, chosen: Array) -> Readings:
+    """Material m of the library at some of the directions, in the sample bands."""
+    nm = sample_axis(samples).wavelengths_nm
+    own = samples.material_of == m
+    return Readings(
+        samples.names[m], "library", wi[chosen], wo[chosen], None if nm is None else np.array(nm),
+        at[own][:, chosen].T ** 3,
+    )  # fmt: skip
+
+
+def errors(
+    samples: LibrarySamples, m: int, others: LibrarySamples, at: Array, wi: Array, wo: Array, chosen: Array
+) -> Array:
+    """Of material m completed from some of the directions."""
+    made = complete_at(others, read(samples, m, at, wi, wo, chosen), at[samples.material_of != m][:, chosen])
+    return np.array(completion_errors(samples, m, made))
+
+
+def suggestions(samples: LibrarySamples) -> None:
+    """Five readings, chosen one after the other from what the ones before said, against five at random."""
+    wi, wo = all_directions()
+    at = samples.at(wi, wo)
+    instrument = geometry_ma_t12()
+    at_instrument = samples.at(*instrument)
+    rng = np.random.default_rng(0)
+    wins = np.zeros((2, 3), int)
+    cases = 0
+    for m in range(len(samples.names)):
+        own = samples.material_of == m
+        others = in_sample_bands(samples.without(m))
+        chosen: list[int] = []
+        for _ in range(CHOSEN):
+            known = None
+            if chosen:
+                known = complete_at(
+                    others, read(samples, m, at, wi, wo, np.array(chosen)), at[~own][:, chosen]
+                )
+            found = suggest(others, 1, known)
+            chosen.append(int(np.argmin(np.sum((wi - found.wi) ** 2 + (wo - found.wo) ** 2, axis=1))))
+
+        ours = errors(samples, m, others, at, wi, wo, np.array(chosen))
+        first = errors(samples, m, others, at_instrument, *instrument, np.arange(CHOSEN))
+        wins[1] += ours < first
+        for _ in range(CASES):
+            some = rng.choice(len(wi), CHOSEN, replace=False)
+            wins[0] += ours < errors(samples, m, others, at, wi, wo, some)
+            cases += 1
+    print(
+        f"five suggested readings better than five random ones, of {cases} cases, by {', '.join(KINDS)}: {wins[0]}"
+    )
+    print(f"better than an MA-T12's first five, of {len(samples.names)}: {wins[1]}")
+
+
+def expectations(samples: LibrarySamples) -> None:
+    """Rank correlation of expected and true errors, and the share of true ones below twice the expected."""
+    from scipy.stats import spearmanr
+
+    wi, wo = geometry_ma_t12()
+    nm = samples.bands.wavelengths_nm
+    blank = Readings(
+        "", "", wi, wo, None if nm is None else np.array(nm), np.ones((len(wi), samples.bands.count))
+    )
+    found = calibrate(samples, blank)
+    for k, kind in enumerate(KINDS):
+        rank = spearmanr(found.left_out[:, k], found.errors[:, k])[0]
+        below = np.mean(found.errors[:, k] < 2.0 * found.left_out[:, k])
+        print(f"expected {kind}: rank correlation {rank:.2f}, {100 * below:.0f} % below twice the expected")
+
+
+def paint(rng: np.random.Generator, nm: Array, aspecular_deg: Array) -> Array:
+    """f of a metallic paint at aspecular angles (P,), shape (P, B): a body colour, and flakes of another."""
+    basis = np.array([np.exp(-0.5 * ((nm - c) / 45.0) ** 2) for c in np.linspace(400.0, 700.0, 7)])
+    body, flake = np.clip(0.4 * rng.random(7) @ basis, 0.02, 0.95), 0.5 * rng.random(7) @ basis
+    return (body + np.exp(-np.abs(aspecular_deg) / 25.0)[:, None] * flake) / np.pi
+
+
+def corrections(paints: int = 40) -> None:
+    """Simulated paints read by a camera-like instrument and by a spectrophotometer, and new ones."""
+    rng = np.random.default_rng(1)
+    nm = np.arange(400.0, 701.0, 10.0)
+    bands = Bands(tuple(nm))
+    white = to_xyz(np.ones(len(nm)), bands)
+    sensors = np.array([np.exp(-0.5 * ((nm - c) / 25.0) ** 2) for c in (465.0, 525.0, 630.0)])
+    sensors /= sensors.sum(axis=1, keepdims=True)
+    shared = np.array([-15, 15, 25, 45, 75, 110, -45, -30, -15, 15, 45, 80], float)
+    cameras, spectra, unseen = [], [], []
+    for _ in range(2 * paints):
+        f = paint(rng, nm, shared)
+        camera = (f @ sensors.T) ** 1.03  # not quite linear
+        cameras.append(camera * (1.0 + 0.01 * rng.standard_normal(camera.shape)))
+        spectra.append(f * (1.0 + 0.003 * rng.standard_normal(f.shape)))
+        unseen.append(f)
+
+    def relative(made: Array, truth: Array) -> float:
+        return float(np.sqrt(np.mean(np.sum((made - truth) ** 2, axis=1) / np.sum(truth**2, axis=1))))
+
+    x, y = np.vstack(cameras[:paints]), np.vstack(spectra[:paints])
+    found = learn_correction(x, y, groups=np.repeat(np.arange(paints), len(shared)))
+    new, truth = np.vstack(cameras[paints:]), np.vstack(unseen[paints:])
+    missed = {form: relative(learn_correction(x, y, (form,)).apply(new), truth) for form in found.errors}
+    print(f"across {paints} paints, on {paints} new ones, relative error by form:")
+    for form, error in missed.items():
+        print(
+            f"  {form}: {error:.4f}, left out {found.errors[form]:.4f}" + " (chosen)" * (form == found.form)
+        )
+    differences = []
+    for c, measured, f in zip(cameras, spectra, unseen, strict=True):
+        made = learn_correction(c, measured).apply(c)
+        xyz = [np.pi * to_xyz(values, bands) for values in (made, f)]
+        differences.append(float(np.median(delta_e_2000(*xyz, white))))
+    print(f"each paint by its own 12 geometries: CIEDE2000 there, median {np.median(differences):.2f}")
+
+
+def main() -> None:
+    """Print what was found."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("library", type=Path)
+    opened = Library.open(parser.parse_args().library)
+    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    corrections()
+    expectations(samples)
+    suggestions(samples)
+
+
+if __name__ == "__main__":
+    main()

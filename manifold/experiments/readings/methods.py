@@ -1,0 +1,149 @@
+"""Ways to complete a material from readings at directions of their own choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr
+
+from manifold.completion.complete import complete_at
+from manifold.completion.expected import in_sample_bands, sample_axis
+from manifold.completion.samples import LibrarySamples, ball_pairs
+from manifold.completion.suggest import first_readings
+from manifold.errors import UsageError
+from manifold.fitting import fit_json
+from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.fitted_brdf import FittedBRDF
+from manifold.fitting.principled import fit_bsdf
+from manifold.formats.readings import Readings
+from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.models.decoder import EncodingPairs
+from manifold.records import Array
+
+_RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A left-out material to be completed.
+
+    Attributes:
+        others: samples of the other materials.
+        at: their cube roots at the directions to choose from, shape (n + 1, D).
+        roots: the material's cube roots there, shape (B_s, D).
+        wi, wo: these directions, shape (D, 3).
+    """
+
+    others: LibrarySamples
+    at: Array
+    roots: Array
+    wi: Array
+    wo: Array
+
+    def readings(self, chosen: Array) -> Readings:
+        """The material read at some of the directions."""
+        nm = sample_axis(self.others).wavelengths_nm
+        return Readings(
+            "left out", "library", self.wi[chosen], self.wo[chosen], None if nm is None else np.array(nm),
+            self.roots[:, chosen].T ** 3,
+        )  # fmt: skip
+
+
+Predicted = tuple[Array, Array]
+"""f on the grid and on the ball in the sample bands, shapes (P_g, B_s) and (P_b, B_s)."""
+
+
+@dataclass(frozen=True)
+class ReadingMethod:
+    """A way to complete readings.
+
+    Attributes:
+        key: name in JSON.
+        title: for people.
+        order: from a task the directions in which to read, best first, at least `count`.
+        predict: from a task and the directions read.
+        least: readings that it needs.
+    """
+
+    key: str
+    title: str
+    order: Callable[[Task, int], Array]
+    predict: Callable[[Task, Array], Predicted]
+    least: int = 1
+
+
+def _from_weights(samples: LibrarySamples, weights: Array) -> Predicted:
+    """What weights (B_s, n + 1) of cube roots predict; negative cube roots are 0."""
+    on_grid, on_ball = samples.directions[:, : samples.n_grid], samples.ball
+    return tuple(np.maximum(weights @ roots, 0.0).T ** 3 for roots in (on_grid, on_ball))
+
+
+def _own_order(task: Task, count: int) -> Array:
+    return first_readings(task.others, task.at, count)
+
+
+def _completed(task: Task, chosen: Array) -> Predicted:
+    held = in_sample_bands(task.others)
+    return _from_weights(held, complete_at(held, task.readings(chosen), task.at[:, chosen]).weights)
+
+
+def _amplitude(task: Task) -> Array:
+    return np.cbrt(cosine_weight(task.wi, task.wo))
+
+
+def _well_conditioned(task: Task, count: int) -> Array:
+    """Directions at which principal components are told apart best: pivots of a QR factorisation.
+
+    Source: Nielsen et al. 2015, section 4 (least condition number); here greedily, by Businger & Golub 1965.
+    """
+    samples = task.at[:-1]
+    _, _, pivots = qr((samples - samples.mean(axis=0)) * _amplitude(task), pivoting=True, mode="economic")
+    return pivots[:count]
+
+
+def _ridge(task: Task, chosen: Array) -> Predicted:
+    """Ridge regression on all principal components of the samples' cube roots. Source: Nielsen et al. 2015, eq. 9."""
+    n = len(task.at) - 1
+    samples, amplitude = task.at[:n, chosen], _amplitude(task)[chosen]
+    X = (samples - samples.mean(axis=0)) * amplitude
+    inner = X @ X.T
+    y = (task.roots[:, chosen] - samples.mean(axis=0)) * amplitude
+    shares = np.linalg.solve(inner + _RIDGE * np.trace(inner) / n * np.eye(n), X @ y.T).T
+    weights = np.zeros((len(shares), n + 1))
+    weights[:, :n] = shares + (1.0 - shares.sum(axis=1, keepdims=True)) / n
+    return _from_weights(task.others, weights)
+
+
+def _nearest(task: Task, chosen: Array) -> Predicted:
+    """The material of the library that differs least at the readings."""
+    N, amplitude = len(task.others.names), _amplitude(task)[chosen]
+    read = task.at[:-1, chosen].reshape(N, -1, len(chosen))
+    apart = np.sum(((read - task.roots[:, chosen]) * amplitude) ** 2, axis=(1, 2))
+    own = np.flatnonzero(task.others.material_of == int(np.argmin(apart)))
+    weights = np.zeros((len(own), len(task.at)))
+    weights[np.arange(len(own)), own] = 1.0
+    return _from_weights(task.others, weights)
+
+
+def _principled(task: Task, chosen: Array) -> Predicted:
+    """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
+    grid, ball = EncodingPairs.of_grid(RusinkiewiczGrid.named("default")), ball_pairs()
+    read = task.readings(chosen)
+    try:
+        fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))
+    except UsageError:
+        empty = [np.full((len(p.wi), read.bands.count), np.nan) for p in (grid, ball)]
+        return empty[0], empty[1]
+    brdf = FittedBRDF(fit_json.document(fitted, fit_json.Source(read.name)))
+    return brdf.eval(grid.wi, grid.wo), brdf.eval(ball.wi, ball.wo)
+
+
+METHODS = (
+    ReadingMethod("completion", "completion, at its directions", _own_order, _completed),
+    ReadingMethod("ridge", "ridge regression, at its directions", _well_conditioned, _ridge),
+    ReadingMethod("ridge_same", "ridge regression, at those of the completion", _own_order, _ridge),
+    ReadingMethod("nearest", "nearest material", _own_order, _nearest),
+    ReadingMethod("principled", "principled, fitted to the readings", _own_order, _principled, least=5),
+)

@@ -1,4 +1,4 @@
-"""Commands about readings: complete, suggest."""
+"""Commands about readings: complete, calibrate."""
 
 from __future__ import annotations
 
@@ -26,8 +26,13 @@ def register(app: typer.Typer) -> None:
     app.command(
         "complete",
         short_help="Complete a few readings of a material to a full BRDF.",
-        epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture sample.png --suggest 3",
+        epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture --suggest 3",
     )(complete)
+    app.command(
+        "calibrate",
+        short_help="Learn an instrument's colour correction from samples that a better one read too.",
+        epilog="Example: manifold calibrate red.xlsx red.astm blue.xlsx blue.astm -o mini-diff.json",
+    )(calibrate)
 
 
 def complete(
@@ -48,6 +53,12 @@ def complete(
     ] = None,
     sample: Annotated[
         str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+    ] = None,
+    correction: Annotated[
+        Path | None,
+        typer.Option(
+            help="Correct readings in three bands by this file of `manifold calibrate`.", metavar="FILE"
+        ),
     ] = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
@@ -85,11 +96,12 @@ def complete(
         _show_suggested(results, first, "Read first")
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
-    name, _ = completions.read(readings[:1], sample)
+    name, _ = completions.read(readings[:1], sample, correction)
     target = output or Path(f"{_file_name(name.name)}.bsdf")
     with terminal.progress("Completing") as step:
         made = completions.complete_files(
-            readings, library, target, sample=sample, picture=target.with_suffix(".png") if picture else None,
+            readings, library, target, sample=sample, correction=correction,
+            picture=target.with_suffix(".png") if picture else None,
             count=suggest, instrument=instrument, force=force, resolution=resolution, n_theta_i=incidences,
             on_progress=step,
         )  # fmt: skip
@@ -124,6 +136,33 @@ def complete(
     if made.suggested is not None:
         _show_suggested(results, made.suggested, "Read next")
     results.document(made.to_json())
+
+
+def calibrate(
+    pairs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Of every sample the reference's file, then the other's.", metavar="REF OTHER ..."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The correction to write, as JSON.", metavar="FILE")
+    ] = Path("correction.json"),
+) -> None:
+    """Learn to correct the colours of a camera-like instrument by a spectrophotometer, across samples.
+
+    Linear, root-polynomial and Cheung's polynomial forms are tried; the best on samples left out is taken.
+    """
+    from manifold.workflows import completions
+
+    learned = completions.calibrate_instrument(pairs, output)
+    results = terminal.Results(None)
+    results.rows(f"Colour correction {output}", {"samples": len(pairs) // 2, "form": learned.form})
+    results.text("\nRelative error on what was left out:\n")
+    results.table(
+        ("form", "error", "chosen"),
+        [(form, f"{error:.4f}", "*" * (form == learned.form)) for form, error in learned.errors.items()],
+    )
 
 
 def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:

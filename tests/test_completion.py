@@ -12,12 +12,14 @@ from small_library import NAMES, small_library
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.correction import learn_correction
 from manifold.completion import LibrarySamples, calibrate, complete, suggest
+from manifold.completion.correction_file import read_correction
 from manifold.completion.expected import completion_errors, leave_out
-from manifold.completion.hybrid import combine
+from manifold.completion.hybrid import combine, corrected
 from manifold.completion.reading_bands import for_library, in_all_bands
 from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError, UsageError
+from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.materials import MaterialCache
@@ -280,3 +282,43 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     assert document["expected"]["ball"] > 0.0
     status, _, err = run("complete", "-L", library, cwd=tmp_path)
     assert (status, "no file of readings" in err) == (2, True)
+
+
+def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_path, rng):
+    nm = np.arange(400, 701, 20)
+    theta_i, theta_o, phi = (
+        a.ravel() for a in np.meshgrid([0, 20, 40, 60], np.arange(0, 75, 10), [0, 60, 120, 180])
+    )
+    wi = from_spherical(np.deg2rad(theta_i.astype(float)), np.pi)
+    wo = from_spherical(np.deg2rad(theta_o.astype(float)), np.deg2rad(phi.astype(float)))
+    sensors = rng.random((3, len(nm)))
+
+    def write(name, directions, columns, f):
+        with (tmp_path / name).open("w", newline="") as stream:
+            table = csv.writer(stream)
+            table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", *columns])
+            for a, b, row in zip(*directions, f, strict=True):
+                angles = [
+                    np.degrees(x) for w in (a, b) for x in (np.arccos(min(w[2], 1.0)), np.arctan2(w[1], w[0]))
+                ]
+                table.writerow([*angles, *row])
+
+    names = []
+    for k in range(5):
+        spectrum = 0.1 + rng.random(3) @ np.array(
+            [np.exp(-(((nm - c) / 60.0) ** 2)) for c in (450, 550, 650)]
+        )
+        write(f"s{k}.csv", DIRECTIONS, nm, np.tile(spectrum, (12, 1)))
+        write(f"g{k}.csv", (wi, wo), [465, 525, 630], np.tile(sensors @ spectrum, (len(wi), 1)))
+        names += [f"s{k}.csv", f"g{k}.csv"]
+    status, out, err = run("calibrate", *names, "-o", "c.json", cwd=tmp_path)
+    assert status == 0, err
+    assert "chosen" in out
+    learned, at = read_correction(tmp_path / "c.json")
+    made = corrected(read_readings(tmp_path / "g3.csv"), learned, at)
+    truth = read_readings(tmp_path / "s3.csv").values[0]
+    np.testing.assert_allclose(made.values, np.tile(truth, (len(made), 1)), rtol=0.05)
+    (tmp_path / "c.json").write_text("{}")
+    with pytest.raises(FileFormatError, match="not a colour correction"):
+        read_correction(tmp_path / "c.json")
+    assert run("calibrate", names[0], cwd=tmp_path)[0] == 2

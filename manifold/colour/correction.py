@@ -59,6 +59,11 @@ class ColourCorrection:
     largest: float
     errors: dict[str, float]
 
+    @staticmethod
+    def terms_of(form: str) -> int:
+        """How many terms a form has."""
+        return int(_expansions()[form](np.ones((1, 3))).shape[1])
+
     def apply(self, x: Array) -> Array:
         """Corrected values (n, B) of values x (n, 3), never negative."""
         x = np.asarray(x, dtype=np.float64) / self.scale

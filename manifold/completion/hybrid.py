@@ -6,6 +6,7 @@ readings. Directions agree in half and difference angles, between which the goni
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,65 @@ class Hybrid:
     shared: int
 
 
+def shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
+    """Values of another instrument (S, 3) and of the reference (S, B) where both read a sample.
+
+    Raises:
+        BandMismatchError: the other instrument has not three bands.
+    """
+    if other.values.shape[1] != _CAMERA_BANDS:
+        raise BandMismatchError(
+            f"{other.name}: {other.values.shape[1]} bands beside the {reference.values.shape[1]} of {reference.name}, "
+            "expected the same, or three to correct; give the spectrophotometer's file first"
+        )
+    at_reference = interpolated(other, reference.wi, reference.wo)
+    is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)
+    return at_reference[is_shared], reference.values[is_shared]
+
+
+def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
+    """The correction of an instrument by another, from samples that both read.
+
+    Args:
+        pairs: of every sample the reference's readings and the other's, all in the same bands.
+    Raises:
+        BandMismatchError: bands differ between samples, or the other instrument has not three.
+        UsageError: too few directions are shared.
+    """
+    for reference, other in pairs[1:]:
+        for one, first in ((reference, pairs[0][0]), (other, pairs[0][1])):
+            first.bands.require_same(
+                one.bands, one.name, "calibrate from readings of the same two instruments"
+            )
+    values = [shared_values(*pair) for pair in pairs]
+    groups = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in values])
+    return learn_correction(
+        np.vstack([x for x, _ in values]), np.vstack([y for _, y in values]),
+        groups=groups if len(pairs) > 1 else None,
+    )  # fmt: skip
+
+
+def corrected(readings: Readings, correction: ColourCorrection, wavelengths_nm: Array | None) -> Readings:
+    """Readings in three bands as those of the reference that a correction was learned from.
+
+    Raises:
+        BandMismatchError: they have not three bands.
+    """
+    if readings.values.shape[1] != _CAMERA_BANDS:
+        raise BandMismatchError(
+            f"{readings.name}: {readings.values.shape[1]} bands to correct, expected three"
+        )
+    known = readings.measured.all(axis=1)
+    values = np.full((len(readings), correction.matrix.shape[1]), np.nan)
+    values[known] = correction.apply(readings.values[known])
+    beyond = 100.0 * float(np.mean(correction.is_beyond(readings.values[known]))) if known.any() else 0.0
+    made = replace(readings, wavelengths_nm=wavelengths_nm, values=values)
+    note = f"colours corrected: {correction.form}"
+    if beyond > 0.0:
+        note += f"; {beyond:.0f} % of the readings are brighter than any it was learned at, corrected in proportion"
+    return made.with_note(note)
+
+
 def combine(reference: Readings, other: Readings) -> Hybrid:
     """One set of readings in the bands of `reference`.
 
@@ -48,30 +108,12 @@ def combine(reference: Readings, other: Readings) -> Hybrid:
         UsageError: too few directions are shared.
     """
     if reference.bands == other.bands:
-        return Hybrid(_joined(reference, other, other.values), None, 0)
-    if other.values.shape[1] != _CAMERA_BANDS:
-        raise BandMismatchError(
-            f"{other.name}: {other.values.shape[1]} bands beside the {reference.values.shape[1]} of {reference.name}, "
-            "expected the same, or three to correct; give the spectrophotometer's file first"
-        )
-    at_reference = interpolated(other, reference.wi, reference.wo)
-    is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)
-    if np.count_nonzero(is_shared) < 4:
-        raise UsageError(
-            f"{other.name}: {np.count_nonzero(is_shared)} directions of {reference.name} lie among its readings, "
-            "expected four or more to correct colours by"
-        )
-    correction = learn_correction(at_reference[is_shared], reference.values[is_shared])
-    taken = _thinned(other)
-    joined = _joined(reference, taken, correction.apply(np.nan_to_num(taken.values)))
-    beyond = float(np.mean(correction.is_beyond(np.nan_to_num(taken.values))))
-    note = (
-        f"{other.instrument} corrected by {reference.instrument}: {correction.form}, "
-        f"at {int(is_shared.sum())} directions"
-    )
-    if beyond > 0.0:
-        note += f"; {100.0 * beyond:.0f} % of its readings are brighter than any of these, corrected in proportion"
-    return Hybrid(joined.with_note(note), correction, int(is_shared.sum()))
+        return Hybrid(_joined(reference, other), None, 0)
+    x, y = shared_values(reference, other)
+    correction = learn_correction(x, y)
+    taken = corrected(_thinned(other), correction, reference.wavelengths_nm)
+    note = f"{other.instrument} corrected by {reference.instrument} at {len(x)} directions that both read"
+    return Hybrid(_joined(reference, taken).with_note(note), correction, len(x))
 
 
 def interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
@@ -103,7 +145,7 @@ def _thinned(readings: Readings) -> Readings:
     return readings.select_pairs(np.arange(0, len(readings), step)) if step > 1 else readings
 
 
-def _joined(reference: Readings, other: Readings, values: Array) -> Readings:
+def _joined(reference: Readings, other: Readings) -> Readings:
     """The readings of both; a reading of the reference weighs as many of the other as there are to each."""
     share = max(len(other) / len(reference), 1.0)
     return replace(
@@ -111,7 +153,7 @@ def _joined(reference: Readings, other: Readings, values: Array) -> Readings:
         instrument=f"{reference.instrument} + {other.instrument}",
         wi=np.vstack([reference.wi, other.wi]),
         wo=np.vstack([reference.wo, other.wo]),
-        values=np.vstack([reference.values, values]),
+        values=np.vstack([reference.values, other.values]),
         weights=np.concatenate([reference.weights, other.weights / share]),
         notes=(*reference.notes, *other.notes),
     )

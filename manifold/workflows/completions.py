@@ -13,9 +13,11 @@ import numpy as np
 from manifold import __version__, atomic
 from manifold.brdf import goniometer
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
+from manifold.colour.correction import ColourCorrection
 from manifold.completion.complete import Completion, complete
+from manifold.completion.correction_file import read_correction, write_correction
 from manifold.completion.expected import calibrate
-from manifold.completion.hybrid import Hybrid, combine
+from manifold.completion.hybrid import Hybrid, combine, corrected, learn_across
 from manifold.completion.samples import LibrarySamples
 from manifold.completion.suggest import Suggested, suggest
 from manifold.errors import UsageError
@@ -91,6 +93,7 @@ def complete_files(
     output: Path,
     *,
     sample: str | None = None,
+    correction: Path | None = None,
     picture: Path | None = None,
     count: int = 0,
     instrument: str | None = None,
@@ -106,6 +109,7 @@ def complete_files(
         library: of measured materials.
         output: the file to write; its name becomes the material's.
         sample: which of a file's samples.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         picture: of the ball, to render.
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
@@ -124,7 +128,7 @@ def complete_files(
             f"{output}: completed materials are written as .bsdf files; name one with -o NAME.bsdf"
         )
     atomic.require_writable(output)
-    readings, hybrid = read(paths, sample)
+    readings, hybrid = read(paths, sample, correction)
     opened = Library.open(library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True), on_progress)
     found = complete(samples, readings)
@@ -154,7 +158,9 @@ def complete_files(
     )  # fmt: skip
 
 
-def read(paths: Sequence[Path], sample: str | None = None) -> tuple[Readings, Hybrid | None]:
+def read(
+    paths: Sequence[Path], sample: str | None = None, correction: Path | None = None
+) -> tuple[Readings, Hybrid | None]:
     """Readings of one sample from its files; those of several instruments are put together.
 
     Raises: as `complete_files`.
@@ -163,11 +169,35 @@ def read(paths: Sequence[Path], sample: str | None = None) -> tuple[Readings, Hy
         registry.read_readings(path, sample if k == 0 else None, _MOST_READINGS)
         for k, path in enumerate(paths)
     ]
+    if correction is not None:
+        learned, nm = read_correction(correction)
+        readings = [corrected(r, learned, nm) if r.values.shape[1] == 3 else r for r in readings]
     hybrid, first = None, readings[0]
     for other in readings[1:]:
         hybrid = combine(first, other)
         first = hybrid.readings
     return first, hybrid
+
+
+def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrection:
+    """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
+
+    Args:
+        paths: of every sample the reference's file, then the other's.
+        output: a JSON file.
+    Raises:
+        UsageError: the number of files is odd, or too few directions are shared.
+        BandMismatchError: bands differ between samples, or the other instrument has not three.
+    """
+    if len(paths) % 2 or not paths:
+        raise UsageError(
+            f"{len(paths)} files, expected pairs: of every sample the reference's, then the other's"
+        )
+    atomic.require_writable(output)
+    readings = [registry.read_readings(path, None, _MOST_READINGS) for path in paths]
+    learned = learn_across(list(zip(readings[::2], readings[1::2], strict=True)))
+    write_correction(output, learned, readings[0].wavelengths_nm)
+    return learned
 
 
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:

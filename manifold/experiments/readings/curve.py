@@ -89,8 +89,9 @@ def measure_curves(
             on_progress(m, N, name)
         own, others = samples.material_of == m, samples.without(m)
         task = Task(others, at[~own], at[own], wi, wo)
+        orders = {choose: choose(task, max(counts)) for choose in {method.order for method in methods}}
         for method in methods:
-            order = method.order(task, max(counts))
+            order = orders[method.order]
             for k, count in enumerate(counts):
                 if count >= method.least:
                     errors[method.key][k, m] = errors_of(samples, m, *method.predict(task, order[:count]))

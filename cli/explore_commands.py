@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
@@ -17,22 +19,46 @@ def register(app: typer.Typer) -> None:
     app.command(
         "explore",
         short_help="Explore the map in a page: drag a point and look.",
-        epilog="Example: manifold explore --html map.html",
+        epilog="Example: manifold explore, or manifold explore --html map.html",
     )(explore)
 
 
 def explore(
-    html: Annotated[
-        Path,
-        typer.Option("--html", help="Write the page as one file that needs no network.", metavar="FILE"),
-    ] = Path("map.html"),
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--html", help="Write the page as one file that needs no network, and stop.", metavar="FILE"
+        ),
+    ] = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
+    folder: Annotated[
+        Path, typer.Option(help="Where what the page is asked for is written.", metavar="FOLDER")
+    ] = Path(),
+    port: Annotated[int, typer.Option(help="To listen on; 0 is any that is free.", min=0, max=65535)] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
 ) -> None:
-    """Make a page of the map: drag a point, and see the ball, slices, reflectance and neighbours of the prediction."""
+    """Open a page of the map: drag a point, and see the ball, slices, reflectance and neighbours of the prediction.
+
+    Served on the loopback interface only, until Ctrl-C; there the page also writes .bsdf files, renders, fits, and
+    locates files.
+    """
     from manifold.workflows import explore
 
     results = terminal.Results()
     with terminal.progress("Tabulating") as step:
-        size = explore.write_page(model, html, library=library, on_progress=step)
-    results.rows(f"Written {html}", {"size": terminal.megabytes(size)})
+        if output is not None:
+            size = explore.write_page(model, output, library=library, on_progress=step)
+            results.rows(f"Written {output}", {"size": terminal.megabytes(size)})
+            return
+        served = explore.server(model, library=library, folder=folder, port=port, on_progress=step)
+
+    def ready(address: str) -> None:
+        results.text(f"{address}\n")
+        sys.stdout.flush()
+        if browser:
+            webbrowser.open(address)
+
+    explore.serve_until_interrupted(served, ready)

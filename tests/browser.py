@@ -47,7 +47,7 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
     """Open a page of the map and wait for its first picture."""
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     made = Visit(page)
-    page.on("console", lambda m: made.errors.append(m.text) if m.type == "error" else None)
+    page.on("console", lambda m: made.errors.append(m.text) if _is_error(m) else None)
     page.on("pageerror", lambda error: made.errors.append(str(error)))
     own = address.split("#")[0]
     page.on(
@@ -61,3 +61,8 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
 
 def _leaves(address: str, own: str) -> bool:
     return not address.startswith(("blob:", "data:")) and address.split("#")[0] != own
+
+
+def _is_error(message: Any) -> bool:
+    """Failed requests are counted as responses, with their address."""
+    return message.type == "error" and not message.text.startswith("Failed to load resource")

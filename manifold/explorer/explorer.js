@@ -79,6 +79,12 @@ class Explorer {
     this.request();
   }
 
+  /** As the page was without a link. */
+  reset() {
+    this.history = new History(fromFragment("", this.data));
+    this.restore(fromFragment("", this.data));
+  }
+
   goTo(k, path = null) {
     this.map.keepInView(this.data.X[k]);
     this.change({ x: [...this.data.X[k]], at: this.data.names[k], path });
@@ -185,10 +191,20 @@ class Explorer {
 
   // -- words -------------------------------------------------------------------------------------------------
 
+  /** Error to expect, 0 at a material; null where it is not known. */
+  error() {
+    const isMaterial = this.materials.materialAt(this.state.x) >= 0;
+    return isMaterial ? 0 : fieldAt(this.data.error, this.state.x);
+  }
+
+  isUnsupported() {
+    const { error } = this.data;
+    return (fieldAt({ ...error, values: error.unsupported }, this.state.x) ?? 1) > 0.5;
+  }
+
   diagnostics() {
     const { data, prediction, state } = this, found = [];
-    const error = fieldAt(data.error, state.x);
-    if (data.error && (error === null || error > data.error.warning)) {
+    if (data.error && prediction.u[this.materials.materialAt(state.x)] !== 1 && this.isUnsupported()) {
       found.push("extrapolated: the data say little here; stay nearer to the materials");
     }
     const valley = Math.max(...this.slices.map(deepestValley));
@@ -213,10 +229,15 @@ class Explorer {
       .sort((a, b) => b.weight - a.weight || a.distance - b.distance).slice(0, NEAREST);
   }
 
+  errorInWords(error) {
+    const { unit } = this.data.error ?? {};
+    return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit})`;
+  }
+
   showFacts() {
-    const { data, state } = this, error = fieldAt(data.error, state.x);
+    const { data, state } = this, error = this.error();
     const beyond = data.error ? "beyond the map" : "not known";
-    byId("error-value").textContent = error === null ? beyond : `${error.toFixed(2)} (${data.error.unit})`;
+    byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
     const found = this.diagnostics();
     byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
       const item = document.createElement("li");
@@ -323,7 +344,7 @@ class Explorer {
     const name = data.error ? data.error.what : "uncertainty";
     byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
     byId("legend-text").textContent = data.error
-      ? `${data.error.what}: 0 to ${Math.max(...data.error.values).toFixed(1)} (${data.error.unit})` : "";
+      ? `${data.error.what}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
     byId("map-legend").hidden = !data.error;
   }
 
@@ -520,7 +541,7 @@ class Explorer {
     try {
       if (file.size > 1e6) throw new Error("expected a text file of at most 1 MB");
       const { nm, values } = parseSpectrum(await file.text());
-      this.spectrum = { name: file.name, reflectance: this.spectrumAtNodes(nm, values) };
+      this.spectrum = { name: file.name, rows: nm.map((v, k) => [v, values[k]]), reflectance: this.spectrumAtNodes(nm, values) };
       this.problem("");
       this.change({ colour: "file" });
     } catch (error) {
@@ -628,9 +649,8 @@ class Explorer {
 
   async copyLink() {
     this.commit();
-    const link = location.href.replace(/([?&])token=[^&#]*&?/, "$1").replace(/[?&](?=#|$)/, "");
     try {
-      await navigator.clipboard.writeText(link);
+      await navigator.clipboard.writeText(location.href);
       byId("live").textContent = "Link copied";
       byId("link").textContent = "Copied";
     } catch {
@@ -642,7 +662,7 @@ class Explorer {
   latentDocument() {
     const { state, data, prediction } = this;
     const weights = Object.fromEntries(data.names.flatMap((name, k) => (prediction.u[k] > 0 ? [[name, prediction.u[k]]] : [])));
-    const error = fieldAt(data.error, state.x);
+    const error = this.error();
     return {
       library: data.library, latent: state.x, material: state.at ?? null, colour: this.choice(), weights,
       [data.error?.what ?? "uncertainty"]: error, diagnostics: this.diagnostics(),

@@ -123,7 +123,7 @@ export class MapView {
     const key = JSON.stringify([state.x.slice(2), theme.name, this.scale, this.centre, this.canvas.width, this.canvas.height]);
     if (this.fieldKey !== key) {
       const image = new ImageData(FIELD_SIZE, FIELD_SIZE);
-      const most = Math.max(...error.values);
+      const { most } = error;
       const x = [...state.x];
       for (let row = 0; row < FIELD_SIZE; row++) {
         for (let column = 0; column < FIELD_SIZE; column++) {

@@ -1,11 +1,17 @@
-"""The work behind `manifold explore`: the page of a map, as one file."""
+"""The work behind `manifold explore`: the page of a map, as one file or on the loopback interface."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from manifold import atomic
+from manifold.errors import UsageError
+from manifold.explorer.actions import Context
 from manifold.explorer.page import make_page
+from manifold.explorer.server import ExplorerServer
 from manifold.explorer.tables import require_blends, tabulate, to_document
 from manifold.model.manifold import Manifold
 from manifold.records import Progress
@@ -26,8 +32,61 @@ def write_page(
         ModelError, LibraryError: the model or its library cannot be read.
     """
     atomic.require_writable(output)
-    loaded = Manifold.load(model, library)
-    require_blends(loaded)
-    page = make_page(to_document(loaded, tabulate(loaded, on_progress)))
+    page = make_page(_document(_load(model, library), on_progress))
     atomic.write_text(output, page)
     return len(page.encode())
+
+
+def server(
+    model: Path,
+    *,
+    library: Path | None = None,
+    folder: Path = Path(),
+    port: int = 0,
+    on_progress: Progress | None = None,
+) -> ExplorerServer:
+    """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
+
+    Args:
+        model, library, on_progress: as of `write_page`.
+        folder: where the page's actions write.
+        port: to listen on; 0 is any that is free.
+    Raises:
+        UsageError: the map is no map of blends, the folder is not writable, or the port is taken.
+    """
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise UsageError(f"{folder}: no folder that can be written to; name another --folder")
+    loaded = _load(model, library)
+    where = None if library is None else library.resolve()
+    context = Context(
+        folder.resolve(), model.resolve(), where, loaded.names, loaded.X.shape[1], loaded.bands.is_rgb
+    )
+    page = make_page(_document(loaded, on_progress) | {"served": True})
+    return ExplorerServer(page, context, port)
+
+
+def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], Any]) -> None:
+    """Answer requests until Ctrl-C; what is being done then is cancelled.
+
+    Args:
+        served: of `server`.
+        on_ready: called with the address of the page.
+    """
+    on_ready(served.address)
+    try:
+        served.serve_forever()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        served.server_close()
+        served.queue.close()
+
+
+def _load(model: Path, library: Path | None) -> Manifold:
+    loaded = Manifold.load(model, library)
+    require_blends(loaded)
+    return loaded
+
+
+def _document(model: Manifold, on_progress: Progress | None) -> dict[str, Any]:
+    return to_document(model, tabulate(model, on_progress))

@@ -1,0 +1,239 @@
+"""The served page: actions do what commands do, and nothing but the page may ask for them."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import sys
+import threading
+import time
+
+import pytest
+from browser import chromium, visit
+from small_library import NAMES, small_model
+
+from manifold.errors import UsageError
+from manifold.explorer.actions import SPECTRUM, Context, action
+from manifold.explorer.jobs import MOST_WAITING, Queue
+from manifold.explorer.server import MOST_FILE, MOST_JSON, ExplorerServer
+from manifold.workflows import explore
+
+SLEEPS = (sys.executable, "-c", "import time; time.sleep(60)")
+WRITES = (
+    sys.executable, "-c",
+    "import sys; out = [a for a in sys.argv if a.startswith('--output=')][0][9:]; open(out, 'wb').write(b'made')",
+)  # fmt: skip
+HERE = {"name": "here", "latent": [0.1, -0.2]}
+
+
+@pytest.fixture
+def context(tmp_path):
+    (tmp_path / "work").mkdir()
+    return Context(tmp_path / "work", tmp_path / "model.h5", None, NAMES, 2, True)
+
+
+@pytest.fixture
+def served(context):
+    server = ExplorerServer("<p>the page</p>", context, queue=Queue(context.folder, WRITES))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield server
+    server.shutdown()
+    server.server_close()
+    server.queue.close()
+
+
+def request(server, method, path, body=None, **headers):
+    """Status and content of an answer; headers of an honest page by default."""
+    host = f"127.0.0.1:{server.server_port}"
+    given = {
+        "Host": host, "Origin": f"http://{host}", "X-Token": server.token, "Content-Type": "application/json",
+    } | {name.replace("_", "-"): value for name, value in headers.items()}  # fmt: skip
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    content = json.dumps(body).encode() if isinstance(body, dict) else body
+    connection.request(method, path, content, {name: v for name, v in given.items() if v is not None})
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+def finished(server, number, seconds=60.0):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        job = next(j for j in server.queue.jobs() if j.number == number)
+        if job.ended is not None:
+            return job
+        time.sleep(0.02)
+    raise AssertionError(f"still {job.state} after {seconds} s")
+
+
+def files(context):
+    return sorted(path.name for path in context.folder.parent.rglob("*") if path.is_file())
+
+
+def test_an_honest_page_has_its_action_done(served, context):
+    status, content = request(served, "POST", "/do/predict", HERE)
+    assert status == 202
+    assert finished(served, json.loads(content)["number"]).state == "done"
+    assert files(context) == ["here_rgb.bsdf"]
+    jobs = json.loads(request(served, "GET", "/jobs")[1])["jobs"]
+    assert jobs[0]["title"] == "predict here_rgb.bsdf"
+
+
+def test_a_name_that_is_taken_gets_a_number(served, context):
+    for _ in range(3):
+        status, content = request(served, "POST", "/do/render", HERE)
+        assert status == 202
+    finished(served, json.loads(content)["number"])
+    assert files(context) == ["here-2.png", "here-3.png", "here.png"]
+    assert request(served, "GET", "/picture/1")[1] == b"made"
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        ({"X_Token": None}, 403),
+        ({"X_Token": "wrong"}, 403),
+        ({"X_Token": "\xff"}, 403),
+        ({"Origin": None}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "https://evil.example"}, 403),
+        ({"Host": "evil.example"}, 403),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, 403),
+        ({"Content_Type": "text/plain"}, 415),
+        ({"Content_Length": str(MOST_JSON + 1)}, 413),
+        ({"Content_Length": "-1"}, 411),
+    ],
+)
+def test_what_is_not_the_page_is_refused(served, context, headers, expected):
+    assert request(served, "POST", "/do/predict", HERE, **headers)[0] == expected
+    assert served.queue.jobs() == []
+    assert files(context) == []
+
+
+def test_the_page_itself_needs_the_token(served):
+    assert request(served, "GET", "/", X_Token=None)[0] == 403
+    assert request(served, "GET", f"/?token={served.token}", X_Token=None) == (200, b"<p>the page</p>")
+    for path in ("/jobs", "/picture/1", "/../model.h5", "/do/predict"):
+        assert request(served, "GET", path, X_Token=None)[0] == 403
+        assert request(served, "GET", path)[0] in (200, 404)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"name": "../out"}, {"name": "/tmp/out"}, {"name": "a/b"}, {"name": "a\\b"}, {"name": ".."}, {"name": "-x"},
+        {"name": ""}, {"name": "x" * 61}, {"name": "a\x00b"}, {"name": 3}, {"name": "a\n"},
+        {"latent": [1.0]}, {"latent": ["1", "2"]}, {"latent": "--help"}, {"latent": [True, 1]},
+        {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]},
+        {"like": "nobody"}, {"like": "--force"}, {"srgb": "red"}, {"srgb": "#12345g"},
+        {"like": NAMES[0], "srgb": "#112233"}, {"spectrum": [[400, 0.5]]}, {"spectrum": "/etc/passwd"},
+        {"spectrum": [[400, 0.5], [500, "x"]]}, {"output": "/tmp/out"}, {"model": "/etc/passwd"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_hostile_requests_are_refused(served, context, changed):
+    assert request(served, "POST", "/do/predict", HERE | changed)[0] == 400
+    assert served.queue.jobs() == []
+    assert files(context) == []
+
+
+@pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"[" * 100_000, b"\xff\xfe", b'{"name": 1e400}'])
+def test_bodies_that_are_no_request_are_refused(served, body):
+    assert request(served, "POST", "/do/predict", body)[0] == 400
+
+
+@pytest.mark.parametrize("path", ["/do/", "/do/embed", "/do/../predict", "/do/predict/x", "/", "/do/serve"])
+def test_other_actions_are_refused(served, path):
+    assert request(served, "POST", path, HERE)[0] in (400, 404)
+
+
+def test_huge_files_are_refused_before_they_are_read(served):
+    assert request(served, "POST", "/do/locate", b"x", Content_Length=str(MOST_FILE + 1))[0] == 413
+
+
+def test_a_link_in_the_folder_is_not_written_through(served, context, tmp_path):
+    (context.folder / "here_rgb.bsdf").symlink_to(tmp_path / "outside")
+    number = json.loads(request(served, "POST", "/do/predict", HERE)[1])["number"]
+    finished(served, number)
+    assert not (tmp_path / "outside").exists()
+    assert (context.folder / "here-2_rgb.bsdf").exists()
+
+
+def test_only_the_loopback_interface_is_listened_on(served):
+    assert served.server_address[0] == "127.0.0.1"
+
+
+def test_slow_and_broken_connections_leave_the_server_alive(served):
+    held = []
+    for _ in range(8):
+        connection = socket.create_connection(("127.0.0.1", served.server_port))
+        connection.sendall(b"POST /do/predict HTTP/1.1\r\nContent-Length: 100\r\n")
+        held.append(connection)
+    held[0].close()
+    assert request(served, "GET", "/jobs")[0] == 200
+    for connection in held:
+        connection.close()
+
+
+def test_a_hundred_renders_are_queued_or_refused_and_can_be_cancelled(context):
+    server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    statuses = [request(server, "POST", "/do/render", HERE)[0] for _ in range(100)]
+    assert statuses.count(202) in (MOST_WAITING, MOST_WAITING + 1)
+    assert set(statuses) == {202, 400}
+    running = server.queue.jobs()[0]
+    assert request(server, "POST", "/do/cancel", {"number": running.number})[1] == b'{"cancelled": true}'
+    assert finished(server, running.number, 10).state == "cancelled"
+    for job in server.queue.jobs():
+        server.queue.cancel(job.number)
+    server.shutdown()
+    server.server_close()
+    server.queue.close()
+    assert all(job.state == "cancelled" for job in server.queue.jobs())
+    assert files(context) == []
+
+
+def test_a_spectrum_reaches_the_command_as_a_file(context):
+    script = "import sys; p = [a for a in sys.argv if a.startswith('--reflectance=')][0][14:]; print(open(p).read())"
+    queue = Queue(context.folder, (sys.executable, "-c", script))
+    asked = action("predict", HERE | {"spectrum": [[400, 0.25], [700, 1]]}, context)
+    assert SPECTRUM in asked.arguments
+    job = queue.add(asked)
+    while job.ended is None:
+        time.sleep(0.02)
+    queue.close()
+    assert job.words == "400.0 0.25\n700.0 1.0"
+
+
+def test_a_taken_port_is_named(served, context):
+    with pytest.raises(UsageError, match=f"port {served.server_port} cannot be listened on"):
+        ExplorerServer("", context, served.server_port, queue=Queue(context.folder, WRITES))
+
+
+@pytest.mark.slow
+def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
+    server = explore.server(small_model(tmp_path), folder=tmp_path)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    with chromium() as browser:
+        made = visit(browser, server.address)
+        page = made.page
+        page.set_default_timeout(90_000)
+        page.locator("#action-name").fill("mine")
+        page.locator("#do-predict").press("Enter")
+        page.locator("#jobs li[data-state=done]", has_text="mine_rgb.bsdf").wait_for()
+        page.locator("#locate-file").set_input_files(str(tmp_path / "mine_rgb.bsdf"))
+        page.locator("#jobs button", has_text="Go to").click()
+        x = page.evaluate("window.explorer.state.x")
+        assert len(x) == 2
+        page.locator("#action-name").fill("../mine")
+        page.locator("#do-render").click()
+        page.locator("#problem", has_text="name: expected letters").wait_for()
+        assert [text for text in made.errors if not text.startswith("400 ")] == []
+        assert all(address.startswith(f"http://127.0.0.1:{server.server_port}/") for address in made.requests)
+    server.shutdown()
+    server.server_close()
+    server.queue.close()
+    assert (tmp_path / "mine_rgb.bsdf").exists()

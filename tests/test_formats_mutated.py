@@ -129,6 +129,27 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
         registry.read_all(path)
 
 
+def test_cells_far_out_do_not_fill_the_memory(contents, tmp_path):
+    rows = b"".join(b'<row r="%d"><c r="XFD%d"><v>1</v></c></row>' % (k, k) for k in range(20, 400))
+    path = tmp_path / "far.xlsx"
+    with zipfile.ZipFile(io.BytesIO(contents["ma-t12"])) as archive, zipfile.ZipFile(path, "w") as made:
+        for name in archive.namelist():
+            part = archive.read(name)
+            made.writestr(name, part.replace(b"</sheetData>", rows + b"</sheetData>"))
+    with pytest.raises(ManifoldError, match="more than 2000000 cells"):
+        registry.read_all(path)
+
+
+def test_entities_that_grow_are_refused(tmp_path):
+    path = tmp_path / "laughs.cxf"
+    path.write_text(
+        '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+        '<CxF xmlns="http://colorexchangeformat.com/CxF3-core">&b;</CxF>'
+    )
+    with pytest.raises(ManifoldError, match="entities"):
+        registry.read_all(path)
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
@@ -139,6 +160,7 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
         ("astm", rb"(VARS.*\n[^\n]*\n[^,\n]*),", rb"\1,nan,", "cells"),
         ("pab-opto", rb"#incident_angle.*\n#intheta.*\n", b"", "incidence"),
         ("csv", rb"\n45", b"\n95", "theta_i is 95"),
+        ("astm", rb",\d\.\d+\n", b",1e250\n", "value of 1e"),
         ("cxf", rb"CxF3-core", b"CxF2-core", "older version"),
     ],
 )

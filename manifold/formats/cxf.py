@@ -19,7 +19,7 @@ from manifold.formats.text import Place, decode, read_bytes
 from manifold.records import Array
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
-_LARGEST = 100_000_000  # bytes
+_LARGEST = 12_000_000  # bytes
 _MOST_SPECTRA = 100_000
 
 

@@ -76,7 +76,7 @@ def read(path: Path) -> list[Readings]:
     nm, incidences, values = _stack(blocks, notes, words.place)
     rows = grid_rows(azimuths, radials)
     phi, theta = (a.reshape(-1)[rows] for a in np.meshgrid(azimuths, radials, indexing="ij"))
-    keep = (theta >= 0.0) & (theta <= 90.0)
+    keep = np.abs(theta) <= 90.0
     values, theta, phi = values[:, rows][:, keep], theta[keep], phi[keep]
     if re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) and _is_ramp(theta, phi, values):
         inside = theta <= _PADDING_FROM + 1e-6

@@ -25,9 +25,9 @@ from manifold.formats.text import Place, read_bytes
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
-_LARGEST_SHEETS = 60_000_000  # bytes unpacked: 200 samples in one workbook take 6 MB
+_LARGEST_SHEETS = 12_000_000  # bytes unpacked: 500 samples in one workbook
 _MOST_PARTS = 5000
-_MOST_ROWS, _MOST_COLUMNS = 50_000, 2_000
+_MOST_ROWS, _MOST_CELLS = 50_000, 2_000_000  # openpyxl makes all cells up to the last of a row
 
 
 def sniff(head: bytes) -> bool:
@@ -102,11 +102,15 @@ def _sheets(data: bytes, place: Place) -> dict[str, list[list[Cell]]]:
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # what a file says of its size is not believed
                 rows: list[list[Cell]] = []
-                for row in sheet.iter_rows(values_only=True, max_row=_MOST_ROWS, max_col=_MOST_COLUMNS):
+                cells = 0
+                for row in sheet.iter_rows(values_only=True, max_row=_MOST_ROWS):
+                    cells += len(row)
+                    if cells > _MOST_CELLS:
+                        raise place.error(f"sheet '{sheet.title}' has more than {_MOST_CELLS} cells")
                     rows.append([cell if isinstance(cell, int | float | None) else str(cell) for cell in row])
                 sheets[str(sheet.title)] = rows
             book.close()
-    except MemoryError:
+    except (MemoryError, FileFormatError):
         raise
     except Exception as error:  # openpyxl raises whatever its parsers do
         reason = " ".join(str(error).split())[:80] or type(error).__name__

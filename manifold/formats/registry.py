@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats import (
     astm,
@@ -29,6 +31,7 @@ from manifold.formats.text import read_bytes
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
+_LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,15 @@ def read_all(path: Path | str) -> list[Record]:
             f"{printable(path.name, 255)}: found {what}, expected readings or a BRDF of an instrument "
             "(`manifold info --help` lists the formats)"
         )
-    return list(known.read(path))
+    records = list(known.read(path))
+    for record in records:
+        largest = float(np.nanmax(np.abs(record.values), initial=0.0))
+        if largest > _LARGEST_VALUE:
+            raise FileFormatError(
+                f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "
+                "the file is damaged, or of other units"
+            )
+    return records
 
 
 def read(path: Path | str, sample: str | None = None) -> Record:

@@ -53,6 +53,15 @@ class Optimizer(StrEnum):
     multistart = "multistart"
 
 
+class Criterion(StrEnum):
+    """Choices of --criterion."""
+
+    decoded = "decoded"
+    cube_root = "cube-root"
+    mapped = "mapped"
+    likelihood = "likelihood"
+
+
 class Grid(StrEnum):
     """Choices of --grid."""
 
@@ -136,6 +145,14 @@ def embed(
             metavar="NAME",
         ),
     ] = "se",
+    criterion: Annotated[
+        Criterion,
+        typer.Option(
+            help="By which new materials are found on the map: the error of what is decoded, of its cube roots (truest "
+            "in colour), the residual in the mapped domain, or that weighed by the posterior's variance. Blends have "
+            "cube-root only."
+        ),
+    ] = Criterion.cube_root,
     json: JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
@@ -143,7 +160,12 @@ def embed(
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
-    given = {"optimizer": optimizer and optimizer.value, "mu": mu, "kernel": kernel}
+    given = {
+        "optimizer": optimizer and optimizer.value,
+        "mu": mu,
+        "kernel": kernel,
+        "criterion": criterion.value,
+    }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
     if not auto_mapping:

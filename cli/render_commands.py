@@ -152,7 +152,8 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; .bsdf files are rendered alike first.
 
-    CIEDE2000 of 1 is about the least that people notice side by side. FLIP runs from 0 to 1 and leaves out what is
+    CIEDE2000 of 1, and Delta E_ITP of 1 on a display whose white has 100 cd/m2, is about the least that people notice
+    side by side. FLIP runs from 0 to 1 and leaves out what is
     too fine to be seen. Both see the noise of renders: few samples make everything differ.
     """
     from manifold.workflows import renders
@@ -163,12 +164,15 @@ def compare(
     )
     with terminal.progress("Comparing") as step:
         made = renders.compare(a, b, output, settings, step)
-    rows = {"CIEDE2000": _summary(made.ciede2000), "FLIP": _summary(made.flip)}
-    if made.ciede2000_ball is not None and made.flip_ball is not None:
-        rows |= {
-            "CIEDE2000 on the ball": _summary(made.ciede2000_ball),
-            "FLIP on the ball": _summary(made.flip_ball),
-        }
+    rows = {}
+    for name, whole, ball in (
+        ("CIEDE2000", made.ciede2000, made.ciede2000_ball),
+        ("Delta E_ITP", made.itp, made.itp_ball),
+        ("FLIP", made.flip, made.flip_ball),
+    ):
+        rows[name] = _summary(whole)
+        if ball is not None:
+            rows[f"{name} on the ball"] = _summary(ball)
     results.rows(f"Compared {a} and {b} in {output}", rows)
     results.document(made.to_json())
 

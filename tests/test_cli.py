@@ -408,7 +408,7 @@ def test_colours_of_whole_materials_are_usage_errors(run, folder):
     assert run("embed", "--kind", "material", "-M", "whole.h5", cwd=folder)[0] == 0
     code, _, err = run("predict", "-M", "whole.h5", "--latent", "0,0", "--srgb", "#ffffff", cwd=folder)
     assert code == 2
-    assert "--kind monochrome" in err
+    assert "--kind blend" in err
 
 
 def test_a_file_of_the_library_is_located_at_its_material(run, structures):

@@ -58,7 +58,7 @@ def test_two_colours_are_refused():
 def test_whole_materials_carry_their_colours(model):
     whole = Manifold.fit(model.library, Settings(kind="material"))
     assert choose_colour(whole, whole.X[0], NEAREST).colours is None
-    with pytest.raises(UsageError, match="--kind monochrome"):
+    with pytest.raises(UsageError, match="--kind blend"):
         choose_colour(whole, whole.X[0], ColourChoice(like="syn_felt_green"))
 
 

@@ -11,6 +11,7 @@ from manifold.colour.difference import (
     ILLUMINANTS,
     colour_differences,
     delta_e_2000,
+    delta_e_itp,
     illuminants_for,
     multi_angle_pairs,
 )
@@ -115,3 +116,28 @@ def test_metamers_differ_under_another_illuminant_only():
 def test_shapes_that_differ_are_refused():
     with pytest.raises(ShapeError, match="expected the same"):
         colour_differences(np.ones((2, 3)), np.ones((3, 3)), RGB, "D65")
+
+
+def test_delta_e_itp_is_that_of_the_recommendation():
+    """The formulas of ITU-R BT.2100 and BT.2124, written out."""
+    xyz = np.array([[0.4, 0.35, 0.3], [0.9505, 1.0, 1.089], [0.05, 0.04, 0.2]])
+    other = 0.9 * xyz[:, [0, 1, 2]] + [0.0, 0.01, 0.02]
+    to_rgb = np.array(
+        [
+            [1.71665119, -0.35567078, -0.25336628],
+            [-0.66668435, 1.61648124, 0.01576855],
+            [0.01763986, -0.04277061, 0.94210312],
+        ]
+    )
+    to_lms = np.array([[1688, 2146, 262], [683, 2951, 462], [99, 309, 3688]]) / 4096
+    to_itp = np.array([[2048, 2048, 0], [6610, -13613, 7003], [17933, -17390, -543]]) / 4096
+
+    def itp(c):
+        y = (np.clip(100.0 * c @ to_rgb.T @ to_lms.T, 0, None) / 10_000) ** (2610 / 16384)
+        pq = ((3424 / 4096 + 2413 / 128 * y) / (1 + 2392 / 128 * y)) ** (2523 / 32)
+        return pq @ to_itp.T * [1.0, 0.5, 1.0]
+
+    expected = 720.0 * np.linalg.norm(itp(xyz) - itp(other), axis=1)
+    # Colours are adapted to the very white they have: the matrices differ in the fourth digit.
+    np.testing.assert_allclose(delta_e_itp(xyz, other), expected, rtol=2e-2)
+    assert not np.any(delta_e_itp(xyz, xyz))

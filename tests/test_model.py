@@ -353,6 +353,24 @@ def test_the_criterion_of_an_embedding_is_what_it_is_best_at(library, kind):
     assert errors["cube-root"][1] < errors["decoded"][1]
 
 
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+def test_a_model_finds_new_materials_by_the_criterion_of_its_settings(library, tmp_path, kind):
+    settings = Settings(kind=kind, optimizer="l-bfgs", criterion="mapped")
+    model, brdf = Manifold.fit(library, settings), MeasuredBRDF(measured("syn_metallic_gold"))
+    model.save(tmp_path / "model.h5")
+    loaded = Manifold.load(tmp_path / "model.h5", library)
+    assert loaded.settings.criterion == "mapped"
+    np.testing.assert_array_equal(loaded.embed(brdf).latent, model.embed(brdf, "mapped").latent)
+    assert np.any(model.embed(brdf, "cube-root").latent != model.embed(brdf, "mapped").latent)
+
+
+def test_blends_have_one_criterion_and_unknown_ones_are_refused():
+    with pytest.raises(UsageError, match="criterion 'decoded' for kind blend, expected cube-root"):
+        Settings(criterion="decoded")
+    with pytest.raises(UsageError, match="criterion 'best', expected one of decoded"):
+        Settings(kind="material", criterion="best")
+
+
 def test_a_material_with_other_bands_is_not_embedded(model):
     lambert = Lambert(np.array([0.2, 0.3]), Bands((500.0, 600.0)))
     with pytest.raises(BandMismatchError, match="500"):
@@ -409,7 +427,7 @@ def test_colours_are_refused_where_materials_carry_them(library):
         lambda: model.colours.of_reflectance(model.X[0], np.full(3, 0.5)),
         lambda: model.predict(model.X[0], np.zeros(3)),
     ):
-        with pytest.raises(UsageError, match="--kind monochrome"):
+        with pytest.raises(UsageError, match="--kind blend"):
             ask()
 
 

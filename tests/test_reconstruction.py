@@ -10,7 +10,7 @@ from small_library import NAMES, measured, small_library
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.directions import from_spherical
-from manifold.errors import BandMismatchError
+from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
@@ -51,6 +51,11 @@ def test_a_new_material_is_nearer_than_any_of_the_library(model, pairs):
     assert cube_root_error(truth, found, cosines) < 0.2 * nearest
     assert found.min() >= 0.0
     assert plausibility(predicted).negative_share == 0.0
+
+
+def test_a_black_material_is_refused_in_words(model):
+    with pytest.raises(UsageError, match="the material to reconstruct is black"):
+        model.reconstruct(Lambert(np.zeros(3), model.bands))
 
 
 def test_other_bands_are_refused(model):

@@ -196,7 +196,10 @@ def test_three_errors_stand_side_by_side(models, reports):
         assert result.cube_root_error[i] == pytest.approx(cube_root_error(data.f[i], data.f[n], data.cosines))
         assert result.ball_delta_e[i] == pytest.approx(balls.delta_e(i, balls.values.f[n]))
         assert balls.delta_e(i, balls.values.f[i]) == 0.0
-    for name in ("relative_error", "cube_root_error", "ball_delta_e"):
+        assert (
+            0.5 < result.ball_delta_e_itp[i] / result.ball_delta_e[i] < 20.0
+        )  # another unit, of the same pictures
+    for name in ("relative_error", "cube_root_error", "ball_delta_e", "ball_delta_e_itp"):
         errors = getattr(result, name)
         assert getattr(result, f"median_{name}") == np.median(errors)
         assert getattr(result, f"p90_{name}") == np.percentile(errors, 90)
@@ -247,7 +250,10 @@ def test_long_methods_are_left_out_unless_asked_for(models):
 
 
 def test_no_method_is_listed_twice(models, reports):
-    assert replaced_keys(models["monochrome"]) == {"monochrome_2_1", "pca_3_log_relative"}
+    decoded = replace(models["monochrome"].settings, criterion="decoded")
+    in_space = Manifold(models["monochrome"].materials, models["monochrome"].space, decoded, {})
+    assert replaced_keys(in_space) == {"monochrome_2_1", "pca_3_log_relative"}
+    assert replaced_keys(models["monochrome"]) == {"pca_3_log_relative"}  # by another criterion
     assert replaced_keys(models["material"]) == {"pca_2_log_relative"}  # gplvm_2 is by another optimizer
     for made in reports.values():
         keys = [m.key for m in made.methods]

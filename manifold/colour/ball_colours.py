@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.colour import studio
+from manifold.colour import difference, studio
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
 from manifold.directions import from_spherical, normalize
@@ -73,6 +73,11 @@ class Ball:
 def delta_e(xyz: Array, xyz_star: Array) -> float:
     """Mean CIEDE2000 between two balls, XYZ (K, 3) each."""
     return float(np.mean(delta_e_2000(xyz, xyz_star, srgb_to_xyz(np.ones(3)))))
+
+
+def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
+    """Mean Delta E_ITP between two balls, XYZ (K, 3) each."""
+    return float(np.mean(difference.delta_e_itp(xyz, xyz_star)))
 
 
 def ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> Ball:

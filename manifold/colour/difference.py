@@ -20,6 +20,7 @@ from manifold.records import Array, Bands
 
 INCIDENCE_DEG = 45.0
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)
+ITP_WHITE_CD_M2 = 100.0  # luminance of white on the display that Delta E_ITP is about
 ILLUMINANTS = ("D65", "A", "F11")
 
 
@@ -77,3 +78,15 @@ def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
     return np.asarray(
         colour_science().delta_E(to_lab(xyz, white), to_lab(xyz_star, white), method="CIE 2000")
     )
+
+
+def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:
+    """Delta E_ITP between colours of a display whose white is D65 at 100 cd/m^2, shape (...); 1 is just seen.
+
+    Args:
+        xyz, xyz_star: CIE XYZ, shape (..., 3), of which white has Y = 1.
+    Source: ITU-R BT.2124.
+    """
+    colour = colour_science()
+    ictcp = [colour.XYZ_to_ICtCp(ITP_WHITE_CD_M2 * np.maximum(c, 0.0)) for c in (xyz, xyz_star)]
+    return np.asarray(colour.difference.delta_E_ITP(*ictcp))

@@ -70,7 +70,7 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         if choice != NEAREST:
             raise UsageError(
                 "the materials of this manifold carry their colours with them; leave the colour out, or "
-                "embed with --kind monochrome to choose it"
+                "embed with --kind blend to choose it"
             )
         return UNCHOSEN
     if choice == NEAREST and not model.space.needs_colours:

@@ -51,9 +51,14 @@ def encoder_at(
     space: LatentSpace,
     materials: MaterialCache,
     settings: Settings,
-    criterion: str = "decoded",
+    criterion: str | None = None,
 ) -> Encoder:
-    """What finds latents of a space from values at direction pairs: of all embedding bands, or band by band."""
+    """What finds latents of a space from values at direction pairs: of all embedding bands, or band by band.
+
+    By the criterion of the settings, unless another is given.
+    """
     decoder = decoder_at(pairs, space, materials, settings)
     group = len(space.sample_rows(np.arange(1)))
-    return Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior, criterion)
+    return Encoder.of_decoder(
+        decoder, space.X.shape[1], group, settings.prior, criterion or settings.criterion
+    )

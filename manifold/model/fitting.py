@@ -77,7 +77,7 @@ def _fit_curves(
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
     # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
     pairs = encoding_pairs()
-    encoder = encoder_at(pairs, space, materials, s)
+    encoder = encoder_at(pairs, space, materials, s, "decoded")
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.stats import spearmanr
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
@@ -35,7 +36,7 @@ _PREFIX = "left_out_"
 _MOST_BALL = 10.0  # CIEDE2000: another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
 
-__all__ = ["LEAST_MATERIALS", "ExpectedErrors", "LeftOut", "leave_out"]
+__all__ = ["LEAST_MATERIALS", "CalibrationResult", "ExpectedErrors", "LeftOut", "leave_out"]
 
 Encode = Callable[[int], tuple[Array, Combination]]
 """Place (Q,) of a material among the others, and what it is predicted by, weights over all materials."""
@@ -52,6 +53,22 @@ class ExpectedErrors:
 
     ball: Array
     cube_root: Array
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Expected errors of left-out materials beside true ones.
+
+    Attributes:
+        true, expected: median and 90th percentile.
+        rank_correlation: of expected with true errors (Spearman).
+        below_twice: share of true errors that are below twice the expected.
+    """
+
+    true: tuple[float, float]
+    expected: tuple[float, float]
+    rank_correlation: float
+    below_twice: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +123,23 @@ class LeftOut:
         is_far = cdist(x, X).min(axis=1) > apart.min(axis=1).max()
         most = max(_MOST_BALL, float(np.quantile(self.ball, 0.9)))
         return is_far | (self.expected(x).ball > most)
+
+    def calibration(self) -> dict[str, CalibrationResult]:
+        """How errors expected of each material, by the others alone, agree with those that it had."""
+        return {
+            "ball": self._compare(self.ball, _LEAST_BALL),
+            "cube_root": self._compare(self.cube_root, _LEAST_CUBE_ROOT),
+        }
+
+    def _compare(self, errors: Array, least: float) -> CalibrationResult:
+        X, scale, expected = self.space.X, self.space.kernel.length_scale, np.empty_like(errors)
+        for i in range(len(X)):
+            others = np.delete(np.arange(len(X)), i)
+            fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
+            expected[i] = fitted.at(self.places[i : i + 1])[0]
+        (true, true_90), (median, p90) = np.quantile([errors, expected], (0.5, 0.9), axis=1).T.tolist()
+        rank, below = spearmanr(expected, errors)[0], np.mean(errors < 2.0 * expected)
+        return CalibrationResult((true, true_90), (median, p90), float(rank), float(below))
 
     @cached_property
     def _calibrated(self) -> list[ExpectedError]:
@@ -200,7 +234,7 @@ def _processes(space: LatentSpace, materials: MaterialCache, settings: Settings)
         rows, rest = space.sample_rows(others), space.without(i)
         decoder = Decoder(rest.gp, whole.mapped[rows], whole.mapping, whole.cosines)
         group = len(rows) // len(others)
-        encoder = Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior)
+        encoder = Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior, settings.criterion)
         found = rest.embed(encoder, brdfs[i].eval(pairs.wi, pairs.wo).T)
         part = rest.weights(found.latent, found.colours)
         every = np.zeros((*part.shape[:-1], len(whole.mapped)))

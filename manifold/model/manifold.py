@@ -294,12 +294,13 @@ class Manifold:
         ends = self.materials.filled([a, b]) if 0 < t < 1 else [self.material(a), self.material(b)]
         return PredictedBRDF(ends, Combination(mapping_named("identity"), np.array([1.0 - t, t])))
 
-    def embed(self, brdf: BRDF, criterion: str = "decoded") -> Embedded:
+    def embed(self, brdf: BRDF, criterion: str | None = None) -> Embedded:
         """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
 
         Args:
             brdf: a material in the bands of the library.
-            criterion: what nearest means, see `manifold.models.criteria`; blends are always found by cube roots.
+            criterion: what nearest means, see `manifold.models.criteria`; that of the settings if none is given. Blends
+                are always found by cube roots.
         Raises:
             BandMismatchError: it has other bands.
             UsageError: there is no such criterion.

@@ -70,8 +70,7 @@ class MaterialSpace(LatentSpace):
             UsageError: always.
         """
         raise UsageError(
-            "the materials of this manifold carry their colours with them; embed with --kind monochrome "
-            "to choose colours"
+            "the materials of this manifold carry their colours with them; embed with --kind blend to choose colours"
         )
 
     def numbers(self, n_bands: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.brdf.measured import BRDF
+from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
 from manifold.model.combination import Combination, Values
 from manifold.model.decoding import encoding_pairs
@@ -23,6 +24,8 @@ def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> Pr
         materials: of the library.
         sample_bands: which of their bands are samples, increasing, shape (B_s,).
         brdf: the material, in the bands of the library.
+    Raises:
+        UsageError: it is black.
     """
     pairs, dictionary, mapping = encoding_pairs(), Dictionary(), CubeRoot()
     wi, wo = pairs.wi, pairs.wo
@@ -32,5 +35,9 @@ def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> Pr
     atoms = dictionary.atoms(roots, values.lobe_roots(dictionary.lobes))
     targets = np.ascontiguousarray(mapping.forward(brdf.eval(wi, wo)).T)
     weights = reconstruction_weights(atoms, targets, values.cosines, picture_rows(wi, wo))
+    if not np.any(weights):
+        raise UsageError(
+            "the material to reconstruct is black: found no value above 0 at any direction pair, expected some light"
+        )
     combination = Combination(mapping, weights, sample_bands, dictionary=dictionary)
     return PredictedBRDF(sampled, combination, brdf.bands)

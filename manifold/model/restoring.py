@@ -55,7 +55,8 @@ def restore(
         ModelError: they do not fit each other, or the library.
     """
     try:
-        settings = Settings(**{f.name: stored.settings[f.name] for f in fields(Settings)})
+        known = {"criterion": "cube-root"} | stored.settings  # which could not always be chosen
+        settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
         space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), library.bands.count)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 from manifold.errors import UsageError
 from manifold.mapping import mapping_named
+from manifold.models.criteria import CRITERIA
 from manifold.models.kernels import Kernel, kernel_named
 from manifold.models.search import OPTIMIZERS
 
@@ -36,6 +37,7 @@ class Settings:
         kernel: name of the kernel, see `kernel_named`.
         grid: name of the grid of direction pairs behind the Gram matrix.
         sample_bands: bands per material that are samples of a monochrome manifold, at most.
+        criterion: by which new materials are found, one of `criteria.CRITERIA`; blends have `cube-root` only.
     """
 
     kind: str = "blend"
@@ -48,6 +50,7 @@ class Settings:
     kernel: str = "se"
     grid: str = "default"
     sample_bands: int = 5
+    criterion: str = "cube-root"
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -64,6 +67,12 @@ class Settings:
         if self.kind == "blend" and self.mapping != "cube-root":
             raise UsageError(
                 f"mapping '{self.mapping}' for kind blend, expected cube-root: leave --mapping out"
+            )
+        if self.criterion not in CRITERIA:
+            raise UsageError(f"criterion '{self.criterion}', expected one of {', '.join(CRITERIA)}")
+        if self.kind == "blend" and self.criterion != "cube-root":
+            raise UsageError(
+                f"criterion '{self.criterion}' for kind blend, expected cube-root: leave --criterion out"
             )
         if self.sample_bands < 2:
             raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")

@@ -25,6 +25,9 @@ OF_VALUES = ("decoded", "cube-root")
 Criterion = Callable[[Array, Array], tuple[float, Array, Array]]
 """From V (R, n) and v (R,) to the value and its derivatives by V (R, n) and by v (R,)."""
 
+_SMALLEST_ROOT = (
+    1e-3  # of the root mean square of those of a material: smaller ones have the slope of this one
+)
 _ROUNDING = 1e-14  # squared distances are differences of numbers so much larger
 
 
@@ -105,13 +108,15 @@ def decoded_error(decoder: Decoder, f: Array, *, cube_root: bool = False) -> Cri
     w, rows = decoder.cosines, len(f)
     target = np.cbrt(w * f) if cube_root else w * f
     floor = _ROUNDING * float(np.sum(target * target)) + np.finfo(float).tiny
+    # The slope of a cube root has no bound at 0: there a search would leave for infinity.
+    steepest = 3.0 * _SMALLEST_ROOT**2 * float(np.mean(target * target)) + np.finfo(float).tiny
 
     def criterion(V: Array, v: Array) -> tuple[float, Array, Array]:
         values, slope = decoder.combine(V)
         found, slope = w * values, w * slope
         if cube_root:
             found = np.cbrt(found)
-            slope = slope / np.maximum(3.0 * found * found, np.finfo(float).tiny)
+            slope = slope / np.maximum(3.0 * found * found, steepest)
         difference = found - target
         squared = max(float(np.sum(difference * difference)), floor)
         dV = (rows / squared) * (difference * slope) @ decoder.mapped.T

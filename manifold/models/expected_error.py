@@ -16,12 +16,12 @@ LEAST_MATERIALS = 4
 BELOW_TWICE = 0.9
 """Share of the left-out errors that are below twice the expected."""
 
-_FAR = 0.5  # power of the distance to the nearest material, in length scales, beyond which errors grow
+_FAR = 0.25  # power of the distance to the nearest material, in length scales, beyond which errors grow
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """`e(x) = c prod e_i^u_i(x) sqrt(hypot(1, d(x)))`: one number, `c`, is fitted.
+    """`e(x) = c prod e_i^u_i(x) hypot(1, d(x))^(1/4)`: one number, `c`, is fitted.
 
     The errors e_i of the materials around when they were left out, averaged in logarithms by the weights u of a blend,
     and growing where the nearest material is farther than a length scale, by d.

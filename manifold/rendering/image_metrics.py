@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz, xyz_to_srgb
-from manifold.colour.difference import delta_e_2000, to_lab
+from manifold.colour.difference import delta_e_2000, delta_e_itp, to_lab
 from manifold.errors import ShapeError
 from manifold.records import Array
 
@@ -55,6 +55,12 @@ def ciede2000_map(display: Array, other: Array) -> Array:
     require_pictures(display, other)
     xyz, xyz_other = (srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other))
     return delta_e_2000(xyz, xyz_other, srgb_to_xyz(_WHITE))
+
+
+def itp_map(display: Array, other: Array) -> Array:
+    """Delta E_ITP between display values in [0, 1], shapes (H, W, 3); shape (H, W)."""
+    require_pictures(display, other)
+    return delta_e_itp(*(srgb_to_xyz(decode_srgb(np.clip(p, 0.0, 1.0))) for p in (display, other)))
 
 
 def flip_map(reference: Array, test: Array, pixels_per_degree: float = PIXELS_PER_DEGREE) -> Array:

@@ -172,6 +172,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
         "condition of K": f"{model.gp.condition:.3g}",
         "optimizer": s.optimizer,
+        "criterion": s.criterion,
         "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }

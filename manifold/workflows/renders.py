@@ -253,17 +253,19 @@ class Comparison:
     Attributes:
         path: of the figure.
         a, b: what was compared.
-        ciede2000: over all pixels.
+        ciede2000, itp: over all pixels; Delta E_ITP is that of ITU-R BT.2124.
         flip: over all pixels.
-        ciede2000_ball, flip_ball: over the pixels of the ball, where materials were rendered.
+        ciede2000_ball, itp_ball, flip_ball: over the pixels of the ball, where materials were rendered.
     """
 
     path: Path
     a: str
     b: str
     ciede2000: Summary
+    itp: Summary
     flip: Summary
     ciede2000_ball: Summary | None = None
+    itp_ball: Summary | None = None
     flip_ball: Summary | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -301,7 +303,7 @@ def compare(
         pictures = [images.read_display(path) for path in (a, b)]
         names = (a.name, b.name)
     first, second = pictures
-    delta_e = image_metrics.ciede2000_map(first, second)
+    delta_e, itp = image_metrics.ciede2000_map(first, second), image_metrics.itp_map(first, second)
     flip = image_metrics.flip_map(first, second)
     figures.save(plot_comparison.comparison(first, second, delta_e, flip, names), output)
 
@@ -309,8 +311,9 @@ def compare(
         return None if ball is None or not np.any(ball) else Summary.of(values[ball])
 
     return Comparison(
-        output, str(a), str(b), Summary.of(delta_e), Summary.of(flip), on_ball(delta_e), on_ball(flip)
-    )
+        output, str(a), str(b), *(Summary.of(values) for values in (delta_e, itp, flip)),
+        *(on_ball(values) for values in (delta_e, itp, flip)),
+    )  # fmt: skip
 
 
 def _half(on_progress: Progress, k: int, name: str) -> Progress:

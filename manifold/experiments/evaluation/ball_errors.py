@@ -52,9 +52,16 @@ class BallErrors:
 
     def of(self, combinations: Sequence[Combination]) -> Array:
         """Mean CIEDE2000 of a prediction per material, shape (N,)."""
+        return self.with_itp(combinations)[0]
+
+    def with_itp(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
+        """Mean CIEDE2000 and mean Delta E_ITP of a prediction per material, shape (N,) each."""
         here = [c.in_bands(self._chosen) for c in combinations]
-        found = []
+        found: list[tuple[float, float]] = []
         for first in range(0, len(here), _AT_ONCE):
             predicted = evaluate(here[first : first + _AT_ONCE], self.values)
-            found += [self.delta_e(first + k, f) for k, f in enumerate(predicted)]
-        return np.array(found)
+            xyz = [self._ball.xyz(f, self._bands) for f in predicted]
+            pairs = list(zip(self._xyz[first : first + len(xyz)], xyz, strict=True))
+            found += [(ball_colours.delta_e(*pair), ball_colours.delta_e_itp(*pair)) for pair in pairs]
+        ciede2000, itp = np.array(found).T
+        return ciede2000, itp

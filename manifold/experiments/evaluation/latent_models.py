@@ -91,9 +91,9 @@ def fit_monochrome(
     return fit
 
 
-def fit_settings(s: Settings, criterion: str = "decoded", tolerance: float = _TOLERANCE) -> Fit:
+def fit_settings(s: Settings, criterion: str | None = None, tolerance: float = _TOLERANCE) -> Fit:
     """The model that a manifold of these settings has; `tolerance` of its fit where its kind takes one."""
-    return _FITS[s.kind](s, criterion, tolerance)
+    return _FITS[s.kind](s, criterion or s.criterion, tolerance)
 
 
 def _fit_whole(s: Settings, criterion: str, tolerance: float) -> Fit:

@@ -16,6 +16,8 @@ from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.records import Array
 
+_COMPARED_CRITERIA = ("decoded", "cube-root", "likelihood")
+
 
 def model_methods(model: Manifold) -> list[Method]:
     """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
@@ -42,13 +44,15 @@ def _process_methods(model: Manifold) -> list[Method]:
         _method(model, "gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
         _method(model, "gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
         _method(model, "gp_refitted", "GP, refitted without it", fit_settings(settings)),
-        _method(
-            model, "gp_refitted_cube_root", "GP, refitted, cube root", fit_settings(settings, "cube-root")
+        *(
+            _method(
+                model, f"gp_refitted_{criterion.replace('-', '_')}", f"GP, refitted, {criterion}",
+                fit_settings(settings, criterion),
+            )
+            for criterion in _COMPARED_CRITERIA
+            if criterion != settings.criterion
         ),
-        _method(
-            model, "gp_refitted_likelihood", "GP, refitted, likelihood", fit_settings(settings, "likelihood")
-        ),
-    ]
+    ]  # fmt: skip
 
 
 def _blend_methods(model: Manifold) -> list[Method]:
@@ -70,10 +74,12 @@ def _method(
 def replaced_keys(model: Manifold) -> set[str]:
     """Keys of the standard methods that are the model's own under another name."""
     standard = {
-        "gplvm_2": Settings(kind="material", latent_dim=2, optimizer="l-bfgs"),
-        "gplvm_6": Settings(kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1),
-        "monochrome_2_1": Settings(kind="monochrome", latent_dim=2),
-        "monochrome_3_1": Settings(kind="monochrome", latent_dim=3),
+        "gplvm_2": Settings(criterion="decoded", kind="material", latent_dim=2, optimizer="l-bfgs"),
+        "gplvm_6": Settings(
+            criterion="decoded", kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1
+        ),
+        "monochrome_2_1": Settings(criterion="decoded", kind="monochrome", latent_dim=2),
+        "monochrome_3_1": Settings(criterion="decoded", kind="monochrome", latent_dim=3),
         "blend_2": Settings(kind="blend", latent_dim=2),
         "blend_3": Settings(kind="blend", latent_dim=3),
     }

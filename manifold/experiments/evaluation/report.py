@@ -33,6 +33,7 @@ from manifold.experiments.evaluation.report_measures import (
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Values
+from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
 from manifold.records import Array, Progress, evenly_spaced
 
@@ -55,6 +56,7 @@ class MethodResult:
         median_relative_error, p90_relative_error: over materials.
         cube_root_error, median_cube_root_error, p90_cube_root_error: of cube roots, likewise; see `metrics`.
         ball_delta_e, median_ball_delta_e, p90_ball_delta_e: mean CIEDE2000 of the ball, likewise.
+        ball_delta_e_itp, median_ball_delta_e_itp, p90_ball_delta_e_itp: mean Delta E_ITP of the ball, likewise.
         negative_share: share of predicted values below zero.
         clipped_share: share of values that were below zero before the method cut them to 0.
         reciprocity_error: worst over materials, in the tabulated bands; see `plausibility`.
@@ -83,6 +85,9 @@ class MethodResult:
     ball_delta_e: tuple[float, ...]
     median_ball_delta_e: float
     p90_ball_delta_e: float
+    ball_delta_e_itp: tuple[float, ...]
+    median_ball_delta_e_itp: float
+    p90_ball_delta_e_itp: float
     negative_share: float
     clipped_share: float
     reciprocity_error: float
@@ -107,6 +112,7 @@ class Report:
         settings: of the model.
         condition: kappa(K).
         methods: reconstruction first, then what was held out.
+        expected_errors: how well the model knows its errors, `ball` and `cube_root`; None where it is not calibrated.
         left_out: titles of the methods that would have taken long.
         seconds: of the stages of the report, wall-clock.
     """
@@ -121,6 +127,7 @@ class Report:
     settings: dict[str, Any]
     condition: float
     methods: tuple[MethodResult, ...]
+    expected_errors: dict[str, CalibrationResult] | None
     left_out: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -180,6 +187,7 @@ def make_report(
         settings=dict(vars(model.settings)),
         condition=model.gp.condition,
         methods=results,
+        expected_errors=None if model.left_out is None else model.left_out.calibration(),
         left_out=tuple(m.title for m in [*own, *others] if m not in chosen),
         seconds={"load": load, "tabulate": tabulate, "encode": encode, "evaluate": evaluate},
     )
@@ -241,6 +249,7 @@ def _results(
     )  # eq. 22 sums over bands: those measured stand for all
     results = []
     for k, (method, sums) in enumerate(zip(methods, errors, strict=True)):
+        ciede2000, itp = balls.with_itp(predictions[k])
         results.append(
             MethodResult(
                 key=method.key,
@@ -254,7 +263,8 @@ def _results(
                 rmse=_floats(sums.rmse(n_counted)),
                 **_summary("relative_error", sums.linear),
                 **_summary("cube_root_error", sums.cube_root),
-                **_summary("ball_delta_e", balls.of(predictions[k])),
+                **_summary("ball_delta_e", ciede2000),
+                **_summary("ball_delta_e_itp", itp),
                 negative_share=0.0 if sums.is_clipped else sums.negative_share,
                 clipped_share=sums.negative_share if sums.is_clipped else 0.0,
                 reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical[k]])),

@@ -44,6 +44,8 @@ def format_report(report: Report) -> str:
         "",
         *_calibration(report.methods),
         "",
+        *_expected_errors(report),
+        "",
         *_materials(report),
         "",
         *_closing(report),
@@ -102,7 +104,7 @@ def _errors(methods: Sequence[MethodResult]) -> list[str]:
 
 
 def _plausibility(methods: Sequence[MethodResult]) -> list[str]:
-    head = ("values", "RMSE", "negative", "reciprocity", "albedo")
+    head = ("values", "RMSE", "negative", "reciprocity", "albedo", "ball ITP")
     rows = [
         (
             m.title,
@@ -110,6 +112,7 @@ def _plausibility(methods: Sequence[MethodResult]) -> list[str]:
             f"{m.negative_share:.2%}",
             f"{m.reciprocity_error:.3f}",
             f"{m.max_albedo:.2f}",
+            f"{m.median_ball_delta_e_itp:.1f}",
         )
         for m in methods
     ]
@@ -118,7 +121,8 @@ def _plausibility(methods: Sequence[MethodResult]) -> list[str]:
         "",
         "RMSE: Hikichi & Iwasaki, eq. 22, median, 1/sr. negative: share of values;",
         "measured files have some too. reciprocity, albedo: error and largest value of",
-        "the worst material.",
+        "the worst material. ball ITP: mean Delta E_ITP of the ball (ITU-R BT.2124) on a",
+        "display whose white has 100 cd/m2, median.",
     ]
 
 
@@ -180,6 +184,29 @@ def _calibration(methods: Sequence[MethodResult]) -> list[str]:
         "",
         "z: error of the mapped values in the standard deviations the method expected;",
         f"calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}.",
+    ]
+
+
+def _expected_errors(report: Report) -> list[str]:
+    """How well the model knows what errors its predictions have."""
+    if report.expected_errors is None:
+        return ["No expected errors: the model is not calibrated; embed again."]
+    digits = {"ball": 2, "cube_root": 3}
+    rows = [
+        (
+            name.replace("_", " "),
+            *(f"{value:.{digits[name]}f}" for value in (c.true[0], c.true[1], c.expected[0], c.expected[1])),
+            f"{c.rank_correlation:.2f}",
+            f"{c.below_twice:.0%}",
+        )
+        for name, c in report.expected_errors.items()
+    ]
+    return [
+        *_table(("expected errors", "true", "p90", "expected", "p90", "rank corr.", "below 2x"), rows),
+        "",
+        "Of materials left out of the map, the others kept where they are, and errors",
+        "expected without them; rank corr.: of expected with true errors; below 2x: true",
+        "errors that are below twice the expected.",
     ]
 
 

@@ -1,10 +1,10 @@
 // A ball under the studio's light or under a lamp, in WebGL2, from one table of cube roots per prediction.
 
-// Azimuths of the picture in polar coordinates, which the studio lights first; half as many elevations.
-const FINE = 96;
-export const COARSE = 48;
+const AZIMUTHS = 96, ELEVATIONS = 48; // of the picture in polar coordinates, which the studio lights first
 // Rings and spokes of half vectors: as in manifold/colour/ball_colours.py while moving, finer at rest.
 const MOVING = [18, 12], RESTING = [36, 24];
+const ACROSS = 16; // half vectors beside each other in the texture of their light
+const SCALE = 256; // of what a half vector contributes, so that half floats hold it
 
 const QUAD = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
@@ -41,35 +41,74 @@ float phiDifference(vec3 w, float thetaH, float phiH) {
 }
 `;
 
-const STUDIO = `${COMMON}
-uniform sampler2D environment;
-uniform vec2 size, cells;
+// The surface at an elevation: its local frame has the viewer over the first axis.
+const HALF_VECTORS = `
 uniform int rings, spokes;
+struct Half { float theta, phi, cosine, area; vec3 wi, wo; };
+
+Half halfVector(int index, float row) {
+  float theta = min((row + 0.5) / ${ELEVATIONS}.0, 0.985) * 0.5 * PI;
+  int ring = index / spokes;
+  float u = (float(ring) + 0.5) / float(rings);
+  Half h;
+  h.theta = 0.5 * PI * u * u;
+  h.phi = 2.0 * PI * ((float(index - ring * spokes) + 0.5) / float(spokes) + 0.6180339887498949 * float(ring));
+  h.area = sin(h.theta) * PI * u / float(rings) * 2.0 * PI / float(spokes);
+  h.wi = vec3(sin(theta), 0.0, cos(theta));
+  vec3 m = vec3(sin(h.theta) * cos(h.phi), sin(h.theta) * sin(h.phi), cos(h.theta));
+  h.cosine = dot(h.wi, m);
+  h.wo = 2.0 * h.cosine * m - h.wi;
+  return h;
+}
+`;
+
+// The light that arrives along each half vector at each place: once, whatever the material.
+const LIGHT = `${COMMON}${HALF_VECTORS}
+uniform sampler2D environment;
+uniform vec2 cells;
 
 void main() {
-  vec2 at = gl_FragCoord.xy / size;
-  float theta = min(at.y, 0.985) * 0.5 * PI, azimuth = at.x * 2.0 * PI;
-  mat3 frame = frameAt(sin(theta) * vec2(cos(azimuth), sin(azimuth)));
-  vec3 wi = view * frame;
+  ivec2 at = ivec2(gl_FragCoord.xy), place = ivec2(at.x % ${AZIMUTHS}, at.y % ${ELEVATIONS});
+  int index = at.x / ${AZIMUTHS} + ${ACROSS} * (at.y / ${ELEVATIONS});
+  Half h = halfVector(index, float(place.y));
+  result = vec4(0.0);
+  if (index >= rings * spokes || h.cosine <= 0.0 || h.wo.z <= 0.0) return;
+  float azimuth = (float(place.x) + 0.5) / ${AZIMUTHS}.0 * 2.0 * PI;
+  vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
+  vec3 outwards = cos(azimuth) * right + sin(azimuth) * up;
+  vec3 normal = h.wi.x * outwards + h.wi.z * view, tangent = h.wi.x * view - h.wi.z * outwards;
+  vec3 world = h.wo.x * tangent + h.wo.y * cross(normal, tangent) + h.wo.z * normal;
+  vec2 look = vec2(atan(world.x, world.y) / (2.0 * PI), acos(clamp(world.z, -1.0, 1.0)) / PI);
+  // Averaged over half the width of what a half vector stands for, else lamps leave the pattern of half vectors.
+  float texel = 2.0 * PI * PI / cells.x / cells.y * max(length(world.xy), 0.1);
+  float wide = 0.5 * log2(max(4.0 * h.cosine * h.area / texel, 4.0)) - 1.0;
+  result = vec4(textureLod(environment, look, wide).r);
+}`;
+
+// What each half vector contributes per light, at each elevation.
+const MATERIAL = `${COMMON}${HALF_VECTORS}
+void main() {
+  Half h = halfVector(int(gl_FragCoord.x), floor(gl_FragCoord.y));
+  result = vec4(0.0);
+  if (h.cosine <= 0.0 || h.wo.z <= 0.0) return;
+  vec3 f = fCosines(h.theta, h.cosine, phiDifference(h.wi, h.theta, h.phi)) / h.wi.z;
+  result = vec4(clamp(f * (${SCALE}.0 * 4.0 * h.cosine * h.area), -6e4, 6e4), 0.0);
+}`;
+
+const SUM = `#version 300 es
+precision highp float;
+uniform highp sampler2D contribution, light;
+uniform int count;
+out vec4 result;
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
   vec3 sum = vec3(0.0);
-  for (int ring = 0; ring < rings; ring++) {
-    float u = (float(ring) + 0.5) / float(rings), thetaM = 0.5 * PI * u * u;
-    float area = sin(thetaM) * PI * u / float(rings) * 2.0 * PI / float(spokes);
-    for (int spoke = 0; spoke < spokes; spoke++) {
-      float phiM = 2.0 * PI * ((float(spoke) + 0.5) / float(spokes) + 0.6180339887498949 * float(ring));
-      vec3 m = vec3(sin(thetaM) * cos(phiM), sin(thetaM) * sin(phiM), cos(thetaM));
-      float cosine = dot(wi, m);
-      vec3 wo = 2.0 * cosine * m - wi;
-      if (cosine <= 0.0 || wo.z <= 0.0) continue;
-      vec3 world = frame * wo;
-      vec2 look = vec2(atan(world.x, world.y) / (2.0 * PI), acos(clamp(world.z, -1.0, 1.0)) / PI);
-      // Light is averaged over half the width of what a half vector stands for, else lamps leave its pattern.
-      float texel = 2.0 * PI * PI / cells.x / cells.y * max(length(world.xy), 0.1);
-      float radiance = textureLod(environment, look, 0.5 * log2(max(4.0 * cosine * area / texel, 4.0)) - 1.0).r;
-      sum += fCosines(thetaM, cosine, phiDifference(wi, thetaM, phiM)) * (radiance * 4.0 * cosine * area);
-    }
+  for (int m = 0; m < count; m++) {
+    ivec2 cell = at + ivec2(m % ${ACROSS} * ${AZIMUTHS}, m / ${ACROSS} * ${ELEVATIONS});
+    sum += texelFetch(contribution, ivec2(m, at.y), 0).rgb * texelFetch(light, cell, 0).r;
   }
-  result = vec4(sum / wi.z, 1.0);
+  result = vec4(sum / ${SCALE}.0, 1.0);
 }`;
 
 const SHOW = `${COMMON}
@@ -123,26 +162,23 @@ export class BallRenderer {
     this.gl = gl;
     this.data = data;
     const { light } = data;
-    this.studio = this._program(STUDIO);
+    this.programs = { light: this._program(LIGHT), material: this._program(MATERIAL), sum: this._program(SUM) };
     this.show = this._program(SHOW);
     const radiance = new Float32Array(light.radiance.length * 4);
     light.radiance.forEach((v, k) => radiance.fill(v, 4 * k, 4 * k + 4));
     this.environment = this._texture2d(light.columns, light.rows, radiance);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.generateMipmap(gl.TEXTURE_2D);
+    this.lights = new Map(); // by the number of rings
     this.surfaces = [];
     this.thumbnail = null;
   }
 
   /** Take a prediction, as surface 0, 1, ..., from its table (nGrid, 4), and light it by the studio. */
-  setSurface(k, table, azimuths = FINE) {
+  setSurface(k, table) {
     const { gl } = this;
     const [h, d, p] = this.data.grid.shape;
     if (!this.surfaces[k]) {
-      const lit = this._texture2d(azimuths, azimuths / 2, null);
-      const target = gl.createFramebuffer();
-      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, lit, 0);
       const texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_3D, texture);
       gl.texStorage3D(gl.TEXTURE_3D, 1, gl.RGBA16F, p, d, h);
@@ -152,12 +188,11 @@ export class BallRenderer {
       for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
         gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
       }
-      this.surfaces[k] = { texture, lit, target };
+      this.surfaces[k] = { texture, ...this._target(AZIMUTHS, ELEVATIONS) };
     }
     const surface = this.surfaces[k];
     gl.bindTexture(gl.TEXTURE_3D, surface.texture);
     gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, p, d, h, gl.RGBA, gl.FLOAT, table);
-    surface.azimuths = azimuths;
     this._lightByStudio(surface, MOVING);
   }
 
@@ -167,16 +202,38 @@ export class BallRenderer {
   }
 
   _lightByStudio(surface, [rings, spokes]) {
-    const { gl } = this, { azimuths } = surface;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, surface.target);
-    gl.viewport(0, 0, azimuths, azimuths / 2);
-    gl.disable(gl.BLEND);
-    this._use(this.studio, surface);
-    gl.uniform1i(this.studio.at("rings"), rings);
-    gl.uniform1i(this.studio.at("spokes"), spokes);
-    gl.uniform2f(this.studio.at("size"), azimuths, azimuths / 2);
-    gl.uniform2f(this.studio.at("cells"), this.data.light.columns, this.data.light.rows);
+    const { gl } = this, { material, sum } = this.programs;
+    const light = this._light(rings, spokes);
+    this._into(light.contribution, rings * spokes, ELEVATIONS);
+    this._use(material, surface);
+    gl.uniform1i(material.at("rings"), rings);
+    gl.uniform1i(material.at("spokes"), spokes);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+    this._into(surface, AZIMUTHS, ELEVATIONS);
+    gl.useProgram(sum.handle);
+    this._bind(sum, "contribution", 0, light.contribution.picture);
+    this._bind(sum, "light", 1, light.picture);
+    gl.uniform1i(sum.at("count"), rings * spokes);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** The light along half vectors at all places, made when first asked for. */
+  _light(rings, spokes) {
+    if (this.lights.has(rings)) return this.lights.get(rings);
+    const { gl, data } = this, { light: program } = this.programs, count = rings * spokes;
+    const width = AZIMUTHS * ACROSS, height = ELEVATIONS * Math.ceil(count / ACROSS);
+    const made = { ...this._target(width, height, gl.R16F), contribution: this._target(count, ELEVATIONS) };
+    this._into(made, width, height);
+    gl.useProgram(program.handle);
+    this._bind(program, "environment", 0, this.environment);
+    gl.uniform1i(program.at("table"), 2); // not read; no two kinds of texture share a unit
+    gl.uniform1i(program.at("rings"), rings);
+    gl.uniform1i(program.at("spokes"), spokes);
+    gl.uniform3f(program.at("view"), ...data.light.view);
+    gl.uniform2f(program.at("cells"), data.light.columns, data.light.rows);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    this.lights.set(rings, made);
+    return made;
   }
 
   /** Draw surfaces side by side, each in a square; light is {lamp: null or direction, exposure}. */
@@ -223,9 +280,7 @@ export class BallRenderer {
     const { gl } = this;
     this._use(this.show, surface);
     gl.viewport(...corner.map(Math.round), Math.round(side), Math.round(side));
-    gl.activeTexture(gl.TEXTURE1);
-    gl.bindTexture(gl.TEXTURE_2D, surface.lit);
-    gl.uniform1i(this.show.at("lit"), 1);
+    this._bind(this.show, "lit", 1, surface.picture);
     gl.uniform2f(this.show.at("corner"), ...corner.map(Math.round));
     gl.uniform1f(this.show.at("side"), Math.round(side));
     gl.uniform1f(this.show.at("exposure"), light.exposure);
@@ -238,24 +293,44 @@ export class BallRenderer {
   _use(program, surface) {
     const { gl, data } = this, [h, d, p] = data.grid.shape;
     gl.useProgram(program.handle);
-    gl.activeTexture(gl.TEXTURE0);
+    gl.activeTexture(gl.TEXTURE2);
     gl.bindTexture(gl.TEXTURE_3D, surface.texture);
-    gl.uniform1i(program.at("table"), 0);
-    gl.activeTexture(gl.TEXTURE1);
-    gl.bindTexture(gl.TEXTURE_2D, this.environment);
-    gl.uniform1i(program.at("environment"), 1);
+    gl.uniform1i(program.at("table"), 2);
     gl.uniform3f(program.at("nodes"), p, d, h);
     gl.uniform3f(program.at("view"), ...data.light.view);
     gl.uniform1f(program.at("thetaHMax"), data.grid.thetaHMax);
     gl.uniform1f(program.at("thetaHPower"), data.grid.thetaHPower);
     gl.uniform1f(program.at("thetaDShare"), data.grid.thetaDShare);
-    gl.activeTexture(gl.TEXTURE0);
   }
 
-  _texture2d(width, height, values) {
-    const { gl } = this, texture = gl.createTexture();
+  _bind(program, name, unit, texture) {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, width, height, 0, gl.RGBA, gl.FLOAT, values);
+    gl.uniform1i(program.at(name), unit);
+  }
+
+  _into({ target }, width, height) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.viewport(0, 0, width, height);
+  }
+
+  /** A texture that can be drawn into. */
+  _target(width, height, format = this.gl.RGBA16F) {
+    const { gl } = this, target = gl.createFramebuffer();
+    const picture = this._texture2d(width, height, null, format);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
+    return { picture, target };
+  }
+
+  _texture2d(width, height, values, format = this.gl.RGBA16F) {
+    const { gl } = this, texture = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    const channels = format === gl.R16F ? gl.RED : gl.RGBA;
+    gl.texImage2D(gl.TEXTURE_2D, 0, format, width, height, 0, channels, gl.FLOAT, values);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);

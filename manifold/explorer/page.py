@@ -10,14 +10,8 @@ from importlib.resources import files
 from typing import Any
 
 _MODULES = (
-    "numerics",
-    "ball",
-    "map",
-    "plots",
-    "state",
-    "served",
-    "explorer",
-)  # a module after what it imports
+    "numerics", "elements", "ball", "map", "plots", "state", "facts", "controls", "documents", "served", "explorer",
+)  # fmt: skip  # a module after what it imports
 _IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)
 _EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MULTILINE)
 

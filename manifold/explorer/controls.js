@@ -1,0 +1,349 @@
+// Controls to state, by mouse and by keyboard; methods of the page.
+
+import { interpolate, parseSpectrum } from "./numerics.js";
+import { byId, radios } from "./elements.js";
+import { fromFragment, toFragment } from "./state.js";
+
+const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
+
+export const controls = {
+  fillControls() {
+    const { data } = this;
+    const options = (select, names) => select.append(...names.map((name) => new Option(name, name)));
+    for (const id of ["like", "path-from", "path-to"]) options(byId(id), data.names);
+    byId("pinned").append(new Option("nothing", ""), new Option("the pinned place", "\u0000pinned"));
+    options(byId("pinned"), data.names);
+    byId("path-to").value = data.names[data.names.length - 1];
+    options(byId("illuminant"), Object.keys(data.toSrgb));
+    if (!data.wavelengths) {
+      byId("illuminant").disabled = true;
+      byId("illuminant").title = "the materials of this library carry no spectra";
+    }
+    const letters = ["x", "y", "z"];
+    data.X[0].forEach((_, q) => {
+      const label = document.createElement("label"), input = document.createElement("input");
+      const values = data.X.map((row) => row[q]), room = 0.24 * (Math.max(...values) - Math.min(...values) || 1);
+      label.textContent = letters[q] ?? `dimension ${q + 1}`;
+      const make = (type) => Object.assign(type, { min: Math.min(...values) - room, max: Math.max(...values) + room });
+      input.type = "number";
+      input.step = "any";
+      make(input).dataset.q = q;
+      input.addEventListener("change", () => this.moveAxis(q, Number(input.value)));
+      if (q >= 2) {
+        const slider = document.createElement("input");
+        slider.type = "range";
+        slider.step = "0.005";
+        make(slider).dataset.q = q;
+        slider.setAttribute("aria-label", `${label.textContent}, slider`);
+        slider.addEventListener("input", () => this.moveAxis(q, Number(slider.value), false));
+        slider.addEventListener("change", () => this.commit());
+        label.className = "slider";
+        label.append(slider);
+      }
+      label.append(input);
+      byId("coordinates").append(label);
+    });
+    const name = data.error ? data.error.what : "uncertainty";
+    byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
+    byId("legend-text").textContent = data.error
+      ? `${data.error.what}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
+    byId("map-legend").hidden = !data.error;
+  },
+
+  moveAxis(q, value, done = true) {
+    if (!Number.isFinite(value)) return;
+    const x = [...this.state.x];
+    x[q] = value;
+    this.change({ x: this.map.clamped(x) }, done);
+  },
+
+  listen() {
+    this.listenToMap();
+    this.listenToBall();
+    this.listenToColours();
+    this.listenToComparison();
+    this.listenToSearch();
+    byId("undo").addEventListener("click", () => this.restore(this.history.move(-1)));
+    byId("redo").addEventListener("click", () => this.restore(this.history.move(1)));
+    byId("link").addEventListener("click", () => this.copyLink());
+    byId("theme").addEventListener("click", () => this.setTheme(this.theme.name === "dark" ? "light" : "dark"));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
+    byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
+    byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
+    document.addEventListener("keydown", (event) => this.shortcut(event));
+    window.addEventListener("hashchange", () => {
+      if (location.hash !== `#${toFragment(this.state)}`) {
+        this.state = fromFragment(location.hash, this.data);
+        this.history.push(this.state);
+        this.request();
+      }
+    });
+    new ResizeObserver(() => this.request()).observe(byId("map"));
+    new ResizeObserver(() => this.drawBalls()).observe(byId("ball"));
+  },
+
+  shortcut(event) {
+    const isText = /^(text|search|number)$/.test(event.target.type ?? "");
+    if ((event.ctrlKey || event.metaKey) && !isText) {
+      const key = event.key.toLowerCase();
+      const by = key === "z" && !event.shiftKey ? -1 : key === "y" || (key === "z" && event.shiftKey) ? 1 : 0;
+      if (by) {
+        event.preventDefault();
+        this.restore(this.history.move(by));
+      }
+    } else if (event.key === "/" && !isText) {
+      event.preventDefault();
+      byId("search").focus();
+    }
+  },
+
+  listenToMap() {
+    const { map } = this, { canvas } = map;
+    let isDragged = false, touched = -1, from = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      canvas.setPointerCapture(event.pointerId);
+      canvas.focus({ preventScroll: true });
+      isDragged = true;
+      touched = map.materialUnder(event);
+      from = [event.clientX, event.clientY];
+      if (touched < 0) this.change({ x: map.toPlace(event, this.state.x) }, false);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (isDragged && touched >= 0 && Math.hypot(event.clientX - from[0], event.clientY - from[1]) < 4) return;
+      if (isDragged) {
+        touched = -1;
+        this.change({ x: map.toPlace(event, this.state.x) }, false);
+      } else {
+        const hover = map.materialUnder(event);
+        if (hover !== this.hover) {
+          this.hover = hover;
+          this.drawMap();
+        }
+      }
+    });
+    const end = () => {
+      if (!isDragged) return;
+      isDragged = false;
+      if (touched >= 0) this.goTo(touched); else this.commit();
+    };
+    canvas.addEventListener("pointerup", end);
+    canvas.addEventListener("pointercancel", end);
+    canvas.addEventListener("pointerleave", () => {
+      this.hover = -1;
+      this.drawMap();
+    });
+    canvas.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && !event.deltaY) return;
+      event.preventDefault();
+      this.zoom(map.zoom * Math.exp(-event.deltaY / 400));
+    }, { passive: false });
+    canvas.addEventListener("keydown", (event) => this.mapKey(event));
+    canvas.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && this.commit());
+    byId("zoom-in").addEventListener("click", () => this.zoom(map.zoom * 1.5));
+    byId("zoom-out").addEventListener("click", () => this.zoom(map.zoom / 1.5));
+  },
+
+  drawMap() {
+    this.map.draw(this.state, { hover: this.hover, weights: this.prediction.u, theme: this.theme });
+  },
+
+  zoom(to) {
+    this.map.zoomTo(to < 1.05 ? 1 : to, this.state.x);
+    this.drawMap();
+  },
+
+  mapKey(event) {
+    const move = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [1, 1], ArrowDown: [1, -1],
+      PageUp: [2, 1], PageDown: [2, -1] }[event.key];
+    if (move && move[0] < this.state.x.length) {
+      event.preventDefault();
+      const [q, sign] = move, x = [...this.state.x];
+      x[q] += (sign * this.extent * (event.shiftKey ? LARGE : STEP)) / this.map.zoom;
+      this.map.keepInView(x);
+      this.change({ x: this.map.clamped(x) }, q === 2);
+    } else if (event.key === "Enter") {
+      this.goTo(this.nearest()[0].k);
+    } else if (event.key === "+" || event.key === "=") {
+      this.zoom(this.map.zoom * 1.5);
+    } else if (event.key === "-") {
+      this.zoom(this.map.zoom / 1.5);
+    }
+  },
+
+  listenToBall() {
+    const canvas = byId("ball");
+    const aim = (x, y) => {
+      const r = Math.max(Math.hypot(x, y) / 0.97, 1);
+      this.state.lamp = [x / r, y / r];
+      this.drawBalls();
+    };
+    canvas.addEventListener("pointermove", (event) => {
+      if (this.state.light !== "lamp") return;
+      const box = canvas.getBoundingClientRect(), count = this.state.pin ? 2 : 1;
+      const side = Math.min(box.height, box.width / count);
+      const left = event.clientX - box.left - (box.width - side * count) / 2;
+      const across = count === 2 && left > side ? left - side : left;
+      aim((2 * across) / side - 1, 1 - (2 * (event.clientY - box.top - (box.height - side) / 2)) / side);
+    });
+    canvas.addEventListener("pointerleave", () => this.state.light === "lamp" && this.commit());
+    canvas.addEventListener("keydown", (event) => {
+      const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+      if (!move) return;
+      event.preventDefault();
+      if (this.state.light !== "lamp") this.change({ light: "lamp" });
+      aim(this.state.lamp[0] + 0.05 * move[0], this.state.lamp[1] + 0.05 * move[1]);
+      this.commit();
+    });
+    for (const input of radios("light")) input.addEventListener("change", () => this.change({ light: input.value }));
+    byId("illuminant").addEventListener("change", (event) => this.change({ illuminant: event.target.value }));
+    byId("exposure").addEventListener("input", (event) => {
+      this.state.exposure = Number(event.target.value);
+      this.showControls();
+      this.drawBalls();
+    });
+    byId("exposure").addEventListener("change", () => this.commit());
+  },
+
+  listenToColours() {
+    for (const input of radios("colour")) {
+      input.addEventListener("change", () => {
+        if (input.value === "file" && !this.spectrum) {
+          this.showControls();
+          byId("spectrum-file").focus();
+        } else {
+          this.change({ colour: input.value });
+        }
+      });
+    }
+    byId("like").addEventListener("change", (event) => this.change({ colour: "like", like: event.target.value }));
+    byId("picked").addEventListener("input", (event) => this.change({ colour: "picked", srgb: event.target.value }, false));
+    byId("picked").addEventListener("change", () => this.commit());
+    byId("spectrum-file").addEventListener("change", (event) => this.takeFile(event.target.files[0]));
+    document.addEventListener("dragover", (event) => {
+      event.preventDefault();
+      document.body.classList.add("dropping");
+    });
+    document.addEventListener("dragleave", (event) => {
+      if (!event.relatedTarget) document.body.classList.remove("dropping");
+    });
+    document.addEventListener("drop", (event) => {
+      event.preventDefault();
+      document.body.classList.remove("dropping");
+      if (event.dataTransfer.files.length) this.takeFile(event.dataTransfer.files[0]);
+    });
+  },
+
+  async takeFile(file) {
+    if (!file) return;
+    if (this.server && /\.bsdf$/i.test(file.name)) {
+      this.server.locate(file);
+      return;
+    }
+    try {
+      if (file.size > 1e6) throw new Error("expected a text file of at most 1 MB");
+      const { nm, values } = parseSpectrum(await file.text());
+      this.spectrum = { name: file.name, rows: nm.map((v, k) => [v, values[k]]), reflectance: this.spectrumAtNodes(nm, values) };
+      this.problem("");
+      this.change({ colour: "file" });
+    } catch (error) {
+      this.problem(`${file.name}: ${error.message}`);
+    }
+  },
+
+  spectrumAtNodes(nm, values) {
+    const { wavelengths, fileSpectra } = this.data;
+    if (wavelengths) return wavelengths.map((w) => interpolate(w, nm, values));
+    const sampled = fileSpectra.wavelengths.map((w) => interpolate(w, nm, values));
+    return [0, 1, 2].map((c) => {
+      const linear = sampled.reduce((sum, v, k) => sum + v * fileSpectra.toSrgb[k][c], 0);
+      return Math.min(Math.max(linear, 0), 1);
+    });
+  },
+
+  listenToComparison() {
+    byId("pin").addEventListener("click", () => {
+      const { x, at, colour, like, srgb } = this.state;
+      this.change({ pin: structuredClone({ x, at, colour, like, srgb }) });
+    });
+    byId("unpin").addEventListener("click", () => this.change({ pin: null }));
+    byId("pinned").addEventListener("change", (event) => {
+      const k = this.data.names.indexOf(event.target.value);
+      const { like, srgb } = this.state;
+      const x = k >= 0 ? [...this.data.X[k]] : null;
+      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb } : null });
+    });
+    const travel = (done) => {
+      const [from, to, t] = [byId("path-from").value, byId("path-to").value, Number(byId("path-t").value)];
+      const [a, b] = [from, to].map((name) => this.data.X[this.data.names.indexOf(name)]);
+      const at = t === 0 ? from : t === 1 ? to : undefined;
+      this.change({ x: a.map((v, q) => (t === 1 ? b[q] : v + t * (b[q] - v))), at, path: { from, to, t } }, done);
+    };
+    byId("path-t").addEventListener("input", () => travel(false));
+    byId("path-t").addEventListener("change", () => this.commit());
+    byId("path-from").addEventListener("change", () => travel(true));
+    byId("path-to").addEventListener("change", () => travel(true));
+  },
+
+  listenToSearch() {
+    const input = byId("search"), list = byId("found");
+    let found = [], at = 0;
+    const close = () => {
+      list.hidden = true;
+      input.setAttribute("aria-expanded", "false");
+      input.removeAttribute("aria-activedescendant");
+    };
+    const show = () => {
+      const words = input.value.trim().toLowerCase().split(/\s+/);
+      found = input.value.trim()
+        ? this.data.names.flatMap((name, k) => (words.every((w) => name.toLowerCase().includes(w)) ? [k] : [])) : [];
+      at = Math.min(at, Math.max(found.length - 1, 0));
+      list.replaceChildren(...found.map((k, row) => {
+        const item = document.createElement("li");
+        item.id = `found-${row}`;
+        item.setAttribute("role", "option");
+        item.setAttribute("aria-selected", String(row === at));
+        item.textContent = this.data.names[k];
+        item.addEventListener("pointerdown", (event) => {
+          event.preventDefault();
+          choose(k);
+        });
+        return item;
+      }));
+      list.hidden = !found.length;
+      input.setAttribute("aria-expanded", String(found.length > 0));
+      if (found.length) input.setAttribute("aria-activedescendant", `found-${at}`);
+      list.children[at]?.scrollIntoView({ block: "nearest" });
+    };
+    const choose = (k) => {
+      input.value = "";
+      close();
+      this.goTo(k);
+    };
+    input.addEventListener("input", () => {
+      at = 0;
+      show();
+    });
+    input.addEventListener("blur", close);
+    input.addEventListener("keydown", (event) => {
+      const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+      if (by && found.length) {
+        event.preventDefault();
+        at = (at + by + found.length) % found.length;
+        show();
+      } else if (event.key === "Enter" && found.length) {
+        choose(found[at]);
+      } else if (event.key === "Escape") {
+        close();
+      }
+    });
+  },
+
+  setTheme(name) {
+    this.theme = THEMES[name];
+    document.documentElement.dataset.theme = name;
+    byId("theme").textContent = name === "dark" ? "Light" : "Dark";
+    byId("theme").setAttribute("aria-pressed", String(name === "dark"));
+    if (this.prediction) this.drawMap();
+  },
+};

@@ -1,0 +1,122 @@
+// What is known of a place, in words; methods of the page.
+
+import { deepestValley, fieldAt } from "./numerics.js";
+import { byId, fixed, percent, radios } from "./elements.js";
+
+const NEAREST = 6;
+const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
+const MISSED = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
+
+export const facts = {
+  /** Error to expect, 0 at a material; null where it is not known. */
+  error() {
+    const isMaterial = this.materials.materialAt(this.state.x) >= 0;
+    return isMaterial ? 0 : fieldAt(this.data.error, this.state.x);
+  },
+
+  isUnsupported() {
+    const { error } = this.data;
+    return (fieldAt({ ...error, values: error.unsupported }, this.state.x) ?? 1) > 0.5;
+  },
+
+  diagnostics() {
+    const { data, prediction, state } = this, found = [];
+    if (data.error && prediction.u[this.materials.materialAt(state.x)] !== 1 && this.isUnsupported()) {
+      found.push("extrapolated: the data say little here; stay nearer to the materials");
+    }
+    const valley = Math.max(...this.slices.map(deepestValley));
+    if (valley > VALLEY) found.push(`the highlight has a dark valley of ${percent(valley)}`);
+    if (prediction.missed > MISSED) {
+      found.push(`requested reflectance out of reach at this structure: missed by up to ${prediction.missed.toFixed(2)}`);
+    }
+    const most = Math.max(...this.reflectance);
+    if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);
+    const unmeasured = prediction.u.reduce((sum, u, i) => sum + u * data.unmeasured[i], 0);
+    if (unmeasured > UNMEASURED) {
+      found.push(`${(100 * unmeasured).toFixed(0)} % of the cells were not measured, but filled from neighbours`);
+    }
+    return found;
+  },
+
+  nearest() {
+    const { data, state, prediction } = this;
+    return data.names
+      .map((name, k) => ({ name, k, weight: prediction.u[k],
+        distance: Math.hypot(...data.X[k].map((v, q) => v - state.x[q])) }))
+      .sort((a, b) => b.weight - a.weight || a.distance - b.distance).slice(0, NEAREST);
+  },
+
+  errorInWords(error) {
+    const { unit } = this.data.error ?? {};
+    return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit})`;
+  },
+
+  showFacts() {
+    const { data, state } = this, error = this.error();
+    const beyond = data.error ? "beyond the map" : "not known";
+    byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
+    const found = this.diagnostics();
+    byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
+      const item = document.createElement("li");
+      item.textContent = text;
+      if (found.length) item.className = "warning";
+      return item;
+    }));
+    const nearest = this.nearest();
+    const rows = byId("nearest");
+    while (rows.children.length < nearest.length) {
+      const row = document.createElement("tr"), button = document.createElement("button");
+      row.append(...[0, 1, 2].map(() => document.createElement("td")));
+      button.type = "button";
+      button.addEventListener("click", () => this.goTo(Number(button.dataset.k)));
+      row.firstChild.append(button);
+      rows.append(row);
+    }
+    nearest.forEach(({ name, k, weight, distance }, at) => {
+      const [cell, share, away] = rows.children[at].children;
+      cell.firstChild.textContent = name;
+      cell.firstChild.dataset.k = k;
+      share.textContent = percent(weight);
+      away.textContent = distance.toFixed(2);
+    });
+    byId("caption").textContent = this.words(state);
+    byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
+    const place = `${this.words(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
+    const known = error === null ? "" : `${data.error.what} ${error.toFixed(2)}. `;
+    byId("map").setAttribute("aria-label", `Map of ${data.names.length} materials. ${place}`);
+    byId("ball").setAttribute("aria-label", `Ball of the material at ${place}`);
+    clearTimeout(this.saying);
+    this.saying = setTimeout(() => (byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
+  },
+
+  words({ x, at, colour, like, srgb }) {
+    const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
+    const named = { like: `like ${like}`, picked: srgb, file: this.spectrum?.name ?? "" }[colour];
+    return named ? `${place}, ${named}` : place;
+  },
+
+  showControls() {
+    const { state, history: past } = this;
+    for (const input of radios("light")) input.checked = input.value === state.light;
+    for (const input of radios("colour")) input.checked = input.value === state.colour;
+    byId("like").value = state.like;
+    byId("picked").value = state.srgb;
+    byId("illuminant").value = state.illuminant;
+    byId("exposure").value = state.exposure;
+    byId("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} EV`;
+    byId("undo").disabled = !past.can(-1);
+    byId("redo").disabled = !past.can(1);
+    byId("unpin").disabled = !state.pin;
+    byId("pinned").value = state.pin ? state.pin.at && state.pin.colour === "blend" ? state.pin.at : "\u0000pinned" : "";
+    byId("pinned").options[1].hidden = byId("pinned").options[1].disabled = byId("pinned").value !== "\u0000pinned";
+    if (state.path) {
+      byId("path-from").value = state.path.from;
+      byId("path-to").value = state.path.to;
+      byId("path-t").value = state.path.t;
+    }
+    byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
+    for (const input of byId("coordinates").querySelectorAll("input")) {
+      if (input !== document.activeElement || input.type === "range") input.value = fixed(state.x[input.dataset.q], 3);
+    }
+  },
+};

@@ -13,9 +13,13 @@ from instrument_files import dense, smooth, write_every_format
 
 from manifold.errors import FileFormatError
 from manifold.formats import astm, csv_table, lighttools, registry
+from manifold.formats.dense import DenseTable
 from manifold.formats.geometry_names import geometry_name, parse_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
+from manifold.synthetic.corpus import isotropic_materials
+from manifold.synthetic.ggx import GGX
 from manifold.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_ma_t12
+from manifold.synthetic.microfacet import Plastic
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 FACTORS = np.pi * SPECTRO.values
@@ -172,12 +176,21 @@ def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path)
     assert found.bands == MINI_DIFF_BANDS
 
 
+def lighttools_file(path, brdf) -> None:
+    """A table of a BRDF in the bands of a Mini-Diff."""
+    degrees = ([0.0, 20.0, 40.0, 60.0], [180.0], np.arange(0.0, 90.0, 5.0), np.arange(0.0, 360.0, 30.0))
+    axes = tuple(np.deg2rad(a) for a in degrees)
+    shape = (*(a.size for a in axes), 3)
+    table = DenseTable("p", "t", "incident-outgoing", axes, np.array([465.0, 525.0, 630.0]), np.zeros(shape))
+    lighttools.write(path, replace(table, values=brdf.eval(*table.directions()).reshape(shape)))
+
+
 @pytest.mark.parametrize("rows_turned", [0, 3, 6, 9])
-def test_the_azimuth_of_incidence_in_lighttools_files_is_found_from_the_bright_side(
-    files, rows_turned, tmp_path
-):
+def test_the_azimuth_of_incidence_in_lighttools_files_is_found_from_the_highlight(rows_turned, tmp_path):
     """Tables turned by 90, 180 and 270 degrees, as other programs have them, are the same material."""
-    lines, out = files["lighttools"].read_text().splitlines(), []
+    satin = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.2, 0.4, 0.6]), MINI_DIFF_BANDS)
+    lighttools_file(tmp_path / "straight.bsdf", satin)
+    lines, out = (tmp_path / "straight.bsdf").read_text().splitlines(), []
     while lines:
         out.append(lines.pop(0))
         if out[-1].startswith("TIS"):
@@ -187,7 +200,15 @@ def test_the_azimuth_of_incidence_in_lighttools_files_is_found_from_the_bright_s
     path = tmp_path / "turned.bsdf"
     path.write_text("\n".join(out))
     found = registry.read_readings(path)
-    np.testing.assert_allclose(found.values, smooth(found.bands).eval(found.wi, found.wo), rtol=1e-5)
+    np.testing.assert_allclose(found.values, satin.eval(found.wi, found.wo), rtol=1e-5)
+
+
+def test_paint_that_is_brightest_towards_the_light_is_not_turned_round(tmp_path):
+    paint = next(m for m in isotropic_materials() if m.name == "syn_paint_sand").truth(MINI_DIFF_BANDS)
+    lighttools_file(tmp_path / "paint.bsdf", paint)
+    found = registry.read_readings(tmp_path / "paint.bsdf")
+    np.testing.assert_allclose(found.values, paint.eval(found.wi, found.wo), rtol=1e-5)
+    assert any("no highlight" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

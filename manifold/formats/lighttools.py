@@ -1,7 +1,7 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
 Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
-relative to azimuth 0 differs between programs: it is found from the brightest side.
+relative to azimuth 0 differs between programs: it is found from the highlight.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from manifold.records import Array
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell
-_MIRROR_CONE = np.cos(np.deg2rad(15.0))
-_TELLING = 1.15  # by this factor the brightest side is brighter than the next
+_NEAR = np.cos(np.deg2rad(10.0))  # around a mirror direction
+_AROUND = np.cos(np.deg2rad([20.0, 40.0]))
+_TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of paints and papers by 1.4 at most
 _UNNAMED_NM = 550.0
 _MOST_BLOCKS = 100_000
 
@@ -202,33 +203,37 @@ def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
 def _incident_azimuth(
     incidences: list[tuple[float, float]], theta: Array, phi: Array, values: Array, notes: list[str]
 ) -> float:
-    """Azimuth of incidence relative to POI in degrees, of four: the one whose mirror direction is brightest."""
+    """Azimuth of incidence relative to POI in degrees, of four: the one opposite the clearest highlight.
+
+    Matte materials are bright towards the light as well, without a peak: these do not decide.
+    """
     oblique = [k for k, (aoi, _) in enumerate(incidences) if 10.0 <= aoi <= 70.0]
-    offsets = (90.0, 270.0, 180.0, 0.0)
     if not oblique:
         return _USUAL_AZIMUTH
     wo = from_spherical(np.deg2rad(theta), np.deg2rad(phi))
-    brightness = values.mean(axis=-1)
-    scores = []
-    for offset in offsets:
-        score = 0.0
-        for k in oblique:
-            aoi, poi = incidences[k]
-            mirror = from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + 180.0))
-            cone = wo @ mirror > _MIRROR_CONE
-            score += (
-                float(brightness[k, cone].mean() / max(brightness[k].mean(), 1e-300)) if np.any(cone) else 0.0
-            )
-        scores.append(score)
-    order = np.argsort(scores)[::-1]
-    if scores[order[0]] < _TELLING * scores[order[1]]:
-        notes.append(
-            "which side is the mirror direction does not show: incidence is taken at azimuth POI + 90"
-        )
-        return _USUAL_AZIMUTH
-    best = offsets[int(order[0])]
-    notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the brightest side")
-    return best
+    peaks = {o: _peak(incidences, oblique, wo, values.mean(axis=-1), o) for o in (90.0, 270.0, 180.0, 0.0)}
+    best = max(peaks, key=lambda offset: peaks[offset])
+    if peaks[best] >= _TELLING * max(peak for offset, peak in peaks.items() if offset != best):
+        notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the highlight")
+        return best
+    in_usual_plane = peaks[90.0] + peaks[270.0] >= peaks[0.0] + peaks[180.0]
+    taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
+    notes.append(f"no highlight tells the mirror direction: incidence is taken at azimuth POI + {taken:g}")
+    return taken
+
+
+def _peak(
+    incidences: list[tuple[float, float]], oblique: list[int], wo: Array, brightness: Array, offset: float
+) -> float:
+    """How much brighter the mirror direction is than its surroundings, incidence lying at POI + offset."""
+    total = 0.0
+    for k in oblique:
+        aoi, poi = incidences[k]
+        cosine = wo @ from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + 180.0))
+        near, around = cosine > _NEAR, (cosine < _AROUND[0]) & (cosine > _AROUND[1])
+        if np.any(near) and np.any(around):
+            total += float(brightness[k, near].mean() / max(brightness[k, around].mean(), 1e-300))
+    return total
 
 
 def write(path: Path, table: DenseTable) -> None:

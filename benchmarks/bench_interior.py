@@ -1,0 +1,125 @@
+"""How believable the inside of a map is: the table of docs/design/blends.md.
+
+    python benchmarks/bench_interior.py LIBRARY [--latent-dim Q] [--kind KIND] [--count N] [--seeds 0,1,2]
+
+A model of the library; places at random inside the convex hull of its materials, none that the data do not support, in
+their default colours. A row per seed: how many have a hole in the highlight, negative values before they are cut, an
+albedo above 1.02; how far the ball moves (mean CIEDE2000) in a step of 0.01, and where a material's own coordinates are
+rounded to three decimals; how many of the places drawn were not supported.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from manifold.brdf.measured import BRDF
+from manifold.brdf.valleys import valley_depth
+from manifold.colour import ball_colours
+from manifold.directions import from_spherical
+from manifold.library.store import Library
+from manifold.model.manifold import Manifold
+from manifold.model.settings import KINDS, Settings
+from manifold.records import Array
+
+INCIDENCES_DEG = (30.0, 45.0, 60.0)
+AROUND_MIRROR_DEG = 20.0
+OUTGOING_DEG = np.arange(-85.0, 86.0)
+ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
+STEP = 0.01
+
+
+@dataclass(frozen=True)
+class Place:
+    """What was measured at one place: depth of the deepest hole, share of negative values, albedo, ball of a step."""
+
+    hole: float
+    negative: float
+    albedo: float
+    step: float
+
+
+class Interior:
+    """Places inside a model's map, and their balls."""
+
+    def __init__(self, model: Manifold, seed: int) -> None:
+        self._model, self._rng, self._ball = model, np.random.default_rng(seed), ball_colours.ball()
+        self._hull, self._low, self._high = Delaunay(model.X), model.X.min(axis=0), model.X.max(axis=0)
+        self.drawn = 0
+
+    def draw(self) -> Array:
+        """A place (Q,) inside the hull that the data support."""
+        while True:
+            x = self._rng.uniform(self._low, self._high)
+            if self._hull.find_simplex(x) >= 0:
+                self.drawn += 1
+                if not self._model.is_extrapolation(x):
+                    return x
+
+    def measure(self, x: Array) -> Place:
+        """What the prediction at a place (Q,) looks like."""
+        brdf, step = self._model.predict(x), self._rng.normal(size=x.size)
+        beside = self._model.predict(x + STEP * step / np.linalg.norm(step))
+        f = brdf.eval(self._ball.wi, self._ball.wo)
+        albedo = brdf.albedo(from_spherical(np.deg2rad(ALBEDO_INCIDENCES_DEG), 0.0)).max()
+        return Place(hole_depth(brdf), float(np.mean(f < 0.0)), float(albedo), self.apart(brdf, beside))
+
+    def rounded(self) -> list[float]:
+        """How far each material's ball moves where its coordinates are rounded to three decimals."""
+        model = self._model
+        return [
+            self.apart(model.material(name), model.predict(np.round(model.latent(name), 3)))
+            for name in model.names
+        ]
+
+    def apart(self, a: BRDF, b: BRDF) -> float:
+        """Mean CIEDE2000 between two balls."""
+        ball = self._ball
+        xyz = (ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), self._model.bands) for brdf in (a, b))
+        return ball_colours.delta_e(*xyz)
+
+
+def hole_depth(brdf: BRDF) -> float:
+    """Deepest in-plane minimum around the mirror direction, as a share of the lower of its two sides."""
+    wo = from_spherical(np.abs(np.deg2rad(OUTGOING_DEG)), np.where(OUTGOING_DEG > 0.0, np.pi, 0.0))
+    deepest = 0.0
+    for incidence in INCIDENCES_DEG:
+        wi = np.broadcast_to(from_spherical(np.deg2rad(incidence), 0.0), wo.shape)
+        near = np.abs(OUTGOING_DEG - incidence) <= AROUND_MIRROR_DEG
+        f = np.maximum(brdf.eval(wi, wo), 0.0).mean(axis=1)[near]
+        deepest = max(deepest, float(valley_depth(f)))
+    return deepest
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("library", type=Path)
+    parser.add_argument("--latent-dim", type=int, default=2)
+    parser.add_argument("--kind", choices=KINDS, default="blend")
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seeds", default="0,1,2")
+    given = parser.parse_args()
+    model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
+    model.calibrate()
+    print("| seed | holes over 10 % | more than 0.5 % negative | albedo above 1.02 (largest) | step of 0.01: median, "
+          "95th percentile, largest | rounded, largest | not supported |\n|---|---|---|---|---|---|---|")  # fmt: skip
+    for seed in map(int, given.seeds.split(",")):
+        interior = Interior(model, seed)
+        places = [interior.measure(interior.draw()) for _ in range(given.count)]
+        hole, negative, albedo, step = (
+            np.array([getattr(p, name) for p in places]) for name in ("hole", "negative", "albedo", "step")
+        )
+        print(f"| {seed} | {np.mean(hole > 0.1):.1%} | {np.mean(negative > 0.005):.1%} | {np.mean(albedo > 1.02):.1%} "
+              f"({albedo.max():.2f}) | {np.median(step):.2f}, {np.quantile(step, 0.95):.2f}, {step.max():.2f} | "
+              f"{max(interior.rounded()):.2f} | {1.0 - given.count / interior.drawn:.0%} |", flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -7,7 +7,7 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 
@@ -33,13 +33,10 @@ class GuardedTyper(typer.Typer):
 
 def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
     """A command that first calls `require_replaceable` with its own parameters."""
-    signature = inspect.signature(function)
-    hints = get_type_hints(function, include_extras=True)
-    if not any(name in signature.parameters for name in _NAMES):
+    if not any(name in function.__annotations__ for name in _NAMES):
         return function
-    parameters = [
-        p.replace(annotation=hints.get(p.name, p.annotation)) for p in signature.parameters.values()
-    ]
+    signature = inspect.signature(function, eval_str=True)  # which Typer then need not do
+    parameters = list(signature.parameters.values())
     is_own = "force" in signature.parameters
     if not is_own:
         keyword = inspect.Parameter.KEYWORD_ONLY

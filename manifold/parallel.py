@@ -14,12 +14,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _turn = threading.Lock()
-_is_fork = False  # whether this process is a fork of one that had imported this module
+_has_threads = False  # whether a kernel has run, and Numba's threads with it
+_has_lost_threads = False  # whether this process is a fork of one that had them
 
 
 def _after_fork() -> None:
-    global _turn, _is_fork
-    _turn, _is_fork = threading.Lock(), True  # the old lock may be another thread's, which is not here
+    global _turn, _has_lost_threads
+    _turn = threading.Lock()  # the old one may be held by a thread that is not here
+    _has_lost_threads = _has_lost_threads or _has_threads
 
 
 if hasattr(os, "register_at_fork"):
@@ -39,14 +41,16 @@ def in_turn(kernel: Callable[P, R]) -> Callable[P, R]:
     """A kernel that is parallel in itself, entered by one thread at a time.
 
     Where neither OpenMP nor TBB is installed, Numba runs such kernels on a pool of its own, which ends the process
-    when two threads enter it. With one of them it would start more threads than there are cores. After a fork, the
-    child's threads are gone, and Numba ends it or waits for ever: there the kernel runs in one thread.
+    when two threads enter it. With one of them it would start more threads than there are cores. In a fork of a
+    process that had these threads they are gone, and Numba ends it or waits for ever: there kernels have one thread.
     """
 
     @wraps(kernel)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        global _has_threads
         with _turn:
-            return (_in_one_thread(kernel) if _is_fork else kernel)(*args, **kwargs)
+            _has_threads = True
+            return (_in_one_thread(kernel) if _has_lost_threads else kernel)(*args, **kwargs)
 
     return call
 

@@ -237,7 +237,7 @@ def servers(base: Path, folder: Path, rng: random.Random) -> Case:
             with connection, suppress(OSError):
                 connection.recv(65536)
                 answer = rng.choice(answers)
-                step = len(answer) if pace == 0.0 else 16
+                step = max(len(answer), 1) if pace == 0.0 else 16
                 for k in range(0, len(answer), step):
                     connection.sendall(answer[k : k + step])
                     time.sleep(pace)

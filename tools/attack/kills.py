@@ -58,7 +58,7 @@ def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) 
     for number, (arguments, output, check) in enumerate(COMMANDS):
         work = folder / f"kills{number}"
         shutil.copytree(base / "whole", work)
-        length = sandbox.run(command(*arguments), work, log).seconds
+        length = sandbox.run(command(*arguments), work, log).waited
         for k in range(count // len(COMMANDS)):
             if rng.random() < 0.5:
                 path = work / output

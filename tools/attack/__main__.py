@@ -1,7 +1,7 @@
 """Attack the package with changed inputs, for some minutes: `make attack`, or `python tools/attack --minutes 10`.
 
 Every case runs in a process of its own, with 10 s of a core and 2 GB. Reported are tracebacks, crashes, hangs, too much
-memory, and results that are silently wrong; then the exit status is 1. A seed makes the same cases again; `--only` repeats one.
+memory, and what is silently wrong; then the exit status is 1. A seed makes the same cases; `--only` repeats one.
 """
 
 from __future__ import annotations

@@ -80,6 +80,12 @@ def export(
         Path | None,
         typer.Option(help="For a fit: the measured .bsdf to compare with.", metavar="FILE"),
     ] = None,
+    direct: Annotated[
+        bool,
+        typer.Option(
+            "--direct", help="Fit the target's own model to the material; closer, and some seconds each."
+        ),
+    ] = False,
     json: JsonOption = None,
 ) -> None:  # fmt: skip
     """Write materials as parameters of engines, and say what each engine's own shading model loses.
@@ -103,7 +109,7 @@ def export(
         many = TARGETS[target.value if target else "gltf"]
         folder = output or Path("exports")
         with terminal.progress("Exporting") as step:
-            outcomes = export_folders.export_all(source, many, folder, step)
+            outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct)
         _show_all(results, outcomes, folder)
         return
     path = output or Path("material.glb")
@@ -116,7 +122,7 @@ def export(
             subject = exports.subject_of_prediction(
                 model, parse_latent(latent or ""), library=library, colour=colour, on_progress=step
             )
-        outcome = exports.export(subject, chosen, path)
+        outcome = exports.export(subject, chosen, path, is_direct=direct)
     _show(results, outcome)
 
 

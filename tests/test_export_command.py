@@ -60,6 +60,24 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     assert abs(made["ciede2000"] - made["principled_ciede2000"]) < 1.0
 
 
+def test_a_direct_fit_starts_from_the_mapped_parameters_and_is_said(folder, tmp_path, monkeypatch):
+    calls = []
+
+    def fit_target(target, start, samples, material):
+        calls.append((start["roughnessFactor"], samples.bands.is_rgb))
+        return start | {"roughnessFactor": 0.9}
+
+    monkeypatch.setattr(exports, "fit_target", fit_target)
+    words = ["export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb", "--direct"]
+    result = run(*words, "--json", "-")
+    assert result.exit_code == 0, result.output
+    (made,) = json.loads(result.stdout)["exports"]
+    assert made["method"] == "direct"
+    assert made["parameters"]["roughnessFactor"] == 0.9
+    values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
+    assert calls == [(pytest.approx(values["roughness"]), True)]
+
+
 def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
     result = run("export", folder / "copper_rgb.bsdf", "-o", tmp_path / "x.json", "--target", "unreal")
     assert result.exit_code == 0, result.output

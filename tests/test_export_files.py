@@ -41,7 +41,9 @@ MATERIALS = {
 
 def export(name, target, material):
     source = {"file": "x_rgb.bsdf"}
-    return Export(name, target, TARGETS[target].parameters(material), source, 1.25, 1.5, "measured file")
+    return Export(
+        name, target, TARGETS[target].parameters(material), source, "mapping", 1.25, 1.5, "measured file"
+    )
 
 
 def written(folder, name, target):

@@ -80,8 +80,15 @@ def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(difference.delta_e_itp(xyz, xyz_star)))
 
 
-def ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> Ball:
-    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors."""
+def ball(
+    pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, is_turned: bool = False
+) -> Ball:
+    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors.
+
+    Args:
+        pixels, rings, spokes: how fine.
+        is_turned: whether the studio is turned by half a circle, so that its lamps are behind the ball.
+    """
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
     up = np.cross(VIEW, right)
     across = 2.0 * (np.arange(pixels) + 0.5) / pixels - 1.0
@@ -103,7 +110,10 @@ def ball(pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES) -> B
     cosine = wi @ m.T  # [K, M]
     wo = 2.0 * cosine[..., None] * m - wi[:, None]
     lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
-    radiance = _look_up(environment(), np.einsum("kmc,kcw->kmw", wo, frame)[lit])
+    image = environment()
+    if is_turned:
+        image = np.roll(image, image.shape[1] // 2, axis=1)
+    radiance = _look_up(image, np.einsum("kmc,kcw->kmw", wo, frame)[lit])
     pixel = np.nonzero(lit)[0]
     light = radiance * wo[lit][:, 2] * (4.0 * cosine * area)[lit]
     starts = np.searchsorted(pixel, np.arange(len(wi)))

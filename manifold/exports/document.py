@@ -18,6 +18,7 @@ class Export:
         target: name of the target.
         parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
         source: where the parameters come from, plain values.
+        method: `mapping`, from the parameters of `principled`; or `direct`, a fit of the target's own model.
         loss: mean CIEDE2000 on the ball of the target's own model, against what `loss_against` names; None where
             the target's model is not evaluated.
         principled_loss: the same of Mitsuba's `principled`.
@@ -28,6 +29,7 @@ class Export:
     target: str
     parameters: Mapping[str, Any]
     source: Mapping[str, Any] = field(default_factory=dict)
+    method: str = "mapping"
     loss: float | None = None
     principled_loss: float | None = None
     loss_against: str | None = None
@@ -39,6 +41,7 @@ class Export:
             "material": self.name,
             "target": self.target,
             "source": dict(self.source),
+            "method": self.method,
             "ciede2000": self.loss,
             "principled_ciede2000": self.principled_loss,
             "against": self.loss_against,

@@ -29,6 +29,20 @@ DEFAULTS: dict[str, Any] = {
 }
 """Every parameter that exports may set, with the specification's default."""
 
+COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
+SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
+FREE = (
+    "baseColorFactor",
+    "metallicFactor",
+    "roughnessFactor",
+    "ior",
+    "clearcoatFactor",
+    "clearcoatRoughnessFactor",
+    "sheenColorFactor",
+    "sheenRoughnessFactor",
+)
+"""What a direct fit changes."""
+
 EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_ior": ("ior",),
     "KHR_materials_specular": ("specularFactor", "specularColorFactor"),

@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Protocol
 
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
+from manifold.fitting.fit_samples import Evaluated
 from manifold.records import Array, Bands
-
-
-class Evaluated(Protocol):
-    """A BRDF as far as balls need it."""
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B)."""
 
 
 @lru_cache(maxsize=1)

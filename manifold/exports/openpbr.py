@@ -33,6 +33,21 @@ DEFAULTS: dict[str, Any] = {
 }
 """Every parameter that exports may set, with its default."""
 
+COAT = ("coat_weight", "coat_roughness", "coat_ior", "coat_darkening")
+SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
+FREE = (
+    "base_color",
+    "base_metalness",
+    "specular_weight",
+    "specular_roughness",
+    "specular_ior",
+    "coat_weight",
+    "coat_roughness",
+    "fuzz_weight",
+    "fuzz_roughness",
+)
+"""What a direct fit changes."""
+
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
 
 

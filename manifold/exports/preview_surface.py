@@ -22,6 +22,16 @@ DEFAULTS: dict[str, Any] = {
 }
 """Every parameter that exports may set, with its default."""
 
+COAT = ("clearcoat", "clearcoatRoughness")
+FREE = (
+    "diffuseColor",
+    "specularColor",
+    "roughness",
+    "clearcoat",
+    "clearcoatRoughness",
+)
+"""What a direct fit changes."""
+
 _IOR = 1.5  # the default, which here is the coat's alone
 
 

@@ -31,6 +31,21 @@ DEFAULTS: dict[str, Any] = {
 }
 """Every parameter that exports may set, with its default."""
 
+COAT = ("coat", "coat_roughness")
+SHEEN = ("sheen", "sheen_color", "sheen_roughness")
+FREE = (
+    "base_color",
+    "metalness",
+    "specular",
+    "specular_roughness",
+    "specular_IOR",
+    "coat",
+    "coat_roughness",
+    "sheen",
+    "sheen_roughness",
+)
+"""What a direct fit changes."""
+
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
 
 

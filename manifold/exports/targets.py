@@ -40,6 +40,8 @@ class Target:
         brdf: the target's own shading model, f in 1/sr of parameters, view and light; None where it is not evaluated.
         content: the file of an export.
         title: in words.
+        free: parameters that a direct fit changes.
+        coat, sheen: those of the coat and of the sheen, the weight first; empty where there is none.
     """
 
     name: str
@@ -49,6 +51,9 @@ class Target:
     brdf: Brdf | None
     content: Callable[[Export, Principled], bytes]
     title: str
+    free: tuple[str, ...] = ()
+    coat: tuple[str, ...] = ()
+    sheen: tuple[str, ...] = ()
 
 
 def _json(conventions: Mapping[str, str]) -> Callable[[Export, Principled], bytes]:
@@ -71,23 +76,28 @@ _ALL = (
     Target(
         "gltf", ".glb", gltf.DEFAULTS, gltf.parameters, gltf.brdf,
         lambda export, material: glb.glb(export), "glTF 2.0, metallic-roughness and extensions",
+        gltf.FREE, gltf.COAT, gltf.SHEEN,
     ),
     Target(
         "openpbr", ".mtlx", openpbr.DEFAULTS, openpbr.parameters, openpbr.brdf,
         lambda export, material: materialx.mtlx(export), "MaterialX, open_pbr_surface",
+        openpbr.FREE, openpbr.COAT, openpbr.SHEEN,
     ),
     Target(
         "standard-surface", ".mtlx", standard_surface.DEFAULTS, standard_surface.parameters, standard_surface.brdf,
         lambda export, material: materialx.mtlx(export), "MaterialX, standard_surface",
+        standard_surface.FREE, standard_surface.COAT, standard_surface.SHEEN,
     ),
     Target(
         "usd", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
         lambda export, material: usd.usda(export).encode(), "USD, UsdPreviewSurface",
+        preview_surface.FREE, preview_surface.COAT,
     ),
     Target(
         "usd-materialx", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
         lambda export, material: usd.usda(export, openpbr.parameters(material)).encode(),
         "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+        preview_surface.FREE, preview_surface.COAT,
     ),
     Target(
         "blender", ".py", blender.DEFAULTS, blender.parameters, None,
@@ -100,6 +110,7 @@ _ALL = (
     Target(
         "unreal", ".json", unreal.DEFAULTS, unreal.parameters, unreal.brdf, _json(unreal.CONVENTIONS),
         "Unreal Engine 5, Default Lit or Clear Coat",
+        unreal.FREE, unreal.COAT,
     ),
     Target(
         "unity", ".json", unity.DEFAULTS, unity.parameters, None, _json(unity.CONVENTIONS),

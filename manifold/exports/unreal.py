@@ -23,6 +23,17 @@ DEFAULTS: dict[str, Any] = {
 }
 """Every input that exports may set, with the value that an unconnected one has."""
 
+COAT = ("ClearCoat", "ClearCoatRoughness")
+FREE = (
+    "BaseColor",
+    "Metallic",
+    "Specular",
+    "Roughness",
+    "ClearCoat",
+    "ClearCoatRoughness",
+)
+"""What a direct fit changes."""
+
 CONVENTIONS: dict[str, str] = {
     "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",
     "Metallic": "0 to 1",

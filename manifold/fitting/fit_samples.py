@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from manifold.brdf.cells import Cells
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import unmeasured_cells
 from manifold.brdf.warp import Warp
 from manifold.colour.conversion import to_srgb
@@ -19,6 +20,17 @@ from manifold.records import Array, Bands, BsdfFile
 MIN_PAIRS = 4
 MAX_PAIRS = 2048
 _GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
+
+
+class Evaluated(Protocol):
+    """A BRDF as far as fits and balls need it."""
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +167,9 @@ def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
     return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
 
 
-def from_brdf(brdf: BRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS) -> FitSamples:
+def from_brdf(
+    brdf: Evaluated, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS
+) -> FitSamples:
     """Samples of a BRDF, dense around the mirror direction.
 
     Args:

@@ -29,7 +29,12 @@ INDEX = "exports.json"
 
 
 def export_all(
-    source: Path, target: Target, folder: Path, on_progress: Progress | None = None
+    source: Path,
+    target: Target,
+    folder: Path,
+    on_progress: Progress | None = None,
+    *,
+    is_direct: bool = False,
 ) -> list[ExportOutcome]:
     """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
 
@@ -38,6 +43,7 @@ def export_all(
         target: for all.
         folder: where to; made if missing. Its `exports.json` names what is done, after each material.
         on_progress: called after each material.
+        is_direct: as in `exports.export`.
     Returns:
         One outcome per material; one that cannot be exported does not stop the others.
     Raises:
@@ -55,10 +61,10 @@ def export_all(
     outcomes = []
     for name, (identity, read) in subjects.items():
         path = folder / f"{name}{target.suffix}"
-        if _is_done(index.get(path.name), identity, target, path):
+        if _is_done(index.get(path.name), identity, target, path, is_direct):
             outcomes.append(ExportOutcome(name, path, index[path.name]["export"], was_there=True))
         else:
-            outcomes.append(_export_one(name, read, target, path))
+            outcomes.append(_export_one(name, read, target, path, is_direct))
             made = outcomes[-1].export
             if made is not None:
                 index[path.name] = {"identity": identity, "file_sha256": file_sha256(path), "export": made}
@@ -68,9 +74,11 @@ def export_all(
     return outcomes
 
 
-def _export_one(name: str, read: Callable[[], Subject], target: Target, path: Path) -> ExportOutcome:
+def _export_one(
+    name: str, read: Callable[[], Subject], target: Target, path: Path, is_direct: bool
+) -> ExportOutcome:
     try:
-        return replace(export(read(), target, path), name=name)
+        return replace(export(read(), target, path, is_direct=is_direct), name=name)
     except ManifoldError as error:
         return ExportOutcome(name, path, None, failure=str(error))
 
@@ -102,12 +110,15 @@ def _read_material(library: Library, name: str, described: dict[str, Any]) -> Su
     return subject_of_file(library.read(name), described)
 
 
-def _is_done(entry: dict[str, Any] | None, identity: str, target: Target, path: Path) -> bool:
+def _is_done(
+    entry: dict[str, Any] | None, identity: str, target: Target, path: Path, is_direct: bool
+) -> bool:
     try:
         return (
             entry is not None
             and entry["identity"] == identity
             and entry["export"]["target"] == target.name
+            and (entry["export"]["method"] == "direct") == is_direct
             and entry["export"]["program"] == f"manifold {__version__}"
             and path.is_file()
             and entry["file_sha256"] == file_sha256(path)

@@ -12,6 +12,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.exports import loss
+from manifold.exports.direct import fit_target
 from manifold.exports.document import Export
 from manifold.exports.principled_values import Principled
 from manifold.exports.targets import Target
@@ -35,6 +36,7 @@ class Subject:
         source: where it comes from, plain values.
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
+        samples: of it, where it was fitted here.
         against: that in words.
     """
 
@@ -43,6 +45,7 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
+    samples: FitSamples | None = None
 
 
 @dataclass(frozen=True)
@@ -118,19 +121,28 @@ def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
 
 def _fitted(name: str, source: dict[str, Any], samples: FitSamples, material: BRDF, against: str) -> Subject:
     content = fit_json.document(fit_bsdf(samples), fit_json.Source(name))
-    return Subject(name, source, content, material, against)
+    return Subject(name, source, content, material, against, samples)
 
 
-def export(subject: Subject, target: Target, path: Path) -> ExportOutcome:
+def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = False) -> ExportOutcome:
     """Write a material for a target.
 
+    Args:
+        subject: the material.
+        target: where to.
+        path: the file.
+        is_direct: fit the target's own model to the material, from the mapped parameters on.
     Raises:
         UsageError: the fit has no counterpart in engines, or the file cannot be written.
     """
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"])
     parameters = target.parameters(principled)
     fitted = FittedBRDF(subject.fit)
-    reference = loss.material_xyz(fitted if subject.material is None else subject.material)
+    material = fitted if subject.material is None else subject.material
+    if is_direct:
+        samples = subject.samples or fit_samples.from_brdf(material)
+        parameters = fit_target(target, parameters, samples, material)
+    reference = loss.material_xyz(material)
     own = None
     if target.brdf is not None:
         brdf = target.brdf
@@ -140,6 +152,7 @@ def export(subject: Subject, target: Target, path: Path) -> ExportOutcome:
         target=target.name,
         parameters=parameters,
         source=subject.source,
+        method="direct" if is_direct else "mapping",
         loss=None if own is None else ball_colours.delta_e(own, reference),
         principled_loss=None
         if subject.material is None

@@ -1,0 +1,73 @@
+"""Direct fits of targets' own models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.exports import TARGETS, Principled, loss
+from manifold.exports.direct import fit_target
+from manifold.fitting import fit_samples
+from manifold.records import Bands
+
+TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
+START = Principled((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
+
+
+@dataclass
+class Own:
+    """A material that the target has."""
+
+    target: object
+    values: dict
+    bands: Bands = Bands(None)  # noqa: RUF009
+
+    def eval(self, wi, wo):
+        return self.target.brdf(self.values, wi, wo)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "usd",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("gltf", "openpbr", "standard-surface", "unreal")
+        ),
+    ],
+)
+def test_a_material_of_the_target_is_found_again(name):
+    target = TARGETS[name]
+    truth = Own(target, target.parameters(TRUTH))
+    samples = fit_samples.from_brdf(truth)
+    found = fit_target(target, target.parameters(START), samples, truth)
+    assert found.keys() == target.defaults.keys()
+
+    def ball(values):
+        return loss.rgb_xyz(lambda view, light: target.brdf(values, view, light))
+
+    before = ball_colours.delta_e(ball(target.parameters(START)), ball(truth.values))
+    after = ball_colours.delta_e(ball(found), ball(truth.values))
+    assert before > 5.0
+    assert after < 0.5  # a fit of 40 evaluations, pulled a little towards its start
+
+
+def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
+    target = TARGETS["gltf"]
+    metal = Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.3)
+    truth = Own(target, target.parameters(metal))
+    found = fit_target(target, target.parameters(metal), fit_samples.from_brdf(truth), truth)
+    assert found["clearcoatFactor"] == found["clearcoatRoughnessFactor"] == 0.0
+    assert found["sheenColorFactor"] == [0.0, 0.0, 0.0]
+    assert found["anisotropyStrength"] == 0.0
+    np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
+
+
+def test_a_target_without_a_model_is_refused():
+    target = TARGETS["unity"]
+    with pytest.raises(UsageError, match="the model of unity is not evaluated"):
+        fit_target(target, target.parameters(TRUTH), None, None)

@@ -15,7 +15,7 @@ from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.formats import csv_table, merl, registry
+from manifold.formats import csv_table, merl, pab_opto, registry
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import cube_root_error
 from manifold.records import Bands
@@ -67,6 +67,20 @@ def test_readings_pass_to_tables_without_loss(files, name, to, tmp_path):
     made = convert([files[name]], tmp_path / "out.dat", to=to)
     assert made.error.linear < 1e-7
     assert made.bands == registry.read(files[name]).bands
+
+
+def test_files_of_several_incidences_become_one_brdf(files, tmp_path):
+    readings = registry.read_readings(files["mini-diff"]).select_bands([1])
+    paths = []
+    for k, z in enumerate(np.unique(np.round(readings.wi[:, 2], 6))):
+        paths.append(tmp_path / f"incidence{k}.txt")
+        rows = np.flatnonzero(np.isclose(readings.wi[:, 2], z, atol=1e-5))
+        pab_opto.write(paths[-1], readings.select_pairs(rows), dsf=True)
+    made = convert(paths, tmp_path / "out.bsdf")
+    assert made.error.nodes == len(readings)
+    assert made.error.linear < 0.01
+    with pytest.raises(UsageError, match="dense tables"):
+        convert([files["merl"], *paths], tmp_path / "out.bsdf")
 
 
 def test_bands_that_were_not_measured_stay_so(files, tmp_path):

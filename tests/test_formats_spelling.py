@@ -91,7 +91,7 @@ def test_tables_of_a_spectrophotometer_are_read_however_they_are_spelt(name, tmp
     assert found.bands == MA_T12_BANDS
 
 
-@pytest.mark.parametrize("cell", ["NaN", "inf", "-inf", "#N/A", "1e999", "O.3", "0.1.2", "0,1,2"])
+@pytest.mark.parametrize("cell", ["NaN", "inf", "-inf", "#N/A", "1e999", "O.3", "0.1.2", "0,1,2", "1_0"])
 def test_a_cell_that_is_no_number_is_named(cell, tmp_path):
     path = tmp_path / "table.csv"
     path.write_text(spectro_table(";").replace(f"{FACTORS[1, 2]:.7f}", cell))

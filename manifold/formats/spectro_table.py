@@ -15,7 +15,7 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.formats.geometry_names import geometry_directions, parse_geometry
 from manifold.formats.readings import Readings
-from manifold.formats.text import Place, number
+from manifold.formats.text import Place, number, plain_float
 from manifold.records import Array
 
 Cell = str | float | int | None
@@ -226,7 +226,11 @@ def _directions(row: Sequence[Cell], header: _Header, place: Place, where: str) 
 def _value(row: Sequence[Cell], column: int, place: Place, where: str) -> float:
     if column >= len(row):
         raise place.error(f"the row ends after {len(row)} cells, expected a value", where)
-    text = _text(row[column])
+    cell = row[column]
+    value = plain_float(cell) if isinstance(cell, str) else float("nan")
+    if abs(value) < 1e300:
+        return value
+    text = _text(cell)
     if text.lower() in ("", "-", "n/a", "---"):
         return float("nan")
     return place.number(text, where)

@@ -86,11 +86,8 @@ class Place:
 
     def numbers(self, cells: list[str], line: int) -> list[float]:
         """`number` of every cell of a line, counted from 1."""
-        try:
-            values = [float(cell) for cell in cells]
-        except ValueError:
-            values = []
-        if not values or not all(abs(value) < 1e300 for value in values):
+        values = [plain_float(cell) for cell in cells]
+        if not all(abs(value) < 1e300 for value in values):
             return [self.number(cell, f"line {line}, cell {k}") for k, cell in enumerate(cells, start=1)]
         return values
 
@@ -103,6 +100,14 @@ class Place:
                 where,
             )
         return int(value)
+
+
+def plain_float(text: str) -> float:
+    """What Python takes the text for, or NaN: quicker than `number`, which decides where this is no finite number."""
+    try:
+        return float("nan") if "_" in text else float(text)
+    except ValueError:
+        return float("nan")
 
 
 def number(text: str) -> float | None:

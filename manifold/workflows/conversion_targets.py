@@ -103,7 +103,13 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
 
 def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
     utia.write(path, _sampled(source, utia.axes()))
-    return []
+    steepest = utia.axes()[0][-1]
+    beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < np.cos(steepest) - 1e-6).mean()
+    return (
+        [f"UTIA ends at 75 degrees: {beyond:.0%} of the nodes lie beyond and take its last values"]
+        if beyond
+        else []
+    )
 
 
 def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:

@@ -105,6 +105,15 @@ def test_arrays_that_announce_more_than_they_hold_are_refused_at_once(library, h
         library.read("m00")
 
 
+@pytest.mark.parametrize("place", ["zarr.json", "extra/zarr.json", "extra/0/zarr.json", "extra/0/c.0"])
+def test_pipes_in_place_of_files_are_not_waited_for(library, place):
+    path = library.path / "materials" / "m00" / place
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(LibraryError, match="m00"):
+        library.read("m00")
+
+
 @pytest.mark.parametrize(
     "name",
     [

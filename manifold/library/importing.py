@@ -219,7 +219,7 @@ def _store_all(
     except OSError as error:
         raise LibraryError(
             f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
-            f"{len(tasks)} materials done; those are whole: make room and import again for the rest"
+            f"{len(tasks)} materials done; those are whole: make room or check permissions, and import again"
         ) from error
 
 

@@ -61,7 +61,7 @@ def read_bands(folder: Path, shown: Path | str) -> Bands:
         attributes = attributes_of(open_group(folder))
     except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
         found = f"its zarr.json cannot be used ({first_line(error)})"
-        if not (folder / "zarr.json").exists():
+        if isinstance(error.__cause__, FileNotFoundError):
             found = "a folder without zarr.json"
         raise LibraryError(
             f"{shown}: not a library: {found}, expected a folder made by `manifold import`; name another path"

@@ -45,12 +45,12 @@ def read_array(group: zarr.Group, name: str, selection: tuple[slice, ...] | None
 
 def read_extra(group: zarr.Group) -> dict[str, Array]:
     """The fields of a material that this package does not interpret, by name."""
-    if "extra" not in group:
-        return {}
     folder = Path(group.store.root, group.path, "extra")  # type: ignore[attr-defined]
+    if not folder.is_dir():
+        return {}
     extra = open_group(folder)
-    count = sum(entry.is_dir() for entry in os.scandir(folder))
-    return {str(extra[str(i)].attrs["field"]): read_array(extra, str(i)) for i in range(count)}
+    names = [str(i) for i in range(sum(entry.is_dir() for entry in os.scandir(folder)))]
+    return {str(_array(extra, name).attrs["field"]): read_array(extra, name) for name in names}
 
 
 def chunk_keys(ranges: list[range]) -> Iterator[str]:
@@ -103,7 +103,8 @@ def _require_file(path: Path, least: int, most: int, lack: str) -> None:
     try:
         status = path.stat()
     except OSError as error:
-        raise LookupError(lack) from error
+        reason = "" if isinstance(error, FileNotFoundError) else f" ({error.strerror})"
+        raise LookupError(lack + reason) from error
     if not stat.S_ISREG(status.st_mode) or not least <= status.st_size <= most:
         found = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "no regular file"
         raise LookupError(f"{path.parent.name}/{path.name} has {found}, expected {least} to {most} bytes")

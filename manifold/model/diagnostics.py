@@ -109,7 +109,7 @@ def in_words(ball: float | None, cube_root: float | None) -> list[str]:
 
 
 def of_prediction(
-    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "the data say little here"
+    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "all materials are far"
 ) -> tuple[str, ...]:
     """Of a prediction.
 

@@ -185,6 +185,17 @@ def lighttools_file(path, brdf) -> None:
     lighttools.write(path, replace(table, values=brdf.eval(*table.directions()).reshape(shape)))
 
 
+def test_lighttools_files_may_hold_zemaxs_words(files, tmp_path):
+    text = files["lighttools"].read_text()
+    path = tmp_path / "both.bsdf"
+    path.write_text(
+        text.replace("DataBegin", "SampleRotation 1\n0\nAngleOfIncidence 3\n0 30 60\n\nDataBegin")
+    )
+    np.testing.assert_array_equal(
+        registry.read_readings(path).values, registry.read_readings(files["lighttools"]).values
+    )
+
+
 @pytest.mark.parametrize("rows_turned", [0, 3, 6, 9])
 def test_the_azimuth_of_incidence_in_lighttools_files_is_found_from_the_highlight(rows_turned, tmp_path):
     """Tables turned by 90, 180 and 270 degrees, as other programs have them, are the same material."""

@@ -53,7 +53,9 @@ def sniff(head: bytes) -> bool:
     text = decode(head).lower()
     if not re.search(r"^\s*scatter_?(azimuth|radial)", text, re.MULTILINE):
         return False
-    return re.search(r"^\s*(angleofincidence|samplerotation)", text, re.MULTILINE) is None
+    # Mini-Diffs use Zemax' words as well; only they and LightTools write each incidence as AOI.
+    is_zemax = re.search(r"^\s*(angleofincidence|samplerotation)", text, re.MULTILINE) is not None
+    return not is_zemax or re.search(r"^\s*aoi\b", text, re.MULTILINE) is not None
 
 
 def read(path: Path) -> list[Readings]:
@@ -119,6 +121,8 @@ def _blocks(words: Words) -> tuple[Array, Array, list[_Block], str]:
             azimuths = words.angles(word)
         elif key == "scatterradial":
             radials = words.angles(word)
+        elif key in ("samplerotation", "angleofincidence"):
+            words.angles(word)  # each block says its own
         elif key == "aoi":
             block.aoi = words.number(word)
         elif key == "poi":

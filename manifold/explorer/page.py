@@ -25,7 +25,7 @@ def make_page(document: dict[str, Any]) -> str:
     script, style = joined_script(), _source("style.css")
     connect = "'self'" if document.get("served") else "'none'"
     policy = (
-        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob: 'self'; "
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
     parts = {"POLICY": policy, "STYLE": style, "DATA": _json_in_html(document), "SCRIPT": script}

@@ -129,7 +129,6 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     return {
         "library": model.library.path.name,
         "names": list(model.names),
-        "descriptions": [m.description for m in model.library.info.materials if m.name in model.names],
         "X": space.X.tolist(),
         "lengthScale": space.kernel.length_scale,
         "unmeasured": [model.materials.unmeasured_share(name) for name in model.names],

@@ -109,6 +109,13 @@ def test_short_rows_are_named_and_empty_cells_are_not_measured(tmp_path):
     assert np.argwhere(~found.measured).tolist() == [[1, 2]]
 
 
+def test_a_sample_without_any_value_is_refused(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(re.sub(r"0\.\d{7}", "", spectro_table()))
+    with pytest.raises(FileFormatError, match="'smooth' has no values"):
+        registry.read_all(path)
+
+
 def test_samples_of_one_table_are_told_apart_and_repeats_averaged(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text(spectro_table() + spectro_table(scale=1.02).replace("smooth", "other").partition("\n")[2])

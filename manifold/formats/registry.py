@@ -102,7 +102,7 @@ def read_all(path: Path | str) -> list[Record]:
         )
     records = list(known.read(path))
     for record in records:
-        largest = float(np.nanmax(np.abs(record.values), initial=0.0))
+        largest = float(np.max(np.abs(np.nan_to_num(record.values)), initial=0.0))
         if largest > _LARGEST_VALUE:
             raise FileFormatError(
                 f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "

@@ -31,6 +31,7 @@ _ANGLES = (
     ("phi_o", ("phio", "phis", "phir", "phiout", "outgoingphi", "phi")),
 )
 PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
+PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
 
 @dataclass(frozen=True)
@@ -93,25 +94,32 @@ def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrume
         raise place.error(
             "a header but no rows of readings, expected one per geometry", f"row {header.row + 1}"
         )
-    return [_sample(key, instrument, found, header, nm) for key, found in samples.items()]
+    return [_sample(key, instrument, found, header, nm, place) for key, found in samples.items()]
 
 
 def _sample(
-    name: str, instrument: str, rows: list[tuple[Array, Array, list[float]]], header: _Header, nm: list[float]
+    name: str,
+    instrument: str,
+    rows: list[tuple[Array, Array, list[float]]],
+    header: _Header,
+    nm: list[float],
+    place: Place,
 ) -> Readings:
     wi, wo = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     values = np.array([row[2] for row in rows])
+    if not np.any(np.isfinite(values)):
+        raise place.error(f"sample '{name[:40]}' has no values, expected reflectance")
     notes: list[str] = []
     wi, wo, values, repeats = _mean_of_repeats(wi, wo, values)
     if repeats:
         notes.append(f"{repeats} rows repeat a geometry: their means are taken")
     if header.unit != "f":
         percent = header.unit == "percent"
-        mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
-        off = values[mirror < np.cos(np.deg2rad(40.0))]
-        if not percent and off.size and np.nanmax(off) > PERCENT_FROM:
+        if not percent and _looks_like_percent(wi, wo, values):
             percent = True
-            notes.append("no unit given: values above 2 away from the mirror direction, taken as percent")
+            notes.append(
+                "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
+            )
         elif header.unit == "unknown" and not percent:
             notes.append("no unit given: taken as reflectance factors, 1 being the perfect diffuser")
         values = values / (100.0 * np.pi if percent else np.pi)
@@ -120,6 +128,13 @@ def _sample(
     return Readings(
         name, instrument, wi, wo, None if header.is_rgb else np.array(nm), values, notes=tuple(notes)
     )
+
+
+def _looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
+    """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
+    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
+    return bool(np.max(off, initial=0.0) > PERCENT_FROM or np.max(np.nan_to_num(values)) > PERCENT_ANYWHERE)
 
 
 def _mean_of_repeats(wi: Array, wo: Array, values: Array) -> tuple[Array, Array, Array, int]:

@@ -120,7 +120,7 @@ def test_bad_reflectance_files_are_refused(tmp_path, content, message):
 
 
 def test_a_missing_reflectance_file_is_refused(tmp_path):
-    with pytest.raises(UsageError, match="No such file"):
+    with pytest.raises(UsageError, match="no such file"):
         read_reflectance(tmp_path / "absent.txt", BANDS)
 
 

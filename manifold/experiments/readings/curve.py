@@ -49,7 +49,7 @@ class Curve:
         """Plain values."""
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts), "kinds": list(KINDS),
-            "errors": self.errors.tolist(), "program": f"manifold {__version__}",
+            "errors": np.where(np.isnan(self.errors), None, self.errors.astype(object)).tolist(), "program": f"manifold {__version__}",
         }  # fmt: skip
 
 

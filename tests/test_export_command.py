@@ -174,6 +174,7 @@ def test_an_output_of_another_kind_is_not_replaced(folder, tmp_path):
         (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
         (["nowhere.bsdf", "-o", "x.glb"], "No such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
+        ([".", "-o", "x.glb"], "named like a file, expected a folder"),
         ([".", "-o", "copper_rgb.bsdf"], "not what this command writes"),
     ],
 )

@@ -248,6 +248,14 @@ def test_json_has_parameters_conventions_and_the_loss(tmp_path, name, target):
         assert content["shading_model"] == ("Clear Coat" if name == "full" else "Default Lit")
 
 
+def test_a_name_that_does_not_print_spoils_no_document(tmp_path):
+    name = "a\x00b\udc80\n</materialx>"
+    for target in TARGETS:
+        (tmp_path / "x").write_bytes(TARGETS[target].content(export(name, target, FULL), FULL))
+        if TARGETS[target].suffix == ".mtlx":
+            same(materialx.read(tmp_path / "x", target), TARGETS[target].parameters(FULL))
+
+
 def test_unity_s_colours_are_encoded_and_its_smoothness_is_one_minus_roughness():
     made = export("x", "unity", Principled((0.2, 0.0, 1.0), roughness=0.3)).parameters
     assert made["_BaseColor"] == pytest.approx([0.4845, 0.0, 1.0], abs=1e-4)  # IEC 61966-2-1

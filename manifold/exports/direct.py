@@ -37,7 +37,7 @@ _NONE = 2e-3  # a coat or a sheen below this weight is none
 
 @lru_cache(maxsize=1)
 def _ball() -> Ball:
-    return ball_colours.ball(6, 10, 8, is_turned=True)
+    return ball_colours.ball(6, 18, 8, is_turned=True)
 
 
 def fit_target(

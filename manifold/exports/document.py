@@ -52,7 +52,7 @@ class Export:
         text = f"{self.name}: Exported by manifold {__version__} for {self.target}"
         if self.loss is not None:
             text += f"; mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
-        return text
+        return "".join(c if c.isprintable() else "?" for c in text)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

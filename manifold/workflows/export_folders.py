@@ -54,6 +54,8 @@ def export_all(
         raise UsageError(
             f"{source}: neither a library nor a folder with .bsdf files or fits; name another source"
         )
+    if folder.suffix.lower() == target.suffix and not folder.is_dir():
+        raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file, expected a folder for {len(subjects)} exports; name another")
     folder.mkdir(parents=True, exist_ok=True)

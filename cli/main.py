@@ -26,6 +26,7 @@ from . import (
     model_commands,
     picture_commands,
     render_commands,
+    report_commands,
     stability_commands,
     terminal,
 )
@@ -66,6 +67,7 @@ def _options(
 
 library_commands.register(app)
 model_commands.register(app)
+report_commands.register(app)
 picture_commands.register(app)
 explore_commands.register(app)
 fit_commands.register(app)

@@ -1,0 +1,102 @@
+"""Commands that judge: report, and the demo of everything."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import terminal
+from .library_commands import JsonOption, MovedLibraryOption
+from .model_commands import DEFAULT_MODEL, ModelOption, show_prediction
+
+
+class Grid(StrEnum):
+    """Choices of --grid."""
+
+    default = "default"
+    hikichi = "hikichi"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(
+        "report",
+        short_help="Evaluate a model.",
+        epilog="Example: manifold report --json report.json --picture map.png",
+    )(report)
+    app.command(
+        "demo", short_help="Run everything on the built-in corpus.", epilog="Example: manifold demo demo"
+    )(demo)
+
+
+def report(
+    model: ModelOption = DEFAULT_MODEL,
+    library: MovedLibraryOption = None,
+    grid: Annotated[
+        Grid,
+        typer.Option(help="12,420 direction pairs, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."),
+    ] = Grid.default,
+    json: JsonOption = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="Also refit the large models without each material (minutes for 195 bands)."
+        ),
+    ] = False,
+    all_bands: Annotated[
+        bool, typer.Option("--all-bands", help="Measure errors in all bands, not in about 20 of them.")
+    ] = False,
+    anchor: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--anchor",
+            help="Also show fits of the very materials: principled, or neural fits in a folder or zip file.",
+            metavar="principled|PATH",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
+    ] = None,
+) -> None:
+    """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
+    from manifold.experiments.evaluation.report_text import format_report
+    from manifold.workflows import pipeline
+
+    results = terminal.Results(json)
+    with terminal.progress("Evaluating") as step:
+        made = pipeline.report(
+            model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, anchors=anchor or (),
+            picture=picture, on_progress=step,
+        )  # fmt: skip
+    results.text(format_report(made))
+    results.document(made.to_json())
+
+
+def demo(
+    folder: Annotated[
+        Path, typer.Argument(help="Where to put everything; made if missing.", metavar="FOLDER")
+    ] = Path("demo"),
+) -> None:
+    """Run everything on the built-in synthetic corpus: files, library, model, prediction, pictures, fit, report."""
+    from manifold.experiments.evaluation.report_text import format_report
+    from manifold.workflows import demo
+
+    results = terminal.Results()
+    result = demo.run(folder, terminal.progress)
+    show_prediction(results, result.predicted)
+    results.text(f"\n{format_report(result.report)}\n")
+    results.rows(
+        f"Written to {folder}",
+        {
+            "library": result.library.name,
+            "model": result.model.name,
+            "prediction": result.predicted.path.name,
+            "fit": "none" if result.fit is None else result.fit.name,
+            "report": f"{result.report_text.name}, {result.report_json.name}",
+            "pictures": [path.name for path in result.pictures],
+        }
+        | ({"left out": ", ".join(result.left_out)} if result.left_out else {}),
+    )

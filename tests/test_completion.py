@@ -18,6 +18,7 @@ from manifold.completion.hybrid import combine, corrected
 from manifold.completion.reading_bands import for_library, in_all_bands
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
+from manifold.experiments.readings.curve import measure_curves
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
@@ -170,6 +171,19 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples)
     assert len(suggest(samples, 3, made).wi) == 3
     with pytest.raises(UsageError, match="no instrument"):
         suggest(samples, 1, instrument="gonio")
+
+
+def test_curves_of_readings_are_those_of_completions_and_plain_in_json(samples):
+    curves = measure_curves(samples, (1, 6), ("completion", "nearest", "principled"))
+    assert [curve.key for curve in curves] == ["completion", "nearest", "principled", "ma_t12"]
+    at = samples.at(*DIRECTIONS)
+    own = completion_errors(samples, 2, leave_out(samples, 2, at, readings(np.ones((12, 3)))))
+    np.testing.assert_allclose(curves[-1].errors[0, 2], own, rtol=1e-9)
+    assert not curves[2].is_measured(0)  # principled needs five readings
+    assert curves[2].is_measured(1)
+    json.dumps([curve.to_json() for curve in curves], allow_nan=False)
+    with pytest.raises(UsageError, match="no method"):
+        measure_curves(samples, (1,), ("magic",))
 
 
 # -- bands ------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from manifold.experiments.readings.curve import Curve
 from manifold.plots.figures import new_figure
 
+_CROWDED = (10, 16)  # counts whose labels would touch their neighbours'
 _LABELS = ("ball, mean CIEDE2000", "cube-root error", "linear error")
 # Okabe & Ito, and markers that tell them apart without colour.
 _STYLES = (
@@ -35,7 +36,7 @@ def readings_chart(curves: Sequence[Curve]) -> Figure:
             axes.plot(counts, high, ":", color=colour, marker=marker, markersize=2.5, linewidth=1.0)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_xticks(curves[0].counts, [str(n) for n in curves[0].counts])
+        axes.set_xticks(curves[0].counts, ["" if n in _CROWDED else str(n) for n in curves[0].counts])
         axes.minorticks_off()
         axes.set_xlabel("readings")
         axes.set_title(label, fontsize=11)

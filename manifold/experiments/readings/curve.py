@@ -46,10 +46,11 @@ class Curve:
         return not bool(np.isnan(self.errors[k]).all())
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Plain values; None where a method has no error."""
+        errors = np.where(np.isnan(self.errors), None, self.errors.astype(object))
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts), "kinds": list(KINDS),
-            "errors": np.where(np.isnan(self.errors), None, self.errors.astype(object)).tolist(), "program": f"manifold {__version__}",
+            "errors": errors.tolist(), "program": f"manifold {__version__}",
         }  # fmt: skip
 
 

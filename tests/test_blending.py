@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_library import NAMES, small_library
 
-from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError, UsageError
@@ -44,6 +44,7 @@ def test_gradient_of_the_layout_agrees_with_central_differences(rng):
     implausible = np.abs(rng.normal(size=(6, 6)))
     implausible = implausible + implausible.T
     objective = _LayoutObjective(distance, 1.2 * distance, implausible)
+    objective.cost = lambda u: (np.sum(u**3, axis=1), 3.0 * u**2)
     shares = rng.dirichlet(np.ones(6), size=20)
     X = truth + 0.3 * rng.normal(size=truth.shape)
     blends = lambda x: objective._blends(x, shares, 0.7)[0]  # noqa: E731
@@ -86,6 +87,24 @@ def test_valleys_are_as_deep_as_they_are_made():
     mirrored = wi * np.array([-1.0, -1.0, 1.0])
     angles = np.rad2deg(np.arccos(np.clip(np.sum(wo * mirrored, axis=2), -1.0, 1.0)))
     assert angles.max() <= 20.0 + 1e-6
+
+
+def test_a_blend_of_a_highlight_and_a_rise_to_grazing_has_a_valley():
+    highlight, rise = np.array([1.0, 2.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 1.0, 1.5, 2.0])
+    roots = np.cbrt(np.stack([highlight, rise]))[:, None, :, None]
+    alone = valley_excess(np.eye(2), roots, 0.05)[0]
+    blend = valley_excess(np.array([[0.5, 0.5]]), roots, 0.05)[0]
+    np.testing.assert_allclose(alone, 0.0, atol=1e-12)  # rounding
+    assert blend[0] == pytest.approx(valley_depth(roots.mean(axis=0)[0, :, 0] ** 3) - 0.05, rel=1e-12)
+    assert blend[0] > 0.2
+
+
+def test_gradient_of_valleys_of_blends_agrees_with_central_differences(rng):
+    profiles, u = rng.uniform(0.5, 1.5, size=(5, 2, 9, 3)), rng.dirichlet(0.5 * np.ones(5), size=6)
+    excess, gradient = valley_excess(u, profiles, 0.01)
+    assert np.count_nonzero(excess) >= 3
+    found = reference.central_differences(lambda x: valley_excess(x, profiles, 0.01)[0].sum(), u)
+    np.testing.assert_allclose(gradient, found, rtol=1e-5, atol=1e-7)  # h = 1e-5
 
 
 def paths_of(rng, n_materials=3, n_bands=2):

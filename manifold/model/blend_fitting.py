@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
@@ -23,6 +23,8 @@ _UNIT = 20.0  # CIEDE2000 of the ball that lie a unit apart, before the map has 
 _MEASURED_VALLEY = 0.08  # measured materials have no deeper one
 _VALLEY_APART = 300.0  # CIEDE2000 for which a valley of depth 1 in the blend of two counts
 _VALLEY_COST = 10.0
+_SQUARED_VALLEY_COST = 300.0  # in blends of several, against stress
+_PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # of the profiles at which blends of several are looked at
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _SHARES = (0.2, 0.5, 0.8)  # of the one material, at which blends of two are looked at
 
@@ -35,23 +37,30 @@ class Looks:
         ball: mean CIEDE2000 between their balls, shape (N, N).
         shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
         valley: depth of the deepest in-plane minimum near the mirror direction in blends of two, shape (N, N).
+        profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D, B).
     """
 
     ball: Array
     shape: Array
     valley: Array
+    profiles: Array
 
     def subset(self, materials: Array) -> Looks:
         """Those of some materials."""
         rows = np.ix_(materials, materials)
-        return Looks(self.ball[rows], self.shape[rows], self.valley[rows])
+        return Looks(self.ball[rows], self.shape[rows], self.valley[rows], self.profiles[materials])
 
     def layout(self, latent_dim: int) -> Layout:
         """Places of the materials in Q dimensions, in units of the kernel's length scale."""
         excess = np.maximum(self.valley - _MEASURED_VALLEY, 0.0)
         excess = excess * (1.0 - np.eye(len(excess)))
         distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * excess) / _UNIT
-        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * excess, latent_dim)
+
+        def cost(u: Array) -> tuple[Array, Array]:
+            deeper, slope = valley_excess(u, self.profiles, _MEASURED_VALLEY)
+            return _SQUARED_VALLEY_COST * deeper**2, 2.0 * _SQUARED_VALLEY_COST * deeper[:, None] * slope
+
+        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * excess, latent_dim, cost)
 
 
 def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None) -> Looks:
@@ -76,7 +85,14 @@ def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = N
     median = np.median(shape[upper])
     if median > 0.0:
         shape *= np.median(difference[upper]) / median
-    return Looks(0.5 * (difference + difference.T), shape, _valleys(np.stack(profiles)))
+    stacked = np.stack(profiles)
+    some = evenly_spaced(stacked.shape[3], _PROFILE_BANDS)
+    return Looks(
+        0.5 * (difference + difference.T),
+        shape,
+        _valleys(stacked),
+        stacked[:, :, ::_PROFILE_STRIDE][..., some],
+    )
 
 
 def _valleys(profiles: Array) -> Array:

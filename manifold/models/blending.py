@@ -7,6 +7,7 @@ is a layout in which materials that look alike, and whose blends look like mater
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ _STRENGTH = 3.0  # of implausible blends against stress
 _SEPARATION = 10.0  # of the least distances against stress
 _RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
 _ITERATIONS = 300
+
+Cost = Callable[[Array], tuple[Array, Array]]
+"""What blends of weights u (K, N) cost, shape (K,), and its gradient by u, (K, N)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +66,22 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
     return u / u.sum(axis=1, keepdims=True)
 
 
-def blend_layout(distance: Array, separation: Array, implausible: Array, n_components: int) -> Layout:
+def blend_layout(
+    distance: Array, separation: Array, implausible: Array, n_components: int, cost: Cost | None = None
+) -> Layout:
     """Places of N samples, in length scales of `blend_weights`, centred.
 
     Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus what places are nearer than
-    `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal
-    coordinates and a few random starts. The unit is then chosen so that a kernel of length scale 1 spans about
-    the side of a sample's share of the hull.
+    `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal coordinates
+    and a few random starts; then, from the best end, with the mean of `cost(u)` added. The unit is then chosen so that
+    a kernel of length scale 1 spans about the side of a sample's share of the hull.
 
     Args:
         distance: what distances should be, shape (N, N), positive off the diagonal.
         separation: the least that they should be, in the same unit, shape (N, N).
         implausible: what a blend of two costs, at least 0, shape (N, N).
         n_components: Q.
+        cost: of blends of any number.
     Raises:
         ShapeError: the matrices are not (N, N), or not finite.
     Source: Kruskal 1964 for the stress, Torgerson 1952 for the start.
@@ -94,12 +101,19 @@ def blend_layout(distance: Array, separation: Array, implausible: Array, n_compo
     radius = _kernel_radius(best[0][1])
     shares = _convex_combinations(N, rng)
     value, X = min((objective.minimise(X, shares, radius) for _, X in best), key=lambda end: end[0])
+    objective.cost = cost
+    if cost is not None:
+        radius = _kernel_radius(X)
+        value, X = objective.minimise(X, shares, radius)
+    first = objective.value(starts[0], shares, radius)
     X = X - X.mean(axis=0)
-    return Layout(X / _kernel_radius(X), objective.value(starts[0], shares, radius), value)
+    return Layout(X / _kernel_radius(X), first, value)
 
 
 class _LayoutObjective:
     """Stress, separation, and, given blends to look at, how implausible these are, with gradients."""
+
+    cost: Cost | None = None
 
     def __init__(self, distance: Array, separation: Array, implausible: Array) -> None:
         self.pairs = np.triu_indices(len(distance), 1)
@@ -140,15 +154,18 @@ class _LayoutObjective:
         return float(value), gradient
 
     def _blends(self, X: Array, shares: Array, radius: float) -> tuple[float, Array]:
-        """Mean of u^T V u at the places `shares @ X`, shares (K, N), and its gradient by X."""
+        """Mean of u^T V u, and of the cost, at the places `shares @ X`, shares (K, N), and its gradient by X."""
         D = (shares @ X)[:, None] - X[None]  # [K, N, Q]
         squared = np.sum(D * D, axis=2) + 1e-6 * radius**2
         log = -0.5 * squared / radius**2 - np.log(squared)
         u = np.exp(log - log.max(axis=1, keepdims=True))
         u /= u.sum(axis=1, keepdims=True)
         Vu = u @ self._implausible
-        value = np.sum(u * Vu, axis=1)
-        d_log = 2.0 * u * (Vu - value[:, None]) / len(shares)
+        value, slope = np.sum(u * Vu, axis=1), 2.0 * Vu
+        if self.cost is not None:
+            more, steeper = self.cost(u)
+            value, slope = value + more / _STRENGTH, slope + steeper / _STRENGTH
+        d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True)) / len(shares)
         d_D = (-d_log * (1.0 / radius**2 + 2.0 / squared))[..., None] * D
         return float(value.mean()), shares.T @ d_D.sum(axis=1) - d_D.sum(axis=0)
 

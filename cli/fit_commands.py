@@ -53,7 +53,8 @@ def register(app: typer.Typer) -> None:
 
 def fit(
     sources: Annotated[
-        list[Path] | None, typer.Argument(help=".bsdf files, or folders, searched at every depth.", metavar="FILE")
+        list[Path] | None,
+        typer.Argument(help="Files: .bsdf, or readings; or folders of .bsdf, at every depth.", metavar="FILE"),
     ] = None,
     latent: Annotated[
         str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")

@@ -336,3 +336,23 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
     with pytest.raises(FileFormatError, match="not a colour correction"):
         read_correction(tmp_path / "c.json")
     assert run("calibrate", names[0], cwd=tmp_path)[0] == 2
+
+
+def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tmp_path):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_felt_orange"))
+    wi, wo = DIRECTIONS
+    with (tmp_path / "felt.csv").open("w", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", "R", "G", "B"])
+        for a, b, f in zip(wi, wo, brdf.eval(wi, wo), strict=True):
+            angles = [np.degrees(x) for w in (a, b) for x in (np.arccos(w[2]), np.arctan2(w[1], w[0]))]
+            table.writerow([*angles, *f])
+    status, _, err = run("fit", "felt.csv", "-o", "felt.fit.json", cwd=tmp_path)
+    assert status == 0, err
+    content = json.loads((tmp_path / "felt.fit.json").read_text())
+    assert content["source"]["file"] == "felt.csv"
+    assert content["residuals"]["cube-root"] < 0.1
+    (tmp_path / "few.csv").write_text("\n".join((tmp_path / "felt.csv").read_text().splitlines()[:3]) + "\n")
+    status, _, err = run("fit", "few.csv", "-o", "few.fit.json", cwd=tmp_path)
+    assert status == 1
+    assert "expected 4 or more" in err

@@ -14,6 +14,7 @@ from manifold.brdf.warp import Warp
 from manifold.colour.conversion import to_srgb
 from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
+from manifold.formats.readings import Readings
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array, Bands, BsdfFile
 
@@ -165,6 +166,24 @@ def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
     brdf = MeasuredBRDF(file)
     f = np.maximum(brdf.eval(wi, wo), 0.0)
     return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
+
+
+def from_readings(readings: Readings, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
+    """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most.
+
+    Raises:
+        UsageError: fewer than four different pairs are left, or all values are 0.
+    """
+    far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS
+    kept = np.flatnonzero(far & readings.measured.all(axis=1) & (readings.weights > 0.0))
+    if len(kept) < MIN_PAIRS:
+        raise UsageError(
+            f"{readings.name}: {len(kept)} readings in all bands below 87 degrees, expected {MIN_PAIRS} or more"
+        )
+    read = readings.select_pairs(kept)
+    f = np.maximum(read.values, 0.0)
+    weight = read.weights * read.wi[:, 2]
+    return FitSamples.from_arrays(read.wi, read.wo, f, bands=read.bands, weight=weight).subsample(max_pairs)
 
 
 def from_brdf(

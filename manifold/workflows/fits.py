@@ -20,6 +20,7 @@ from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
 from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.fitting.processes import in_processes
+from manifold.formats import registry
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import require_material_name
 from manifold.model import diagnostics
@@ -289,7 +290,7 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
         there = _earlier(target, source, settings)
         if there is not None:
             return FitOutcome(name, target, there, was_there=True, file=path)
-        samples = fit_samples.from_file(read_bsdf(path))
+        samples = _samples(path)
         content = fit_json.document(_fit(samples, settings), source)
         return FitOutcome(name, target, content, file=path)
     except ManifoldError as error:
@@ -297,6 +298,13 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
     except OSError as error:
         reason = f"{path} cannot be read ({error.strerror})"
         return FitOutcome(name, target, None, failure=reason, file=path)
+
+
+def _samples(path: Path) -> fit_samples.FitSamples:
+    """Of an RGL file, or of an instrument's."""
+    if registry.identify(path) is None:
+        return fit_samples.from_file(read_bsdf(path))
+    return fit_samples.from_readings(registry.read_readings(path, limit=fit_samples.MAX_PAIRS))
 
 
 def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:

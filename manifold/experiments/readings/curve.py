@@ -47,7 +47,8 @@ class Curve:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None where a method has no error."""
-        errors = np.where(np.isnan(self.errors), None, self.errors.astype(object))
+        errors = self.errors.astype(object)
+        errors[np.isnan(self.errors)] = None
         return {
             "key": self.key, "title": self.title, "counts": list(self.counts), "kinds": list(KINDS),
             "errors": errors.tolist(), "program": f"manifold {__version__}",

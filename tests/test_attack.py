@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import random
+import signal
 import subprocess
 import sys
 
@@ -16,9 +19,7 @@ from attack.mutations import of_bytes, of_text
 
 def test_what_a_case_must_not_do_is_told(tmp_path):
     def crash() -> None:
-        import ctypes
-
-        ctypes.string_at(0)
+        os.kill(os.getpid(), signal.SIGKILL)
 
     def fail() -> None:
         raise KeyError("x")
@@ -26,7 +27,7 @@ def test_what_a_case_must_not_do_is_told(tmp_path):
     def grow() -> None:
         assert bytearray(5 << 30)
 
-    for task, words in ((crash, "crash: SIGSEGV"), (fail, "traceback: KeyError"), (grow, "MemoryError")):
+    for task, words in ((crash, "crash: SIGKILL"), (fail, "traceback: KeyError"), (grow, "MemoryError")):
         problem = sandbox.run(task, tmp_path, tmp_path / "log").problem
         assert problem is not None
         assert words in problem
@@ -34,8 +35,6 @@ def test_what_a_case_must_not_do_is_told(tmp_path):
 
 
 def test_mutations_are_those_of_their_seed():
-    import random
-
     for change, original in ((of_bytes, bytes(range(256)) * 4), (of_text, "a scene of words " * 20)):
         made = [change(original, random.Random(k)) for k in range(50)]
         assert made == [change(original, random.Random(k)) for k in range(50)]

@@ -2,7 +2,8 @@
 
 const NEGLIGIBLE = 1e-6; // as in manifold/models/blending.py
 const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/models/colour_paths.py
-const PATH_NODES = 10; // coordinates at which a spectral blend's colour path is followed
+const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
+const PATH_NODES = 16; // coordinates at which a spectral blend's colour path is followed
 
 /** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
 export function blendWeights(x, X, lengthScale) {
@@ -31,6 +32,14 @@ export function interpolate(at, x, y) {
     if (x[middle] <= at) low = middle; else high = middle;
   }
   return y[low] + ((y[high] - y[low]) * (at - x[low])) / (x[high] - x[low]);
+}
+
+/** Where t lies between increasing vertices: the one below, and the share of the one above. */
+function segment(at, t) {
+  const clipped = Math.min(Math.max(t, at[0]), at[at.length - 1]);
+  let k = 0;
+  while (k < at.length - 2 && at[k + 1] <= clipped) k++;
+  return [k, (clipped - at[k]) / (at[k + 1] - at[k])];
 }
 
 async function inflate(text) {
@@ -99,10 +108,7 @@ export class Materials {
     u.forEach((share, i) => {
       if (share <= 0) return;
       const { at, weights } = this.data.paths.vertices[i];
-      const clipped = Math.min(Math.max(t, at[0]), at[at.length - 1]);
-      let k = 0;
-      while (k < at.length - 2 && at[k + 1] <= clipped) k++;
-      const s = (clipped - at[k]) / (at[k + 1] - at[k]);
+      const [k, s] = segment(at, t);
       for (const [vertex, part] of [[weights[k], 1 - s], [weights[k + 1], s]]) {
         if (part !== 0) for (const [n, w] of vertex) total.set(n, (total.get(n) ?? 0) + share * part * w);
       }
@@ -112,9 +118,14 @@ export class Materials {
 
   /** The same over the components of materials. */
   pathComponents(u, t) {
+    return this.asComponents(this.pathWeights(u, t));
+  }
+
+  /** Sparse weights of samples as those of components. */
+  asComponents(weights) {
     const { sampleBasis } = this.data.paths, R = this.nComponents;
     const total = new Map();
-    for (const [n, w] of this.pathWeights(u, t)) {
+    for (const [n, w] of weights) {
       const i = Math.floor(n / sampleBasis.length), basis = sampleBasis[n % sampleBasis.length];
       for (let r = 0; r < R; r++) total.set(i * R + r, (total.get(i * R + r) ?? 0) + w * basis[r]);
     }
@@ -144,11 +155,28 @@ export class Materials {
     return sum;
   }
 
+  /** Cube roots at the sphere's pairs of every vertex of every path, made when first asked for. */
+  verticesInSphere() {
+    this.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) =>
+      this.combine(this.asComponents(new Map(vertex)), this.sphereStart, this.nPairs)));
+    return this.inside;
+  }
+
   /** Path coordinates (J) that give a blend u a reflectance (J), and the reflectance that they do give. */
   coordinatesOf(u, reflectance) {
-    const { last } = this.data.paths;
-    const reached = (t) =>
-      this.sphereReflectance(this.combine(this.pathComponents(u, t), this.sphereStart, this.nPairs));
+    const { last, vertices } = this.data.paths;
+    const used = u.flatMap((share, i) => (share > 0 ? [i] : []));
+    const inside = this.verticesInSphere();
+    const roots = new Float32Array(this.nPairs - this.sphereStart);
+    const reached = (t) => {
+      roots.fill(0);
+      for (const i of used) {
+        const [k, s] = segment(vertices[i].at, t), [a, b] = [inside[i][k], inside[i][k + 1]];
+        const [from, to] = [u[i] * (1 - s), u[i] * s];
+        for (let p = 0; p < roots.length; p++) roots[p] += from * a[p] + to * b[p];
+      }
+      return this.sphereReflectance(roots);
+    };
     const grid = Array.from({ length: TABLE }, (_, k) => (last * k) / (TABLE - 1));
     const table = [];
     for (const t of grid) table.push(Math.max(reached(t), table[table.length - 1] ?? -Infinity));
@@ -191,7 +219,9 @@ export class Materials {
       const position = high > low ? ((t - low) / (high - low)) * (PATH_NODES - 1) : 0;
       return Math.max(0, 1 - Math.abs(position - k));
     }));
-    return { outputs: nodes.map((t) => this.pathComponents(u, t)), toNodes, coordinates, missed };
+    const outputs = nodes.map((t) =>
+      new Map([...this.pathComponents(u, t)].filter(([, w]) => Math.abs(w) > LEAST_COMPONENT)));
+    return { outputs, toNodes, coordinates, missed };
   }
 
   /** A prediction at all pairs; see `Prediction`. */

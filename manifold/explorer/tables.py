@@ -32,10 +32,12 @@ from manifold.records import Array, Bands, Progress, evenly_spaced
 
 ILLUMINANTS = ("D65", "A", "F11")
 
-_COMPONENTS = 6  # of the spectral basis, at most
+_COMPONENTS = 8  # of the spectral basis, at most
 _NODES = 32  # visible bands that colours are made of, at most
 _VISIBLE_NM = (380.0, 780.0)
-_LEAST_WEIGHT = 0.03  # of a band in the basis, relative to the largest
+_LEAST_WEIGHT = (
+    0.3  # of a band in the basis, relative to the largest: paths are made of bands that nobody sees, too
+)
 _DARK = 0.05  # of a material's median: ratios of components below this are not resolved
 _FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
 

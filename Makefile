@@ -1,6 +1,8 @@
 # Everything sets itself up: a Debian machine with Python 3.11 or newer is enough.
 BIN := .venv/bin
 OUT ?= demo
+# Tests are shared out among processes, file by file; SHARED= runs them one after the other.
+SHARED ?= -n auto --maxprocesses 8 --dist loadfile
 SEED ?= 0
 MINUTES ?= 10
 
@@ -25,7 +27,7 @@ demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
 test: .venv/readydev
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow

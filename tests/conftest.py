@@ -11,11 +11,33 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say how many slow tests were left out."""
-    left = [item for item in terminalreporter.stats.get("deselected", ()) if item.get_closest_marker("slow")]
+SLOW_LEFT = pytest.StashKey[int]()
+
+
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    """Count the slow tests that are left out; where tests are shared out, in every worker."""
+    left = [item for item in items if item.get_closest_marker("slow")]
     if left:
-        terminalreporter.write_line(f"{len(left)} slow tests left to `make test-slow`")
+        left[0].config.stash[SLOW_LEFT] = len(left)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Tell the process that shares tests out."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["slow_left"] = session.config.stash.get(SLOW_LEFT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node) -> None:
+    """Hear of it from a worker."""
+    node.config.stash[SLOW_LEFT] = getattr(node, "workeroutput", {}).get("slow_left", 0)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say how many slow tests were left out."""
+    left = config.stash.get(SLOW_LEFT, 0)
+    if left:
+        terminalreporter.write_line(f"{left} slow tests left to `make test-slow`")
 
 
 @pytest.fixture

@@ -45,7 +45,9 @@ def _fitted() -> TemporaryDirectory[str]:
     """A folder with a small library and its model, until the session ends."""
     folder = TemporaryDirectory()
     path = Path(folder.name)
-    Manifold.fit(Library.open(small_library(path))).save(path / "model.h5")
+    model = Manifold.fit(Library.open(small_library(path)))
+    model.calibrate()
+    model.save(path / "model.h5")
     return folder
 
 

@@ -111,6 +111,25 @@ def test_plugins_registered_in_this_process_are_taken(tmp_path):
     SceneDocument.read(xml(tmp_path / "scene.xml", SENSOR, BALL.format("x"), part))
 
 
+REGISTERED = """
+from manifold.rendering import backend
+mi = backend.mitsuba("rgb")
+class Own(mi.BSDF):
+    def __init__(self, properties):
+        mi.BSDF.__init__(self, properties)
+        self.albedo = properties["albedo"]
+mi.register_bsdf("own", Own)
+print(backend.is_registered("own"), backend.is_registered("other"))
+"""
+
+
+def test_plugins_registered_in_the_variant_of_this_machine_are_known(tmp_path):
+    ended = subprocess.run(
+        [sys.executable, "-c", REGISTERED], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.stdout.split() == ["True", "False"], ended.stderr
+
+
 IN_A_FOLDER = """
 from manifold.rendering import backend
 mi = backend.mitsuba("rgb", backend.Backend("scalar"))

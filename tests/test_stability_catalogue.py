@@ -31,6 +31,14 @@ SEARCHES = {"adam", "swarm"}  # their severe end takes many seconds
 LIBRARIES = {"duplicates", "near_duplicates", "outlier", "no_noise", "long_length_scale", "many_dimensions"}
 """Modes that import a library, or fit a model, per trial: what is quick tries one of their two methods."""
 QUICK = [(key, method) for key, method in ROWS if not (key in LIBRARIES and method == "material")]
+ORDER = pytest.mark.xfail(
+    strict=True, reason="pure direct local search depends on the order of the materials, without a warning"
+)
+
+
+def marked(rows: list[tuple[str, str]]) -> list:
+    """Rows, the one that is known to be silently wrong (docs/stability.md) marked so."""
+    return [pytest.param(*row, marks=ORDER) if row == ("run_to_run", "dls") else row for row in rows]
 
 
 @pytest.fixture(scope="module")
@@ -55,19 +63,19 @@ def tried(bed: TestBed, key: str, method: str, severity: float | None = None) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("key", "method"), ROWS)
+@pytest.mark.parametrize(("key", "method"), marked(ROWS))
 def test_no_severity_is_silently_wrong_and_the_first_one_is_fine(bed, key, method):
     found = [tried(bed, key, method, severity) for severity in BY_KEY[key].severities]
     assert [one for one in found if one.outcome == WRONG] == []
     assert (found[0].outcome, found[0].message) == (FINE, "")
 
 
-@pytest.mark.parametrize(("key", "method"), [row for row in QUICK if row[1] not in SEARCHES])
+@pytest.mark.parametrize(("key", "method"), marked([row for row in QUICK if row[1] not in SEARCHES]))
 def test_the_severe_end_is_not_silently_wrong(bed, key, method):
     assert tried(bed, key, method).outcome != WRONG
 
 
-@pytest.mark.parametrize(("key", "method"), QUICK)
+@pytest.mark.parametrize(("key", "method"), marked(QUICK))
 def test_the_harmless_end_is_no_false_alarm(bed, key, method):
     found = tried(bed, key, method, BY_KEY[key].severities[0])
     assert (found.outcome, found.message) == (FINE, "")

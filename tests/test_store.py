@@ -597,7 +597,7 @@ def test_a_full_disk_keeps_what_is_finished(
         write(folder, *arguments, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(writing, "write_array", full)
-    with pytest.raises(LibraryError, match=r"No space left on device.*import again for the rest"):
+    with pytest.raises(LibraryError, match=r"No space left on device.*import again"):
         import_files(library.path, [folder])
     assert "n1" not in library
     assert library.verify() == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -31,6 +32,7 @@ from manifold.experiments.evaluation.report_measures import (
     tabulated_blocks,
 )
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
+from manifold.gpr import IsolatedLatentsWarning
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
@@ -224,7 +226,9 @@ def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None)
             if on_progress is not None:
                 on_progress(before + done, len(methods) * data.n_materials, title)
 
-        encoded.append(encode_all(data, method, step))
+        with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
+            warnings.simplefilter("ignore", IsolatedLatentsWarning)
+            encoded.append(encode_all(data, method, step))
     return encoded
 
 

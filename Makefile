@@ -27,7 +27,7 @@ demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
 test: .venv/readydev
-	$(BIN)/python -m pytest -m "not slow" $(SHARED)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow

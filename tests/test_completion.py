@@ -173,17 +173,22 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples)
         suggest(samples, 1, instrument="gonio")
 
 
-def test_curves_of_readings_are_those_of_completions_and_plain_in_json(samples):
-    curves = measure_curves(samples, (1, 6), ("completion", "nearest", "principled"))
-    assert [curve.key for curve in curves] == ["completion", "nearest", "principled", "ma_t12"]
+def test_curves_of_readings_are_those_of_completions(samples):
+    curves = measure_curves(samples, (1, 6), ("completion", "nearest"))
+    assert [curve.key for curve in curves] == ["completion", "nearest", "ma_t12"]
     at = samples.at(*DIRECTIONS)
     own = completion_errors(samples, 2, leave_out(samples, 2, at, readings(np.ones((12, 3)))))
     np.testing.assert_allclose(curves[-1].errors[0, 2], own, rtol=1e-9)
-    assert not curves[2].is_measured(0)  # principled needs five readings
-    assert curves[2].is_measured(1)
-    json.dumps([curve.to_json() for curve in curves], allow_nan=False)
     with pytest.raises(UsageError, match="no method"):
         measure_curves(samples, (1,), ("magic",))
+
+
+@pytest.mark.slow
+def test_curves_of_fits_begin_where_readings_make_one_and_are_plain_json(samples):
+    fitted = measure_curves(samples, (1, 6), ("principled",))[0]
+    assert not fitted.is_measured(0)
+    assert fitted.is_measured(1)
+    json.dumps(fitted.to_json(), allow_nan=False)
 
 
 # -- bands ------------------------------------------------------------------------------------------------------

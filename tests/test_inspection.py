@@ -57,9 +57,9 @@ def test_a_model_lists_its_latents(folder):
     found = inspect(folder / "model.h5")
     model = Manifold.load(folder / "model.h5")
     (table,) = found.tables
-    assert table.columns == ("material", "x1", "x2")
+    assert table.columns[:3] == ("material", "x1", "x2")  # then what was left out
     for row, name, x in zip(table.rows, model.names, model.X, strict=True):
-        assert row == (name, *model.space.printed(x))
+        assert row[:3] == (name, *model.space.printed(x))
         assert found.document["latents"][name] == x.tolist()
 
 

@@ -43,6 +43,10 @@ def chart(
     only: Annotated[
         list[str] | None, typer.Option(help="A setting's key; may be repeated.", metavar="KEY")
     ] = None,
+    anchor: Annotated[
+        str | None,
+        typer.Option(help="Also show published neural fits, in a folder or zip file.", metavar="PATH"),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="A picture: .png, .pdf or .svg.", metavar="FILE")
     ] = None,
@@ -67,9 +71,22 @@ def chart(
         _chart_readings(results, library, only or (), output)
         return
     with terminal.progress("Chart") as step:
-        made = charts.chart(library, model, only or (), step)
+        made = charts.chart(library, model, only or (), step, anchor)
     results.table(
-        ["setting", "RMSE", "front", "CIEDE2000", "front", "cube root", "linear", "predict", "MB", "fit"],
+        [
+            "setting",
+            "CIEDE2000",
+            "front",
+            "cube root",
+            "front",
+            "linear",
+            "front",
+            "ITP",
+            "RMSE",
+            "predict",
+            "MB",
+            "fit",
+        ],
         _rows(made),
     )
     results.text(
@@ -94,15 +111,17 @@ def _rows(made: Chart) -> list[list[str]]:
     return [
         [
             row.title,
-            f"{row.rmse:.3g}",
-            letters("rmse", row.key),
             f"{row.delta_e:.2f}",
             letters("delta_e", row.key),
             f"{row.cube_root_error:.3f}",
+            letters("cube_root_error", row.key),
             f"{row.relative_error:.3f}",
+            letters("relative_error", row.key),
+            f"{row.delta_e_itp:.2f}",
+            f"{row.rmse:.3g}",
             f"{row.predict.median:.3g}",
             f"{row.bytes / 1e6:.3g}",
-            f"{row.fit.median:.3g}",
+            "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
         for row in made.rows
     ]

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_library import NAMES, measured
+from small_library import NAMES, measured, small_library
+from typer.testing import CliRunner
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.experiments.evaluation import anchors
 from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import encode_all
 from manifold.experiments.evaluation.errors import MedianAndP90, measure_errors
 from manifold.experiments.evaluation.tabulated import Data
+from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 
 
@@ -58,3 +63,20 @@ def test_neural_fits_of_other_materials_are_refused(data, monkeypatch):
         UsageError, match=r"fits.zip: no neural fit of any of syn_felt_green, .*found granite"
     ):
         anchors.anchor("fits.zip").fit(data, np.arange(3))
+
+
+def test_a_chart_shows_neural_fits_without_a_time_to_fit_that_nobody_measured(tmp_path, monkeypatch):
+    library = small_library(tmp_path)
+    file = MeasuredBRDF(fill_unmeasured(Library.open(library).read(NAMES[1])))
+    half = SimpleNamespace(eval=lambda wi, wo: 0.5 * file.eval(wi, wo))
+    monkeypatch.setattr(anchors, "read_neural_fits", lambda source, bands: {NAMES[1]: half})
+    command = ["chart", "-L", str(library), "--only", "nearest", "--only", "neural", "--anchor", "fits.zip"]
+    picture, document = tmp_path / "chart.png", tmp_path / "chart.json"
+    result = CliRunner().invoke(app, [*command, "-o", str(picture), "--json", str(document)])
+    assert result.exit_code == 0, result.output
+    nearest, neural = json.loads(document.read_text())["rows"]
+    assert (neural["is_held_out"], neural["bytes"]) == (False, 675 * 8 * len(NAMES))
+    assert neural["relative_error"] == pytest.approx(0.5, rel=1e-6)
+    assert neural["fit"] is None
+    assert nearest["fit"]["median"] > 0.0
+    assert picture.stat().st_size > 0

@@ -116,7 +116,7 @@ def _row(key, error, cost, spread=0.0, *, held_out=True):
     time = RelativeTime(cost, spread)
     return ChartRow(
         key=key, title=key, family="PCA", is_held_out=held_out, relative_error=error,
-        cube_root_error=error, rmse=error, delta_e=error,
+        cube_root_error=error, rmse=error, delta_e=error, delta_e_itp=error,
         fit=time, predict=time, bytes=round(100 * cost),
     )  # fmt: skip
 
@@ -165,7 +165,7 @@ def _texts(axes):
 
 def test_every_panel_shows_every_setting_and_names_the_published_setting_and_the_front(figure, made):
     for k, axes in enumerate(figure.axes):
-        error, cost = ("delta_e", "rmse")[k % 2], list(COSTS)[k // 2]
+        error, cost = ("delta_e", "cube_root_error", "relative_error")[k % 3], list(COSTS)[k // 3]
         drawn = {line.get_gid(): line for line in axes.lines if line.get_gid()}
         assert set(drawn) == {row.key for row in made.rows}
         names = _texts(axes)

@@ -1,4 +1,4 @@
-"""The chart of speed against accuracy as a picture: two errors against three costs, Pareto fronts drawn and named."""
+"""The chart of speed against accuracy as a picture: three errors against three costs, Pareto fronts drawn and named."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
-from manifold.experiments.chart.experiment import COSTS, Chart, ChartRow, cost_of
+from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of
 from manifold.experiments.chart.fits import FAMILY
-from manifold.experiments.chart.registry import AS_PUBLISHED, NONNEGATIVE, PUBLISHED
+from manifold.experiments.chart.registry import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
 from manifold.plots.figures import Box, new_figure
 from manifold.records import Array
 
-_ERRORS = {"delta_e": "CIEDE2000 of the ball", "rmse": "RMSE of eq. 22, 1/sr"}
+_ERRORS = ("delta_e", "cube_root_error", "relative_error")
 _COSTS = {
     "predict": "time to predict a material (reference times)",
     "bytes": "bytes kept",
@@ -40,6 +40,7 @@ LOOKS = {
     "PCA": _Look("o", "#0072b2"),
     "GPLVM, whole materials": _Look("s", "#e69f00"),
     "GPLVM, monochrome samples": _Look("^", "#009e73"),
+    BLENDS: _Look("P", "#000000"),
     NONNEGATIVE: _Look("v", "#56b4e9"),
     AS_PUBLISHED: _Look("*", "#d55e00"),
     FAMILY: _Look("x", "#555555"),
@@ -51,7 +52,7 @@ _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measure
 
 def chart(made: Chart) -> Figure:
     """Errors against costs. Filled and joined: on the front; pale and small: dominated; crosses saw the material."""
-    figure = new_figure(10.4, 12.4)
+    figure = new_figure(15.0, 12.4)
     kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
     figure.suptitle(
         f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
@@ -61,10 +62,9 @@ def chart(made: Chart) -> Figure:
     for axis_row, cost in zip(grid, COSTS, strict=True):
         for axes, error in zip(axis_row, _ERRORS, strict=True):
             _points(axes, made, error, cost)
-        axis_row[0].set_xlabel(_COSTS[cost])
-        axis_row[1].set_xlabel(_COSTS[cost])
-    for axes, (error, title) in zip(grid[0], _ERRORS.items(), strict=True):
-        axes.set_title(f"{title}, median", fontsize=11)
+            axes.set_xlabel(_COSTS[cost])
+    for axes, error in zip(grid[0], _ERRORS, strict=True):
+        axes.set_title(f"{ERRORS[error]}, median", fontsize=11)
         _error_ticks(axes, [getattr(row, error) for row in made.rows])
     figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
     figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
@@ -86,7 +86,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
     if front:
         x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
-    for row in made.rows:
+    for row in _with(made, cost):
         look = LOOKS[row.family]
         size = (
             _PUBLISHED_POINTS if row.key == PUBLISHED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
@@ -99,6 +99,11 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
             markeredgecolor="black" if is_plain and not is_cross else look.colour,
             alpha=1.0 if is_plain or is_cross else 0.6, zorder=4 if is_plain else 3, gid=row.key,
         )  # fmt: skip
+
+
+def _with(made: Chart, cost: str) -> list[ChartRow]:
+    """The settings whose cost is known."""
+    return [row for row in made.rows if np.isfinite(cost_of(row, cost))]
 
 
 def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
@@ -140,11 +145,14 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
 
     on = made.fronts[error][cost]
     dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
-    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in axes.transData.transform([*map(at, made.rows)])]
+    taken = [
+        (x - dot, y - dot, x + dot, y + dot)
+        for x, y in axes.transData.transform([*map(at, _with(made, cost))])
+    ]
     taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     frame = axes.get_window_extent(renderer).padded(-0.5 * dot)
-    named = [row for row in made.rows if row.key in on or row.key == PUBLISHED or not row.is_held_out]
+    named = [row for row in _with(made, cost) if row.key in on or row.key == PUBLISHED or not row.is_held_out]
     groups: list[list[ChartRow]] = []
     for row in named:  # those that are drawn on each other share a name
         pixel = axes.transData.transform(at(row))

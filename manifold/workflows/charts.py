@@ -19,6 +19,7 @@ def chart(
     model: Path | None = None,
     only: Sequence[str] = (),
     on_progress: Progress | None = None,
+    neural: str | None = None,
 ) -> Chart:
     """Measure settings on the materials of a library.
 
@@ -27,6 +28,7 @@ def chart(
         model: a fitted model, in whose library and materials the chart is made.
         only: keys of settings; all by default.
         on_progress: called with (done, total, title).
+        neural: file, zip file or folder of published neural fits, to show beside.
     Raises:
         UsageError, LibraryError: as `make_chart`, `Manifold.load` and `Library.open`.
     """
@@ -36,7 +38,7 @@ def chart(
     else:
         opened = Library.open(Path("library.zarr") if library is None else library)
         names = opened.names
-    return make_chart([opened.read(name) for name in names], only, on_progress)
+    return make_chart([opened.read(name) for name in names], only, on_progress, neural=neural)
 
 
 def readings_chart(

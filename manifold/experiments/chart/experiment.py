@@ -18,8 +18,8 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.records import BsdfFile, Progress
 
 ERRORS = {
-    "rmse": "RMSE of eq. 22", "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error",
-    "relative_error": "linear error",
+    "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
+    "delta_e_itp": "Delta E_ITP of the ball", "rmse": "RMSE of eq. 22",
 }  # fmt: skip
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
@@ -77,8 +77,10 @@ class Chart:
 
 
 def cost_of(row: ChartRow, cost: str) -> float:
-    """A cost, one of `COSTS`: reference times, or bytes."""
+    """A cost, one of `COSTS`: reference times, or bytes; NaN where it is not known."""
     value = getattr(row, cost)
+    if value is None:
+        return np.nan
     return value.median if isinstance(value, RelativeTime) else float(value)
 
 
@@ -88,6 +90,7 @@ def make_chart(
     on_progress: Progress | None = None,
     grid: RusinkiewiczGrid | None = None,
     fitted: int = 3,
+    neural: str | None = None,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -96,7 +99,8 @@ def make_chart(
         only: keys of settings; all by default.
         on_progress: called with (done, total, title).
         grid: direction pairs of the errors; by default 45 x 23 x 12.
-        fitted: how many materials the fits of `chart_fits` represent.
+        fitted: how many materials the fits of `fits.METHODS` represent.
+        neural: file, zip file or folder of published neural fits; also show those of these materials.
     Raises:
         UsageError: a key is unknown, or there are fewer than four materials.
     """
@@ -104,6 +108,8 @@ def make_chart(
         raise UsageError(f"{len(files)} materials, expected at least 4 to leave some out; import more files")
     known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
     known |= {f"fit_{method}": method for method in fits.METHODS}
+    if neural is not None:
+        known[fits.NEURAL] = fits.NEURAL
     unknown = [key for key in only if key not in known]
     if unknown:
         raise UsageError(f"no setting is called {unknown[0]!r}, expected one of {', '.join(known)}")
@@ -123,13 +129,16 @@ def make_chart(
         for setting in sorted(held_out, key=lambda s: s.storage.key):
             add(setting.key, setting.title, setting.family, held.measure(setting))
     for method in (s for s in chosen if isinstance(s, str)):
-        key, title = f"fit_{method}", f"fit, {fits.METHODS[method]}"
+        key = method if method == fits.NEURAL else f"fit_{method}"
         try:
-            measured = fits.measure(method, files, fitted, held.target, held.watch)
+            if method == fits.NEURAL:
+                measured = fits.measure_neural(str(neural), files, held.target, held.watch)
+            else:
+                measured = fits.measure(method, files, fitted, held.target, held.watch)
         except (RendererError, UsageError) as error:
             skipped[key] = str(error)
         else:
-            add(key, title, fits.FAMILY, measured, is_held_out=False)
+            add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
     measured_rows = tuple(rows[key] for key in known if key in rows)
     return Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,

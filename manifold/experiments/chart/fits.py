@@ -9,13 +9,21 @@ import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
 from manifold.experiments.chart.instruments import Measurement, RelativeTime, Stopwatch, Target, summary
+from manifold.experiments.evaluation.anchors import NEURAL_NUMBERS, neural_fits
 from manifold.fitting import principled
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.principled import FitResult
 from manifold.records import Array, BsdfFile, evenly_spaced
 
-METHODS = {"gauss-newton": "Gauss-Newton", "adam": "Adam", "swarm": "swarm"}
-"""Of `principled.METHODS`, with titles for people."""
+METHODS = ("gauss-newton", "adam", "swarm")
+"""Of `principled.METHODS`."""
+NEURAL = "neural"
+TITLES = {
+    "gauss-newton": "fit, Gauss-Newton",
+    "adam": "fit, Adam",
+    "swarm": "fit, swarm",
+    NEURAL: "fit, neural",
+}
 
 FAMILY = "fit of the seen material"
 _REPEATS = 3
@@ -48,6 +56,30 @@ def measure(
         fit=RelativeTime.of(np.array(fits) * len(files)),
         predict=RelativeTime.of_several(predicts),
         bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),
+    )
+
+
+def measure_neural(source: str, files: Sequence[BsdfFile], target: Target, watch: Stopwatch) -> Measurement:
+    """Published neural fits of the materials that have one; the time to fit them is not known.
+
+    Raises:
+        UsageError: there is no such source, or none of its fits is of one of the materials.
+        FileFormatError: the source holds no neural fits, or damaged ones.
+    """
+    found = neural_fits(source, [file.name for file in files], files[0].bands)
+    errors, predicts = [], []
+    for i, fit in found.items():
+        on_grid, on_ball = (
+            fit.eval(at.wi, at.wo)[:, target.data.bands] for at in (target.pairs, target.balls.pairs)
+        )
+        errors.append(target.errors(i, on_grid, on_ball))
+        scale = files[i].luminance.size / len(target.pairs)
+        predicts.append(scale * watch.laps(partial(fit.eval, target.pairs.wi, target.pairs.wo), _REPEATS))
+    return Measurement(
+        **summary(errors),
+        fit=None,
+        predict=RelativeTime.of_several(predicts),
+        bytes=NEURAL_NUMBERS * _BYTES_PER_NUMBER * len(files),
     )
 
 

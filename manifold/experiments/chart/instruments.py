@@ -61,9 +61,10 @@ class Measurement:
         relative_error: linear, cosine-weighted, over a grid, in some of the bands.
         cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
         rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
-        delta_e: mean CIEDE2000 of the ball; see `ball_colours`.
-        p90: 90th percentiles of these four over materials, by their names.
-        fit: time to learn from the library, tabulating its materials included; of fits, all of them.
+        delta_e, delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball; see `ball_colours`.
+        p90: 90th percentiles of these five over materials, by their names.
+        fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
+            nobody measured it.
         predict: time to predict a whole material, at all direction pairs that it is kept at.
         bytes: of what predictions read: files, and the numbers of all materials.
         warnings: what fits warned of, once per fold.
@@ -73,16 +74,17 @@ class Measurement:
     cube_root_error: float
     rmse: float
     delta_e: float
+    delta_e_itp: float
     p90: dict[str, float] = field(default_factory=dict)
-    fit: RelativeTime
+    fit: RelativeTime | None
     predict: RelativeTime
     bytes: int
     warnings: tuple[str, ...] = ()
 
 
 def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
-    """Errors (N, 4) as `Target.errors` gives them, over materials: what `Measurement` holds of them."""
-    names = ("relative_error", "cube_root_error", "rmse", "delta_e")
+    """Errors (N, 5) as `Target.errors` gives them, over materials: what `Measurement` holds of them."""
+    names = ("relative_error", "cube_root_error", "rmse", "delta_e", "delta_e_itp")
     medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
     return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
 
@@ -195,14 +197,14 @@ class Target:
         self.balls = BallErrors(materials, data.bands)
 
     def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
-        """Linear and cube-root error, RMSE and CIEDE2000 of a prediction of material i, (P, B') and (P_ball, B')."""
+        """Linear and cube-root error, RMSE, and the ball's, of a prediction of material i, (P, B') and (P_ball, B')."""
         data = self.data
         rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
         cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
-        return data.relative_error(i, f), cube_root, rmse, self.balls.delta_e(i, f_ball)
+        return data.relative_error(i, f), cube_root, rmse, *self.balls.differences(i, f_ball)
 
     def errors_of(self, stored: StoredMaterials, combinations: Sequence[Combination]) -> Array:
-        """Errors (N, 4), as `errors` gives them, of a prediction per material."""
+        """Errors (N, 5), as `errors` gives them, of a prediction per material."""
         rows = []
         here = [c if stored.back is not None else c.in_bands(self.data.bands) for c in combinations]
         for first in range(0, len(here), _AT_ONCE):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_pca
+from manifold.experiments.evaluation.blends import fit_blend
 from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
     fit_gplvm,
@@ -24,10 +25,12 @@ from manifold.experiments.evaluation.nonnegative import (
 PUBLISHED = "published"
 AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"
 NONNEGATIVE = "samples and lobes, weights >= 0"
+BLENDS = "blends, the default"
 _MAPPINGS = ("identity", "cube-root", "log-relative")
 _FEW_BANDS = (3, 6, 12)
 _SAMPLES = 3  # bands per material that are samples, where nothing else is said
 _THRESHOLDS = (0.03, 0.1)
+_COARSE = ((2, 1), (2, 2), (4, 1))  # share of outgoing nodes per axis, and of incidences, that is dropped
 _WHOLE = storage_forms.whole()
 
 
@@ -63,6 +66,7 @@ class Setting:
 def settings(n_bands: int) -> list[Setting]:
     """All settings for materials of so many bands, simplest first."""
     pca, gplvm, monochrome = _pca("cube-root", 6), _gplvm("cube-root", 6), _monochrome(3, _SAMPLES)
+    blend = _blend(2)
     return [
         Setting("nearest", "nearest", "one or two materials", "nearest", fit_nearest, lambda B: 1),
         Setting("linear", "linear, two nearest", "one or two materials", "linear", fit_linear, lambda B: 3),
@@ -71,17 +75,20 @@ def settings(n_bands: int) -> list[Setting]:
         *(_gplvm(mapping, Q) for mapping in _MAPPINGS for Q in (2, 4, 6)),
         *(_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)),
         *(_monochrome(2, count) for count in (SAMPLE_BANDS,) if count < n_bands),
+        blend,
+        _blend(3),
         *_nonnegative(),
         *(_sparse(pca, threshold) for threshold in _THRESHOLDS),
         *(_stored(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
-        *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome)),
+        *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome, blend)),
         *(
             _stored(gplvm, storage_forms.few_angles(outgoing=o, incident=i))
             for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))
         ),
         *(
-            _stored(monochrome, storage_forms.few_angles(outgoing=o, incident=i))
-            for o, i in ((2, 1), (2, 2), (4, 1))
+            _stored(setting, storage_forms.few_angles(outgoing=o, incident=i))
+            for setting in (monochrome, blend)
+            for o, i in _COARSE
         ),
     ]
 
@@ -102,6 +109,14 @@ def _monochrome(Q: int, bands: int) -> Setting:
     title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
     fit = fit_monochrome(Q, 1, sample_bands=bands)
     return Setting(key, title, "GPLVM, monochrome samples", key, fit, lambda B: Q + B, sample_bands=bands)
+
+
+def _blend(Q: int) -> Setting:
+    fit = fit_blend(Q, SAMPLE_BANDS)
+    return Setting(
+        f"blend_{Q}", f"blend {Q}+2", BLENDS, f"blend_{Q}", fit, lambda B: Q + 2 * B,
+        sample_bands=SAMPLE_BANDS,
+    )  # fmt: skip
 
 
 def _nonnegative() -> list[Setting]:

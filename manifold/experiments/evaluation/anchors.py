@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -16,11 +16,11 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.mapping import Identity
 from manifold.model.combination import Combination, Values
-from manifold.records import Array
-from manifold.synthetic.neural import read_neural_fits
+from manifold.records import Array, Bands
+from manifold.synthetic.neural import NeuralBRDF, read_neural_fits
 
 PRINCIPLED = "principled"
-_NEURAL_NUMBERS = 675  # weights and biases of the published networks
+NEURAL_NUMBERS = 675  # weights and biases of the published networks
 
 
 class _Evaluable(Protocol):
@@ -75,9 +75,7 @@ def anchor(name: str) -> Method:
 
     if name == PRINCIPLED:
         return method(PRINCIPLED, "principled, fitted to it", lambda B: B + 6, _fit_principled)
-    return method(
-        "neural", "neural fit of it", lambda B: _NEURAL_NUMBERS, lambda data, _: _neural(data, name)
-    )
+    return method("neural", "neural fit of it", lambda B: NEURAL_NUMBERS, lambda data, _: _neural(data, name))
 
 
 def _fit_principled(data: Data, training: Array) -> Encode:
@@ -92,9 +90,21 @@ def _fit_principled(data: Data, training: Array) -> Encode:
 
 
 def _neural(data: Data, source: str) -> Encode:
-    fits = read_neural_fits(source, data.materials[0].bands)
     names = [material.name for material in data.materials]
-    if not set(names) & set(fits):
+    fits = neural_fits(source, names, data.materials[0].bands)
+    return lambda i: FittedPrediction.of(fits.get(i), data.n_bands)
+
+
+def neural_fits(source: str, names: Sequence[str], bands: Bands) -> dict[int, NeuralBRDF]:
+    """Published neural fits of the materials that have one, by their index.
+
+    Raises:
+        UsageError: there is no such source, or none of its fits is of one of the materials.
+        FileFormatError: the source holds no neural fits, or damaged ones.
+    """
+    fits = read_neural_fits(source, bands)
+    found = {i: fits[name] for i, name in enumerate(names) if name in fits}
+    if not found:
         known = ", ".join(sorted(fits)[:3])
         raise UsageError(f"{source}: no neural fit of any of {', '.join(names[:3])} ... (found {known} ...)")
-    return lambda i: FittedPrediction.of(fits.get(names[i]), data.n_bands)
+    return found

@@ -48,7 +48,12 @@ class BallErrors:
 
     def delta_e(self, i: int, f: Array) -> float:
         """Mean CIEDE2000 between material i and values f (P, B') in 1/sr."""
-        return ball_colours.delta_e(self._xyz[i], self._ball.xyz(f, self._bands))
+        return self.differences(i, f)[0]
+
+    def differences(self, i: int, f: Array) -> tuple[float, float]:
+        """Mean CIEDE2000 and mean Delta E_ITP between material i and values f (P, B') in 1/sr."""
+        pair = self._xyz[i], self._ball.xyz(f, self._bands)
+        return ball_colours.delta_e(*pair), ball_colours.delta_e_itp(*pair)
 
     def of(self, combinations: Sequence[Combination]) -> Array:
         """Mean CIEDE2000 of a prediction per material, shape (N,)."""
@@ -60,8 +65,6 @@ class BallErrors:
         found: list[tuple[float, float]] = []
         for first in range(0, len(here), _AT_ONCE):
             predicted = evaluate(here[first : first + _AT_ONCE], self.values)
-            xyz = [self._ball.xyz(f, self._bands) for f in predicted]
-            pairs = list(zip(self._xyz[first : first + len(xyz)], xyz, strict=True))
-            found += [(ball_colours.delta_e(*pair), ball_colours.delta_e_itp(*pair)) for pair in pairs]
+            found += [self.differences(first + k, f) for k, f in enumerate(predicted)]
         ciede2000, itp = np.array(found).T
         return ciede2000, itp

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manifold import atomic
-from manifold.errors import FileFormatError, UsageError
+from manifold.errors import UsageError
 
 from . import terminal
 from .library_commands import JsonOption, MovedLibraryOption
@@ -21,6 +21,8 @@ from .model_commands import (
     SrgbOption,
     parse_latent,
 )
+from .outputs import Force, or_default
+from .point_options import count_words, raise_failed
 
 if TYPE_CHECKING:
     from manifold.workflows.exports import ExportOutcome
@@ -86,6 +88,7 @@ def export(
             "--direct", help="Fit the target's own model to the material; closer, and some seconds each."
         ),
     ] = False,
+    force: Force = False,
     json: JsonOption = None,
 ) -> None:  # fmt: skip
     """Write materials as parameters of engines, and say what each engine's own shading model loses.
@@ -112,7 +115,7 @@ def export(
             outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct)
         _show_all(results, outcomes, folder)
         return
-    path = output or Path("material.glb")
+    path = or_default(output, "material.glb", "export", force)
     chosen = target_of(None if target is None else target.value, path)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
@@ -156,9 +159,8 @@ def _show_all(results: terminal.Results, outcomes: list[ExportOutcome], folder: 
             )
     results.table(["material", "CIEDE2000", "of principled", ""], rows)
     failed = [f"{o.name}: {o.failure}" for o in outcomes if o.failure is not None]
-    results.text(f"{len(rows)} materials in {folder}\n")
+    kept = sum(o.was_there for o in outcomes)
+    results.text(count_words(len(rows), "materials", folder, kept) + "\n")
     made = [o.export | {"path": str(o.path)} for o in outcomes if o.export is not None]
     results.document({"exports": made, "failed": failed})
-    if failed:
-        more = f"; and {len(failed) - 3} more (--json lists them)" if failed[3:] else ""
-        raise FileFormatError("; ".join(failed[:3]) + more)
+    raise_failed(failed)

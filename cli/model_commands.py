@@ -14,6 +14,8 @@ from manifold.errors import UsageError
 
 from . import terminal
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption, MovedLibraryOption
+from .outputs import or_default
+from .point_options import PointsOption, replacing, show_points
 
 if TYPE_CHECKING:
     from manifold.model.predicted_file import Prediction
@@ -214,12 +216,13 @@ def parse_latent_dim(text: str) -> int:
 
 def predict(
     latent: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Where on the map: numbers with commas between, no spaces; or a material's name.",
             metavar="X,Y|NAME",
         ),
-    ],
+    ] = None,
+    points: PointsOption = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     like: LikeOption = None,
@@ -240,8 +243,14 @@ def predict(
         ),
     ] = False,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The .bsdf file to write.", metavar="FILE")
-    ] = Path("predicted.bsdf"),
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="The .bsdf file to write, or the folder. [default: predicted.bsdf, or predictions]",
+            metavar="FILE",
+        ),
+    ] = None,
     resolution: Annotated[
         int, typer.Option(help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512)
     ] = 32,
@@ -259,17 +268,31 @@ def predict(
     whose latent is the structure alone (gloss, layers), it is that of the nearest material.
     """
     from manifold.model import predicted_file
-    from manifold.model.colours import ColourChoice
+    from manifold.model.colours import NEAREST, ColourChoice
+    from manifold.workflows import many_points, point_table
 
     results = terminal.Results(json)
+    colour = ColourChoice(like, reflectance, srgb)
+    if points is not None:
+        if latent is not None or colour != NEAREST:
+            raise UsageError("found --from and a place or colour; write these into columns of the table")
+        table, folder = point_table.read_points(points), output or Path("predictions")
+        outcomes = many_points.predict_all(
+            model, table, folder, library=library, physical=physical, force=force, resolution=resolution,
+            n_theta_i=n_theta_i, check=replacing("predict", points, force), stage=terminal.progress,
+        )  # fmt: skip
+        show_points(results, "predictions", folder, outcomes, table.failures)
+        return
+    if latent is None:
+        raise UsageError("found no place; say --latent X,Y or --latent NAME, or --from a table of places")
     coordinates = parse_latent(latent)
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
             model,
             coordinates,
-            output,
+            or_default(output, "predicted.bsdf", "predict", force),
             library=library,
-            colour=ColourChoice(like, reflectance, srgb),
+            colour=colour,
             physical=physical,
             force=force,
             resolution=resolution,

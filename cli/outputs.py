@@ -55,6 +55,15 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def or_default(output: Path | None, default: str, command: str, force: bool) -> Path:
+    """The output that was named, which `guarded` has looked at, or else a default, looked at here."""
+    if output is not None:
+        return output
+    if not force:
+        require_replaceable(command, {"output": Path(default)})
+    return Path(default)
+
+
 def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
     """Raise UsageError where an output of a command would destroy something.
 

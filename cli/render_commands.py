@@ -19,6 +19,8 @@ from .model_commands import (
     SrgbOption,
     parse_latent,
 )
+from .outputs import Force, or_default
+from .point_options import PointsOption, replacing, show_points
 
 if TYPE_CHECKING:
     from manifold.rendering.image_metrics import Summary
@@ -66,6 +68,7 @@ def render(
         str | None,
         typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y|NAME"),
     ] = None,
+    points: PointsOption = None,
     model: ModelOption = DEFAULT_MODEL,
     library: MovedLibraryOption = None,
     like: LikeOption = None,
@@ -76,40 +79,58 @@ def render(
         typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),
     ] = False,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="Picture: .png tone-mapped, .exr linear.", metavar="FILE"),
-    ] = Path("render.png"),
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Picture: .png tone-mapped, .exr linear; or the folder. [default: render.png, or renders]",
+            metavar="FILE",
+        ),
+    ] = None,
     illuminant: IlluminantOption = "D65",
     environment: EnvironmentOption = None,
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
+    force: Force = False,
     json: JsonOption = None,
 ) -> None:
     """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
 
     Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light (Bradford).
     """
-    from manifold.model.colours import ColourChoice
+    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.rendering import images
-    from manifold.workflows import renders
+    from manifold.workflows import many_points, point_table, renders
 
     results = terminal.Results(json)
-    if file is None and latent is None:
+    places = {"a file": file, "--latent": latent, "--from": points}
+    given = [name for name, value in places.items() if value is not None]
+    if len(given) != 1:
         raise UsageError(
-            "found neither a file nor --latent; name a .bsdf file, or say --latent X,Y or --latent NAME"
+            f"found {' and '.join(given) or 'nothing to render'}, expected a file, --latent X,Y or --latent NAME, or "
+            "--from a table of places"
         )
-    if file is not None and latent is not None:
-        raise UsageError(f"found both {file} and --latent; give one of them")
     colour = ColourChoice(like, reflectance, srgb)
-    if file is not None and (direct or colour != ColourChoice()):
+    if latent is None and colour != NEAREST:
         raise UsageError(
-            "--direct, --like, --reflectance and --srgb go with --latent; a file has its own colour"
+            "--like, --reflectance and --srgb go with --latent; files and tables have their own colours"
         )
-    images.require_image_path(output)
+    if file is not None and direct:
+        raise UsageError("--direct goes with --latent and --from; a file holds its values")
     settings = renders.make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
+    if points is not None:
+        table, folder = point_table.read_points(points), output or Path("renders")
+        outcomes = many_points.render_all(
+            model, table, folder, settings, library=library, direct=direct,
+            check=replacing("render", points, force), stage=terminal.progress,
+        )  # fmt: skip
+        show_points(results, "renders", folder, outcomes, table.failures)
+        return
+    output = or_default(output, "render.png", "render", force)
+    images.require_image_path(output)
     coordinates = None if latent is None else parse_latent(latent)
     with terminal.progress("Rendering") as step:
         if file is not None:

@@ -321,7 +321,7 @@ def test_scalar_variants_make_the_same_picture(folder):
     ("arguments", "message"),
     [
         (("render",), "neither a file nor --latent"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--latent", "0,0"), "found both"),
+        (("render", "syn_gloss_red_rgb.bsdf", "--latent", "0,0"), "found a file and --latent"),
         (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "go with --latent"),
         (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "written as .exr"),

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, small_files
-from manifold.errors import FileFormatError, ManifoldError, UsageError
+from manifold.errors import ManifoldError, UsageError
 from manifold.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
@@ -19,13 +17,10 @@ from manifold.workflows.exports import (
     ExportOutcome,
     Subject,
     export,
-    file_sha256,
     subject_of,
     subject_of_file,
 )
-
-INDEX = "exports.json"
-"""What a folder of exports holds beside them: which material each file is of, and what it loses."""
+from manifold.workflows.output_index import OutputIndex, file_sha256
 
 
 def export_all(
@@ -56,21 +51,19 @@ def export_all(
         )
     if folder.suffix.lower() == target.suffix and not folder.is_dir():
         raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder}: is a file, expected a folder for {len(subjects)} exports; name another")
-    folder.mkdir(parents=True, exist_ok=True)
-    index = _read_index(folder / INDEX)
+    index = OutputIndex(folder, "exports")
     outcomes = []
     for name, (identity, read) in subjects.items():
         path = folder / f"{name}{target.suffix}"
-        if _is_done(index.get(path.name), identity, target, path, is_direct):
-            outcomes.append(ExportOutcome(name, path, index[path.name]["export"], was_there=True))
+        made_of = {"material": identity, "target": target.name, "direct": is_direct}
+        known = index.result(path, made_of)
+        if known is not None:
+            outcomes.append(ExportOutcome(name, path, known, was_there=True))
         else:
             outcomes.append(_export_one(name, read, target, path, is_direct))
             made = outcomes[-1].export
             if made is not None:
-                index[path.name] = {"identity": identity, "file_sha256": file_sha256(path), "export": made}
-                _write_index(folder / INDEX, index)
+                index.add(path, made_of, made)
         if on_progress is not None:
             on_progress(len(outcomes), len(subjects), name)
     return outcomes
@@ -110,34 +103,3 @@ def _subjects(source: Path) -> Iterator[tuple[str, tuple[str, Callable[[], Subje
 
 def _read_material(library: Library, name: str, described: dict[str, Any]) -> Subject:
     return subject_of_file(library.read(name), described)
-
-
-def _is_done(
-    entry: dict[str, Any] | None, identity: str, target: Target, path: Path, is_direct: bool
-) -> bool:
-    try:
-        return (
-            entry is not None
-            and entry["identity"] == identity
-            and entry["export"]["target"] == target.name
-            and (entry["export"]["method"] == "direct") == is_direct
-            and entry["export"]["program"] == f"manifold {__version__}"
-            and path.is_file()
-            and entry["file_sha256"] == file_sha256(path)
-        )
-    except (KeyError, TypeError):
-        return False
-
-
-def _read_index(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    content = small_files.read_json(path, "the index of a folder of exports")
-    if not isinstance(content, dict) or content.get("format") != "manifold exports":
-        raise FileFormatError(f"{path}: not an index of exports; name another folder, or remove it")
-    return dict(content.get("exports", {}))
-
-
-def _write_index(path: Path, entries: dict[str, Any]) -> None:
-    content = {"format": "manifold exports", "program": f"manifold {__version__}", "exports": entries}
-    atomic.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

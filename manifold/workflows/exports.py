@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
+from manifold.workflows.output_index import file_sha256
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +161,3 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
     )
     atomic.write_bytes(path, target.content(made, principled))
     return ExportOutcome(subject.name, path, made.to_json(), notes=tuple(subject.fit["notes"]))
-
-
-def file_sha256(path: Path) -> str:
-    """The hash of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -152,14 +152,14 @@ def latent_source(
     name = (
         f"latent {latent}" if isinstance(latent, str) else "latent " + ", ".join(f"{v:.4g}" for v in latent)
     )
-    if direct:
-        if not backend.choose().is_llvm:
-            raise UsageError(
-                f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out: a .bsdf is rendered then"
-            )
-        from manifold.rendering.plugin.bsdf import load_model
+    if direct and not backend.choose().is_llvm:
+        raise UsageError(
+            f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out: a .bsdf is rendered then"
+        )
+    from manifold.rendering.plugin.bsdf import load_model
 
-        loaded = load_model(model, library)
+    loaded = load_model(model, library)
+    if direct:
         x = loaded.require_latent(latent)
         material = {
             "type": "manifold",
@@ -176,7 +176,7 @@ def latent_source(
     with temporary.folder() as folder:
         path = folder / "predicted.bsdf"
         made = predicted_file.predict(
-            model, latent, path, library=library, colour=colour, force=True, on_progress=on_progress
+            loaded, latent, path, colour=colour, force=True, on_progress=on_progress
         )
         source = file_source(path)
         yield Source(name, source.material, source.is_rgb, "predicted file", made.diagnosis)

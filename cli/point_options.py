@@ -1,0 +1,75 @@
+"""What `predict --from` and `render --from` share: the option, and what became of the rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import FileFormatError
+
+from . import terminal
+from .outputs import require_replaceable
+
+if TYPE_CHECKING:
+    from manifold.workflows.many_points import Check, PointOutcome
+
+PointsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        help="Many at once: a CSV table with columns x,y,... or latent or material, and maybe name, like, srgb, "
+        "reflectance. The output is a folder; files of an earlier run that fit their rows are kept.",
+        metavar="CSV",
+    ),
+]  # fmt: skip
+
+
+def replacing(command: str, points: Path, force: bool) -> Check | None:
+    """What refuses to replace a file that is not of this command."""
+    if force:
+        return None
+    return lambda path: require_replaceable(command, {"points": points, "output": path})
+
+
+def show_points(
+    results: terminal.Results,
+    what: str,
+    folder: Path,
+    outcomes: list[PointOutcome],
+    failures: tuple[tuple[int, str], ...],
+) -> None:
+    """Print a line per row that is there, and raise FileFormatError where rows failed."""
+    made = [outcome for outcome in outcomes if outcome.result is not None]
+    results.table(
+        ["file", "place", ""],
+        [(o.path.name, _place(o), "kept" * o.was_there) for o in made],
+    )
+    results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")
+    bad = [*failures, *((o.point.line, o.failure) for o in outcomes if o.failure is not None)]
+    failed = [f"line {line}: {words}" for line, words in sorted(bad)]
+    rows = [
+        {"line": o.point.line, "name": o.point.name, "kept": o.was_there} | (o.result or {}) for o in made
+    ]
+    results.document({what: rows, "failed": failed})
+    raise_failed(failed)
+
+
+def count_words(count: int, what: str, folder: Path, kept: int) -> str:
+    """How many files are in a folder, and how many of them an earlier run had made."""
+    return f"{count} {what} in {folder}" + (f", {kept} of them kept" if kept else "")
+
+
+def raise_failed(failed: list[str]) -> None:
+    """Raise FileFormatError for the first few of what failed."""
+    if failed:
+        more = f"; and {len(failed) - 3} more (--json lists them)" if failed[3:] else ""
+        raise FileFormatError("; ".join(failed[:3]) + more)
+
+
+def _place(outcome: PointOutcome) -> str:
+    place = outcome.point.place
+    words = [place if isinstance(place, str) else ",".join(f"{v:.4g}" for v in place)]
+    words += [f"{key} {value}" for key, value in vars(outcome.point.colour).items() if value is not None]
+    return " ".join(words)

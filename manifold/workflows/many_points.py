@@ -1,0 +1,196 @@
+"""Predictions and pictures at many places of one map: materials are read once, and finished files are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.errors import ManifoldError, UsageError
+from manifold.library.identity import hash_arrays
+from manifold.model import predicted_file
+from manifold.model.manifold import Manifold
+from manifold.records import Progress
+from manifold.rendering import backend, images
+from manifold.rendering.render import RenderSettings, require_d65
+from manifold.workflows import renders
+from manifold.workflows.output_index import OutputIndex, file_sha256
+from manifold.workflows.pipeline import Stage, no_stage
+from manifold.workflows.point_table import Point, PointTable
+
+Check = Callable[[Path], None]
+"""Raises UsageError for a file that is not to be replaced."""
+
+
+@dataclass(frozen=True)
+class PointOutcome:
+    """What became of one row.
+
+    Attributes:
+        point: the row.
+        path: of the file.
+        result: what is known of it, plain values; None where it failed.
+        was_there: whether an earlier run had made it.
+        failure: why there is none, else None.
+    """
+
+    point: Point
+    path: Path
+    result: dict[str, Any] | None
+    was_there: bool = False
+    failure: str | None = None
+
+
+def predict_all(
+    model: Path, table: PointTable, folder: Path, *, library: Path | None = None, physical: bool = False,
+    force: bool = False, resolution: int = 32, n_theta_i: int = 8, check: Check | None = None,
+    stage: Stage = no_stage,
+) -> list[PointOutcome]:  # fmt: skip
+    """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
+
+    Args:
+        model, library, physical, force, resolution, n_theta_i: as of `predicted_file.predict`.
+        table: the rows.
+        folder: where to; made if missing. Its `predictions.json` says what each file was made of.
+        check: called before a file is replaced.
+        stage: opens the progress of a part of the work.
+    Returns:
+        One outcome per row; one that fails does not stop the others.
+    Raises:
+        UsageError, ModelError, LibraryError: the model or the folder cannot be used.
+    """
+    loaded = Manifold.load(model, library)
+    ending = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
+    paths = [_path(folder, point, ending, (".bsdf",)) for point in table.points]
+    how = {"physical": physical, "resolution": resolution, "incidences": n_theta_i}
+
+    def make(point: Point, path: Path) -> dict[str, Any]:
+        return predicted_file.predict(
+            loaded, point.place, path, colour=point.colour, physical=physical, force=force,
+            resolution=resolution, n_theta_i=n_theta_i,
+        ).to_json()  # fmt: skip
+
+    made_of = _MadeOf(model, loaded, how)
+    run = _Run(OutputIndex(folder, "predictions"), made_of, make, check, stage)
+    return run.all(table.points, paths, loaded.prepare)
+
+
+def render_all(
+    model: Path, table: PointTable, folder: Path, settings: RenderSettings, *, library: Path | None = None,
+    direct: bool = False, check: Check | None = None, stage: Stage = no_stage,
+) -> list[PointOutcome]:  # fmt: skip
+    """Render the ball of every row into a folder; what an earlier run made of the same row is kept.
+
+    Args:
+        model, table, library, check, stage: as of `predict_all`.
+        folder: where to; made if missing. Its `renders.json` says what each picture was made of.
+        settings: of all pictures.
+        direct: evaluate the measured materials while rendering.
+    Returns, raises: as `predict_all`.
+    """
+    from manifold.rendering.plugin.bsdf import load_model
+
+    loaded = load_model(model, library)  # which every render finds again
+    if loaded.bands.is_rgb:
+        require_d65(settings.illuminant)
+    light = settings.illuminant
+    arrays = {"wavelengths_nm": np.array(light.wavelengths_nm), "power": np.array(light.power)}
+    if settings.environment is not None:
+        arrays["environment"] = settings.environment
+    how = {
+        "size": settings.size, "samples": settings.samples, "seed": settings.seed, "direct": direct,
+        "backend": backend.choose().kind, "light": hash_arrays(arrays),
+    }  # fmt: skip
+
+    def make(point: Point, path: Path) -> dict[str, Any]:
+        with renders.latent_source(
+            model, point.place, library=library, colour=point.colour, direct=direct
+        ) as source:
+            return renders.render(source, path, settings).to_json()
+
+    made_of = _MadeOf(model, loaded, how)
+    paths = [_path(folder, point, ".png", images.SUFFIXES) for point in table.points]
+    run = _Run(OutputIndex(folder, "renders"), made_of, make, check, stage)
+    return run.all(table.points, paths, loaded.prepare)
+
+
+class _MadeOf:
+    """All that a file depends on."""
+
+    def __init__(self, model: Path, loaded: Manifold, how: dict[str, Any]) -> None:
+        self._loaded, self._how = loaded, how
+        self._hashes = {"model_sha256": file_sha256(model), "library_hash": loaded.library.content_hash}
+
+    def __call__(self, point: Point) -> dict[str, Any]:
+        x = self._loaded.require_latent(point.place)
+        colour: dict[str, Any] = asdict(point.colour)
+        if point.colour.reflectance is not None:
+            if not point.colour.reflectance.is_file():
+                raise UsageError(f"{point.colour.reflectance}: no such file, expected a reflectance")
+            colour["reflectance"] = file_sha256(point.colour.reflectance)
+        return self._hashes | self._how | {"latent": x.tolist(), "colour": colour}
+
+
+def _path(folder: Path, point: Point, ending: str, endings: tuple[str, ...]) -> Path:
+    """Of a row's file: the ending is added where its name has none."""
+    has_one = point.name.lower().endswith(endings)
+    return folder / (point.name if has_one else f"{point.name}{ending}")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Makes what is missing.
+
+    Attributes:
+        index: of the folder.
+        made_of: all that a row's file depends on.
+        make: writes a row's file and says what is known of it.
+        check: called before a file is replaced, if any.
+        stage: opens the progress of a part of the work.
+    """
+
+    index: OutputIndex
+    made_of: Callable[[Point], dict[str, Any]]
+    make: Callable[[Point, Path], dict[str, Any]]
+    check: Check | None
+    stage: Stage
+
+    def all(
+        self, points: Sequence[Point], paths: Sequence[Path], prepare: Callable[[Progress | None], None]
+    ) -> list[PointOutcome]:
+        """An outcome per row; `prepare` is called once, if anything is to be made."""
+        outcomes = [self._kept(point, path) for point, path in zip(points, paths, strict=True)]
+        missing = [k for k, outcome in enumerate(outcomes) if outcome is None]
+        if missing:
+            with self.stage("Reading materials") as step:
+                prepare(step)
+        with self.stage("Making files") as step:
+            for done, k in enumerate(missing, start=1):
+                outcomes[k] = self._made(points[k], paths[k])
+                if step is not None:
+                    step(done, len(missing), points[k].name)
+        return [outcome for outcome in outcomes if outcome is not None]
+
+    def _kept(self, point: Point, path: Path) -> PointOutcome | None:
+        try:
+            result = self.index.result(path, self.made_of(point))
+        except ManifoldError as error:
+            return _failed(point, path, error)
+        return None if result is None else PointOutcome(point, path, result, was_there=True)
+
+    def _made(self, point: Point, path: Path) -> PointOutcome:
+        try:
+            if self.check is not None:
+                self.check(path)
+            result = self.make(point, path)
+            self.index.add(path, self.made_of(point), result)
+        except ManifoldError as error:
+            return _failed(point, path, error)
+        return PointOutcome(point, path, result)
+
+
+def _failed(point: Point, path: Path, error: ManifoldError) -> PointOutcome:
+    return PointOutcome(point, path, None, failure=str(error))

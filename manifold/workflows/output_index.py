@@ -1,0 +1,71 @@
+"""What a folder of outputs holds: which file was made of what, so that a later run makes only what is missing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from manifold import __version__, atomic, small_files
+from manifold.errors import FileFormatError, UsageError
+
+
+class OutputIndex:
+    """The JSON file beside the outputs of a run of many.
+
+    Args:
+        folder: of the outputs; made if missing.
+        what: they are, in the plural; `exports` makes `exports.json`.
+    Raises:
+        UsageError: the folder cannot be made, or is a file.
+        FileFormatError: there is another file of the index's name.
+    """
+
+    def __init__(self, folder: Path, what: str) -> None:
+        if folder.exists() and not folder.is_dir():
+            raise UsageError(f"{folder}: is a file, expected a folder for {what}; name another")
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path, self._what = folder / f"{what}.json", what
+        self._entries = self._read()
+
+    def result(self, path: Path, made_of: dict[str, Any]) -> dict[str, Any] | None:
+        """What is known of a file that is there, unchanged, and was made of the same by this version, else None."""
+        entry = self._entries.get(path.name)
+        if not isinstance(entry, dict) or entry.get("made_of") != self._stamped(made_of):
+            return None
+        if not path.is_file() or entry.get("file_sha256") != file_sha256(path):
+            return None
+        result = entry.get("result")
+        return result if isinstance(result, dict) else None
+
+    def add(self, path: Path, made_of: dict[str, Any], result: dict[str, Any]) -> None:
+        """Note a file that was written, and what is known of it: all plain values of JSON."""
+        entry = {"made_of": self._stamped(made_of), "file_sha256": file_sha256(path), "result": result}
+        self._entries[path.name] = entry
+        content = {"format": self._format, "program": f"manifold {__version__}", self._what: self._entries}
+        atomic.write_text(self._path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+    @property
+    def _format(self) -> str:
+        return f"manifold {self._what}"
+
+    def _stamped(self, made_of: dict[str, Any]) -> dict[str, Any]:
+        return json.loads(json.dumps(made_of | {"program": f"manifold {__version__}"}))
+
+    def _read(self) -> dict[str, Any]:
+        if not self._path.is_file():
+            return {}
+        content = small_files.read_json(self._path, f"the index of a folder of {self._what}")
+        if not isinstance(content, dict) or content.get("format") != self._format:
+            raise FileFormatError(
+                f"{self._path}: not an index of {self._what}; name another folder, or remove it"
+            )
+        entries = content.get(self._what)
+        return dict(entries) if isinstance(entries, dict) else {}
+
+
+def file_sha256(path: Path) -> str:
+    """The hash of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

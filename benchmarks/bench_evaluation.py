@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic import corpus
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.rendering import backend
-from manifold.synthetic import corpus
 
 TARGET = 4.0
 

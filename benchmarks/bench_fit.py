@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.brdf.synthetic import corpus
 from manifold.directions import from_spherical
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_evaluation import evaluator
@@ -30,7 +31,6 @@ from manifold.fitting.principled import FitResult, fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid
 from manifold.rendering import backend
-from manifold.synthetic import corpus
 
 NOISE = 0.005
 METHODS = ("gauss-newton", "adam", "swarm")

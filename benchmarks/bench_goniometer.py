@@ -17,10 +17,10 @@ import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic import GGX, Plastic, corpus
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, BsdfFile
-from manifold.synthetic import GGX, Plastic, corpus
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.synthetic.neural import NeuralBRDF, read_neural_fits
 from manifold.experiments.evaluation.anchors import anchor
 from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
@@ -30,7 +31,6 @@ from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
 from manifold.records import Array
-from manifold.synthetic.neural import NeuralBRDF, read_neural_fits
 
 DEFAULT = ("nearest", "gplvm_6", "monochrome_3_1", "nonnegative_plain", "nonnegative", "nonnegative_pair")
 

@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from manifold.brdf.synthetic import corpus
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
-from manifold.synthetic import corpus
 
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 

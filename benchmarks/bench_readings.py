@@ -15,12 +15,12 @@ import numpy as np
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
-from manifold.completion import LibrarySamples, calibrate, suggest
-from manifold.completion.complete import complete_at
-from manifold.completion.expected import KINDS, completion_errors, in_sample_bands, sample_axis
-from manifold.completion.suggest import all_directions
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
+from manifold.model.completion import LibrarySamples, calibrate, suggest
+from manifold.model.completion.complete import complete_at
+from manifold.model.completion.expected import KINDS, completion_errors, in_sample_bands, sample_axis
+from manifold.model.completion.suggest import all_directions
 from manifold.model.materials import MaterialCache
 from manifold.records import Array, Bands
 

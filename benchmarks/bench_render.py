@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.brdf.synthetic import corpus
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.synthetic import corpus
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
 TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "scalar, predicted file": 10.0}

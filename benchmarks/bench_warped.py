@@ -24,14 +24,14 @@ from trial_models import CUBE_ROOT, fit_gram
 
 from manifold.brdf import cells, goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.synthetic import GGX, Plastic, RoughConductor
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.models.criteria import Products, mapped_residual
 from manifold.models.encoder import Encoder
-from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
-from manifold.synthetic import GGX, Plastic, RoughConductor
+from manifold.system.parallel import one_blas_thread
 
 NODES = 128  # of a profile
 SIDE = 63  # of the common unit square; the 32 nodes of a file are among them

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.brdf.synthetic import corpus
 from manifold.colour.conversion import to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf
@@ -22,7 +23,6 @@ from manifold.plots import figures
 from manifold.records import Array, BsdfFile
 from manifold.rendering import image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.synthetic import corpus
 from manifold.workflows.renders import RIM
 
 MATERIALS = ("syn_satin_gold", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper")

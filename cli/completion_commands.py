@@ -13,7 +13,7 @@ from . import terminal
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
 
 if TYPE_CHECKING:
-    from manifold.completion.suggest import Suggested
+    from manifold.model.completion.suggest import Suggested
 
 InstrumentOption = Annotated[
     str | None,

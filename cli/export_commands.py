@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manifold import atomic
 from manifold.errors import UsageError
+from manifold.system import atomic
 
 from . import terminal
 from .library_commands import JsonOption, MovedLibraryOption
@@ -96,7 +96,7 @@ def export(
     The loss is the mean CIEDE2000 on the ball between the material and the target's model, evaluated as its
     specification says; beside it is that of Mitsuba's principled, from whose parameters those of the target are made.
     """
-    from manifold.exports.targets import TARGETS, target_of
+    from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import export_folders, exports
 

@@ -87,10 +87,10 @@ def corpus(
     Or, with --neural, fits of about 150 real materials (Sztrajman et al. 2021), which you download yourself.
     """
     from manifold import __version__
+    from manifold.brdf.synthetic import instruments
+    from manifold.brdf.synthetic.corpus import write
+    from manifold.brdf.synthetic.neural import write_neural
     from manifold.errors import UsageError
-    from manifold.synthetic import instruments
-    from manifold.synthetic.corpus import write
-    from manifold.synthetic.neural import write_neural
 
     if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
         raise UsageError(

@@ -21,7 +21,8 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from manifold import __version__, atomic
+from manifold import __version__
+from manifold.system import atomic
 
 Step = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""

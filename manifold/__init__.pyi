@@ -1,4 +1,5 @@
-from . import colour, directions, errors, mapping, metrics, models, synthetic
+from . import colour, directions, errors, mapping, metrics, models
+from .brdf import synthetic
 from .brdf.measured import MeasuredBRDF
 from .fitting.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf

@@ -6,12 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.instruments import (
+    MA_T12_BANDS,
+    MINI_DIFF_BANDS,
+    ma_t12_readings,
+    write_mini_diff,
+)
+from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.formats import astm, csv_table, cxf, lighttools, ma_t12, merl, pab_opto, utia, zemax
 from manifold.formats.dense import DenseTable
 from manifold.records import Array, Bands
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_mini_diff
-from manifold.synthetic.microfacet import Plastic
 
 RGB = Bands(None)
 

@@ -8,12 +8,12 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from manifold.brdf.synthetic import corpus
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
-from manifold.synthetic import corpus
 
 NAMES = (
     "syn_felt_green", "syn_felt_orange", "syn_gloss_red", "syn_metal_copper", "syn_paper_white", "syn_satin_gold",

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from manifold import atomic
 from manifold.errors import UsageError
+from manifold.system import atomic
 
 
 def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path):
@@ -79,7 +79,7 @@ def test_threads_write_one_name_and_readers_see_whole_texts(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from manifold import atomic
+from manifold.system import atomic
 with atomic.replacing(Path(sys.argv[1])) as partial:
     partial.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)

@@ -14,11 +14,11 @@ from mitsuba_reference import measured
 from sample_files import sample_file
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.synthetic import corpus
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import ShapeError
 from manifold.io_rgl import read_bsdf, write_bsdf
-from manifold.synthetic import corpus
 
 PAIRS = 20_000
 BY_NAME = {m.name: m for m in corpus.isotropic_materials() + corpus.anisotropic_materials()}

@@ -13,6 +13,7 @@ from chi_square import chi_square_p_value
 from scipy import stats
 from small_library import small_library
 
+from manifold.brdf.synthetic import corpus
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
@@ -28,7 +29,6 @@ from manifold.rendering import backend, scenes
 from manifold.rendering.plugin import mixture
 from manifold.rendering.plugin.bsdf import NAME, load_model
 from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
-from manifold.synthetic import corpus
 
 pytestmark = pytest.mark.skipif(not backend.choose().is_llvm, reason="needs a libLLVM that Dr.Jit can use")
 

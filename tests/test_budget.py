@@ -14,6 +14,7 @@ from small_library import small_model
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.cli import budget_commands
 from manifold.colour.conversion import interpolation_matrix, to_xyz
 from manifold.colour.difference import delta_e_2000
@@ -30,7 +31,6 @@ from manifold.model.manifold import Manifold
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Bands
 from manifold.rendering import backend, render
-from manifold.synthetic.analytic import Lambert
 from manifold.workflows import budgets
 from manifold.workflows.budgets import BudgetSettings
 

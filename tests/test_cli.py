@@ -422,7 +422,7 @@ def test_a_file_of_the_library_is_located_at_its_material(run, structures):
 
 
 def test_mixing_bands_is_refused(run, folder, tmp_path):
-    from manifold.synthetic import corpus
+    from manifold.brdf.synthetic import corpus
 
     write_bsdf(tmp_path / "syn_felt_pink_spec.bsdf", corpus.measure(corpus.isotropic_materials()[2]))
     status, _, err = run("import", tmp_path, cwd=folder)
@@ -495,7 +495,7 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
-    from manifold.synthetic import corpus
+    from manifold.brdf.synthetic import corpus
     from manifold.workflows import demo
 
     class Stopped(Exception):

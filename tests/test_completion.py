@@ -11,11 +11,6 @@ from small_library import NAMES, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.correction import learn_correction
-from manifold.completion import LibrarySamples, calibrate, complete, suggest
-from manifold.completion.correction_file import read_correction
-from manifold.completion.expected import completion_errors, leave_out
-from manifold.completion.hybrid import combine, corrected
-from manifold.completion.reading_bands import for_library, in_all_bands
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.experiments.readings.curve import measure_curves
@@ -23,6 +18,11 @@ from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
+from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
+from manifold.model.completion.correction_file import read_correction
+from manifold.model.completion.expected import completion_errors, leave_out
+from manifold.model.completion.hybrid import combine, corrected
+from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import posterior

@@ -10,6 +10,7 @@ import pytest
 from instrument_files import RGB, dense, smooth, write_every_format
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.instruments import MINI_DIFF_BANDS
 from manifold.brdf.tabulated import ReadingsBRDF
 from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb
@@ -19,7 +20,6 @@ from manifold.formats import csv_table, merl, pab_opto, registry
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import cube_root_error
 from manifold.records import Bands
-from manifold.synthetic.instruments import MINI_DIFF_BANDS
 from manifold.workflows.conversion import convert
 from manifold.workflows.conversion_targets import Options
 

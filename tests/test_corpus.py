@@ -10,12 +10,12 @@ import pytest
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import quadrature_albedo
+from manifold.brdf.synthetic import corpus
 from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
-from manifold.synthetic import corpus
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from bench_goniometer import corpus_error

@@ -11,10 +11,10 @@ from small_library import NAMES, small_library, small_model
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
-from manifold.explorer.page import make_page
-from manifold.explorer.tables import tabulate, to_document
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
+from manifold.plots.explorer.page import make_page
+from manifold.plots.explorer.tables import tabulate, to_document
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 

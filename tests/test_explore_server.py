@@ -14,9 +14,9 @@ from browser import chromium, visit
 from small_library import NAMES, small_model
 
 from manifold.errors import UsageError
-from manifold.explorer.actions import SPECTRUM, Context, action
-from manifold.explorer.jobs import MOST_WAITING, Queue
-from manifold.explorer.server import MOST_FILE, MOST_JSON, ExplorerServer
+from manifold.plots.explorer.actions import SPECTRUM, Context, action
+from manifold.plots.explorer.jobs import MOST_WAITING, Queue
+from manifold.plots.explorer.server import MOST_FILE, MOST_JSON, ExplorerServer
 from manifold.workflows import explore
 
 SLEEPS = (sys.executable, "-c", "import time; time.sleep(60)")

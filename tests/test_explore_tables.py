@@ -12,11 +12,11 @@ from small_library import NAMES, small_library, small_model
 from manifold.colour import ball_colours
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import UsageError
-from manifold.explorer import tables
-from manifold.explorer.direction_grid import AngleGrid, tabulated_pairs
-from manifold.explorer.page import joined_script, make_page
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
+from manifold.plots.explorer import tables
+from manifold.plots.explorer.direction_grid import AngleGrid, tabulated_pairs
+from manifold.plots.explorer.page import joined_script, make_page
 from manifold.workflows import explore
 
 

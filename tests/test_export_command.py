@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
-from manifold.exports import TARGETS, Principled, glb, gltf
 from manifold.fitting import fit_json
 from manifold.fitting.bsdf_parameters import principled
+from manifold.fitting.exports import TARGETS, Principled, glb, gltf
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold

@@ -9,9 +9,9 @@ import pytest
 
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
-from manifold.exports import TARGETS, Principled, loss
-from manifold.exports.direct import fit_target
 from manifold.fitting import fit_samples
+from manifold.fitting.exports import TARGETS, Principled, loss
+from manifold.fitting.exports.direct import fit_target
 from manifold.records import Bands
 
 TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from manifold.errors import FileFormatError, UsageError
-from manifold.exports import (
+from manifold.fitting.exports import (
     TARGETS,
     Export,
     Principled,

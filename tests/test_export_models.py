@@ -10,7 +10,9 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.exports import (
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.bsdf_parameters import diffuse, principled
+from manifold.fitting.exports import (
     TARGETS,
     Principled,
     gltf,
@@ -22,9 +24,7 @@ from manifold.exports import (
     standard_surface,
     unreal,
 )
-from manifold.exports.lobes import Pairs
-from manifold.fitting.bsdf_evaluation import evaluator
-from manifold.fitting.bsdf_parameters import diffuse, principled
+from manifold.fitting.exports.lobes import Pairs
 
 EVALUATED = [target for target in TARGETS.values() if target.brdf is not None]
 FULL = Principled(

@@ -15,6 +15,7 @@ from small_library import measured, small_model
 from typer.testing import CliRunner
 
 from manifold.brdf import goniometer
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, UsageError
 from manifold.fitting import fit_check, fit_json
@@ -26,7 +27,6 @@ from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
 from manifold.rendering import backend
-from manifold.synthetic.analytic import Lambert
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
 

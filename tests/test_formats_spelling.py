@@ -11,15 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from instrument_files import dense, smooth, write_every_format
 
+from manifold.brdf.synthetic.corpus import isotropic_materials
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_ma_t12
+from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.errors import FileFormatError
 from manifold.formats import astm, csv_table, lighttools, registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometry_names import geometry_name, parse_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
-from manifold.synthetic.corpus import isotropic_materials
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_ma_t12
-from manifold.synthetic.microfacet import Plastic
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 FACTORS = np.pi * SPECTRO.values

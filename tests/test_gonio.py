@@ -10,11 +10,11 @@ import pytest
 
 from manifold.brdf import cells, goniometer
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic import GGX, Lambert, Plastic, RoughConductor
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
-from manifold.synthetic import GGX, Lambert, Plastic, RoughConductor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 from bench_goniometer import ALPHAS, mean_relative_error

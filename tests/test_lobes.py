@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from manifold.brdf.synthetic.ggx import GGX
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.models.lobes import (
@@ -17,7 +18,6 @@ from manifold.models.lobes import (
     normal_distribution,
 )
 from manifold.models.nonnegative import nonnegative_weights
-from manifold.synthetic.ggx import GGX
 
 
 def directions(rng, n):

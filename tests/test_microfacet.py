@@ -8,18 +8,18 @@ from chi_square import chi_square_p_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from manifold.brdf.synthetic.analytic import Lambert, Sheen
+from manifold.brdf.synthetic.diffuse import RoughDiffuse
+from manifold.brdf.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.ggx_mixture import GGXMixture
+from manifold.brdf.synthetic.layers import Layered, MixedBRDF
+from manifold.brdf.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
+from manifold.brdf.synthetic.redirected import Immersed, Retroreflection
 from manifold.colour.metals import metal_ior
 from manifold.directions import from_spherical, hemisphere_quadrature, normalize
 from manifold.errors import BandMismatchError, ShapeError, UsageError
 from manifold.records import Array, Bands
-from manifold.synthetic.analytic import Lambert, Sheen
-from manifold.synthetic.diffuse import RoughDiffuse
-from manifold.synthetic.fresnel import fresnel_conductor, fresnel_dielectric, fresnel_thin_film
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.ggx_mixture import GGXMixture
-from manifold.synthetic.layers import Layered, MixedBRDF
-from manifold.synthetic.microfacet import Plastic, RoughConductor, RoughDielectric, ThinFilm
-from manifold.synthetic.redirected import Immersed, Retroreflection
 
 BANDS = Bands((400.0, 550.0, 700.0))
 NM = np.array(BANDS.wavelengths_nm)

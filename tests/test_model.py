@@ -15,6 +15,7 @@ import pytest
 from small_library import NAMES, measured, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
 from manifold.errors import (
     BandMismatchError,
@@ -33,7 +34,6 @@ from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
 from manifold.records import Bands
-from manifold.synthetic.analytic import Lambert
 
 
 @pytest.fixture(scope="module")

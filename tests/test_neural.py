@@ -16,14 +16,14 @@ from typer.testing import CliRunner
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.brdf.synthetic.corpus import rgl_bands
+from manifold.brdf.synthetic.neural import NeuralBRDF, read_neural_fits, write_neural
 from manifold.cli.main import app
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
-from manifold.synthetic.corpus import rgl_bands
-from manifold.synthetic.neural import NeuralBRDF, read_neural_fits, write_neural
 
 SIZES = (6, 4, 5, 3)
 

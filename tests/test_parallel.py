@@ -11,8 +11,8 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_info
 
-from manifold import parallel
-from manifold.parallel import in_turn, one_blas_thread
+from manifold.system import parallel
+from manifold.system.parallel import in_turn, one_blas_thread
 
 UNMEASURED_IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor

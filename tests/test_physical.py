@@ -12,6 +12,7 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.physical import ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import plausibility_of_file
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
@@ -20,7 +21,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.predicted_file import predict
 from manifold.model.settings import Settings
 from manifold.records import Bands
-from manifold.synthetic.analytic import Lambert
 
 BANDS = Bands((500.0, 600.0))
 

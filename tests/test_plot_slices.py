@@ -7,10 +7,10 @@ import pytest
 from small_library import measured, small_model
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.errors import BandMismatchError, UsageError
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
-from manifold.synthetic.analytic import Lambert
 from manifold.workflows.pictures import slices, sources
 
 BANDS = Bands((450.0, 550.0, 650.0))

@@ -14,6 +14,9 @@ from manifold.brdf.cube_root import cube_root
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature, plausibility
+from manifold.brdf.synthetic.analytic import Lambert
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import Plastic, RoughConductor
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
@@ -22,9 +25,6 @@ from manifold.model.prediction import ClippedBRDF, PredictedBRDF
 from manifold.models.dictionary import Dictionary
 from manifold.models.lobes import Lobes
 from manifold.records import Bands
-from manifold.synthetic.analytic import Lambert
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.microfacet import Plastic, RoughConductor
 
 RGB = Bands(None)
 MATERIALS = [

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from small_library import measured
 
-from manifold import temporary
 from manifold.errors import RendererError
 from manifold.plots import figures
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings, render_material
+from manifold.system import temporary
 
 FORK = """
 import os, signal, sys
@@ -66,7 +66,7 @@ def test_rendering_leaves_the_users_variant(monkeypatch):
 
 KILLED = """
 import os, signal
-from manifold import temporary
+from manifold.system import temporary
 with temporary.folder() as folder:
     (folder / "file").write_text("text")
     print(folder, flush=True)

@@ -28,6 +28,15 @@ def test_the_names_of_the_package_are_those_that_the_readme_lists():
     assert sorted(listed) == dir(manifold)
 
 
+def test_the_root_can_be_taken_in_at_a_glance():
+    root = REPOSITORY / "manifold"
+    modules = sorted(file.name for file in root.glob("*.py"))
+    folders = sorted(file.parent.name for file in root.glob("*/__init__.py"))
+    assert len(modules) <= 12, modules
+    assert len(folders) <= 12, folders
+    assert {"gplvm.py", "gpr.py", "dls.py", "io_rgl.py"} <= set(modules)
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_package_lists_its_names_and_has_them(package):
     module = importlib.import_module(package)

@@ -9,6 +9,7 @@ from small_library import NAMES, measured, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf
@@ -17,7 +18,6 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, r
 from manifold.model.manifold import Manifold
 from manifold.model.reconstruction import reconstruct
 from manifold.records import Bands
-from manifold.synthetic.analytic import Lambert
 
 LEFT_OUT = "syn_satin_gold"
 GRID = RusinkiewiczGrid(20, 11, 7, offset=0.3)  # not the pairs that weights are found at

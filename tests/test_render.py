@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
+from manifold.brdf.synthetic import corpus
 from manifold.cli.main import run as run_here
 from manifold.colour import studio
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, to_xyz, xyz_to_srgb
@@ -24,7 +25,6 @@ from manifold.io_rgl import write_bsdf
 from manifold.records import Bands
 from manifold.rendering import backend, image_metrics, images, render, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.synthetic import corpus
 from manifold.workflows import renders
 
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}

@@ -9,11 +9,11 @@ import pytest
 from small_library import measured
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic import corpus
 from manifold.errors import UsageError
 from manifold.experiments.evaluation.selection import PAYS, choose
 from manifold.mapping import MAPPINGS
 from manifold.model.settings import Settings
-from manifold.synthetic import corpus
 
 NAMES = [m.name for m in corpus.isotropic_materials()][::6]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from manifold.errors import UsageError
-from manifold.small_files import read_text
+from manifold.system.small_files import read_text
 
 
 def test_a_text_is_read_with_or_without_a_mark_of_utf8(tmp_path):

@@ -10,12 +10,12 @@ from conftest import real_rgl_files
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf
 from manifold.records import Bands
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.microfacet import Plastic
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from conftest import real_rgl_files
 from mitsuba_reference import measured
 from small_library import small_model
 
+from manifold.brdf.synthetic import corpus
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes
@@ -19,7 +20,6 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.predicted_file import predict
-from manifold.synthetic import corpus
 from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 

@@ -1,4 +1,4 @@
-"""Measured BRDFs and what is done with one of them: evaluation, sampling, writing, plausibility."""
+"""One BRDF: evaluation, sampling, writing and plausibility of measured ones; analytic ones and the corpus."""
 
 import lazy_loader
 

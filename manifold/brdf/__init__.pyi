@@ -1,3 +1,4 @@
+from . import synthetic
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
 from .physical import ReciprocalBRDF, physical_file
@@ -10,6 +11,7 @@ __all__ = [
     "ReciprocalBRDF",
     "fill_unmeasured",
     "physical_file",
+    "synthetic",
     "unmeasured_cells",
     "unmeasured_share",
 ]

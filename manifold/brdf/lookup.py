@@ -12,7 +12,7 @@ import numpy as np
 from manifold.brdf import warp
 from manifold.brdf.cube_root import cube_root
 from manifold.brdf.pairs import elevation, locate, phi_to_u, signs, theta_to_u
-from manifold.parallel import in_turn
+from manifold.system.parallel import in_turn
 
 
 @nb.njit(cache=True, inline="always")

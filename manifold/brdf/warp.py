@@ -17,8 +17,8 @@ import numba as nb
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.parallel import in_turn
 from manifold.records import Array
+from manifold.system.parallel import in_turn
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import small_files
 from manifold.errors import FileFormatError
 from manifold.records import Array
+from manifold.system import small_files
 
 
 def read_columns(path: Path, what: str) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Fits of a BSDF that Mitsuba renders: samples, parameters, optimisers, identifiability, and fits as JSON."""
+"""Materials as parameters: fits of a BSDF that Mitsuba renders, their JSON, and exports for engines."""
 
 import lazy_loader
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
 from manifold.records import Array
+from manifold.system import atomic
 
 _REMEDY = "export the table again with columns Geometry, 400, 410, ..."
 _TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from manifold import atomic
 from manifold.formats.geometry_names import geometry_directions, geometry_name
 from manifold.formats.readings import MA_T12_NAMES, Readings, aspecular_pair
 from manifold.formats.text import Place, decode, read_bytes
 from manifold.records import Array
+from manifold.system import atomic
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes

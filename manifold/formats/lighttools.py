@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
 from manifold.formats.dense import DenseTable
@@ -20,6 +19,7 @@ from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode
 from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
 from manifold.records import Array
+from manifold.system import atomic
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell

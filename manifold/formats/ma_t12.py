@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from manifold import atomic
 from manifold.errors import FileFormatError
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.sheet_images import sheet_images
 from manifold.formats.spectro_table import Cell, read_table
 from manifold.formats.text import Place, read_bytes
+from manifold.system import atomic
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes

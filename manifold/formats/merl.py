@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.errors import ShapeError
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import Place, read_bytes
 from manifold.records import Array
+from manifold.system import atomic
 
 SHAPE = (90, 90, 180)
 SCALES = np.array([1.0, 1.15, 1.66]) / 1500.0

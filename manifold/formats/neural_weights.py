@@ -18,9 +18,9 @@ from pathlib import Path, PurePosixPath
 import h5py
 import numpy as np
 
-from manifold import small_files
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
+from manifold.system import small_files
 
 _INPUTS, _OUTPUTS = 6, 3
 _MOST_BYTES = 16 << 20  # of one network; the published ones have some tens of kilobytes

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
 from manifold.formats.tristimulus import xyz_to_linear_srgb
 from manifold.records import Array
+from manifold.system import atomic
 
 _REMEDY = "export the measurement again"
 _MOST_ROWS = 5_000_000

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.foreign import name_format
 from manifold.records import Array
+from manifold.system import atomic
 
 MAGIC = b"tensor_file\0"
 _PREAMBLE = struct.Struct("<12sBBI")

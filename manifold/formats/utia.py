@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.errors import ShapeError
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import Place, read_bytes
 from manifold.records import Array
+from manifold.system import atomic
 
 SHAPE = (6, 48, 6, 48)
 SIZE = 8 * 3 * 288 * 288

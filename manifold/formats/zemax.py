@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
 from manifold.records import Array
+from manifold.system import atomic
 
 _UNNAMED_NM = 550.0
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")

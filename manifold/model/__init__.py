@@ -1,4 +1,4 @@
-"""The fitted manifold: latents of a library's materials, predictions, colours, diagnostics, its file."""
+"""The fitted manifold: latents of a library's materials, predictions, colours, completion, its file."""
 
 import lazy_loader
 

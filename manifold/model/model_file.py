@@ -23,9 +23,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from manifold import atomic, small_files
 from manifold.errors import ModelError, UsageError
 from manifold.records import Array
+from manifold.system import atomic, small_files
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 3

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic
+from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
@@ -20,6 +20,7 @@ from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
+from manifold.system import atomic
 
 PREDICTED = "Predicted at latent"
 """How the descriptions of predicted files begin."""

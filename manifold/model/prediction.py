@@ -11,15 +11,15 @@ import numpy as np
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import quadrature_albedo
+from manifold.brdf.synthetic.analytic import choose_lobe
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity
 from manifold.metrics import cosine_weight
 from manifold.model.combination import Combination
 from manifold.model.lobe_sampling import LobeSampling
-from manifold.parallel import one_blas_thread
 from manifold.records import Array, Bands
-from manifold.synthetic.analytic import choose_lobe
+from manifold.system.parallel import one_blas_thread
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
 BLOCK_PAIRS = 2048

@@ -12,8 +12,8 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from manifold.errors import NumericalError, ShapeError, UsageError
 from manifold.models.kernels import Kernel
-from manifold.parallel import one_blas_thread
 from manifold.records import Array
+from manifold.system.parallel import one_blas_thread
 
 _SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
 from matplotlib.text import Text
 
-from manifold import atomic
 from manifold.errors import UsageError
+from manifold.system import atomic
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""

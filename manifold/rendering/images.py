@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.colour.conversion import encode_srgb
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 from manifold.rendering import backend
+from manifold.system import atomic
 
 SUFFIXES = (".exr", ".png")
 _DISPLAY_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")

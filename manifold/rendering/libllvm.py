@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold import atomic
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import BsdfFile
+from manifold.system import atomic
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 """Dr.Jit's environment variable for the libLLVM to use; where it is set, that one is tried first."""

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from manifold import temporary
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
@@ -24,6 +23,7 @@ from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin.bsdf import register_always
+from manifold.system import temporary
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, temporary
+from manifold import __version__
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
 from manifold.experiments.budget.output_folder import OutputFolder
@@ -24,6 +24,7 @@ from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
 from manifold.records import Array, Progress
 from manifold.rendering import backend, image_metrics, render
+from manifold.system import temporary
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold.completion.samples import LibrarySamples
 from manifold.experiments.chart.experiment import Chart, make_chart
 from manifold.experiments.readings.curve import COUNTS, Curve, measure_curves
 from manifold.library.store import Library
+from manifold.model.completion.samples import LibrarySamples
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache
 from manifold.records import Progress

@@ -10,25 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, atomic
+from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.colour.correction import ColourCorrection
-from manifold.completion.complete import Completion, complete
-from manifold.completion.correction_file import read_correction, write_correction
-from manifold.completion.expected import calibrate
-from manifold.completion.hybrid import Hybrid, combine, corrected, learn_across
-from manifold.completion.samples import LibrarySamples
-from manifold.completion.suggest import Suggested, suggest
 from manifold.errors import UsageError
 from manifold.formats import registry
 from manifold.formats.readings import Readings
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics
+from manifold.model.completion.complete import Completion, complete
+from manifold.model.completion.correction_file import read_correction, write_correction
+from manifold.model.completion.expected import calibrate
+from manifold.model.completion.hybrid import Hybrid, combine, corrected, learn_across
+from manifold.model.completion.samples import LibrarySamples
+from manifold.model.completion.suggest import Suggested, suggest
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Progress
+from manifold.system import atomic
 from manifold.workflows import renders
 
 _MOST_READINGS = 2000

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from manifold import atomic
 from manifold.errors import UsageError
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
 from manifold.records import Array, Bands
+from manifold.system import atomic
 from manifold.workflows.conversion_source import Source, open_source
 from manifold.workflows.conversion_targets import TARGETS, Options, Target
 

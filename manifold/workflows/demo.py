@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import atomic
+from manifold.brdf.synthetic import corpus
 from manifold.errors import LibraryError
 from manifold.experiments.budget import example_scenes
 from manifold.experiments.evaluation.report import Report, make_report
@@ -17,7 +17,7 @@ from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
-from manifold.synthetic import corpus
+from manifold.system import atomic
 from manifold.workflows import ball_pictures, budgets, charts, failures, fits, pipeline, renders
 from manifold.workflows.budgets import BudgetSettings
 from manifold.workflows.fit_pictures import picture_of_fit

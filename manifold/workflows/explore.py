@@ -7,14 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from manifold import atomic
 from manifold.errors import UsageError
-from manifold.explorer.actions import Context
-from manifold.explorer.page import make_page
-from manifold.explorer.server import ExplorerServer
-from manifold.explorer.tables import require_blends, tabulate, to_document
 from manifold.model.manifold import Manifold
+from manifold.plots.explorer.actions import Context
+from manifold.plots.explorer.page import make_page
+from manifold.plots.explorer.server import ExplorerServer
+from manifold.plots.explorer.tables import require_blends, tabulate, to_document
 from manifold.records import Progress
+from manifold.system import atomic
 
 
 def write_page(

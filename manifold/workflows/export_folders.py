@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.errors import ManifoldError, UsageError
-from manifold.exports.targets import Target
+from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
 from manifold.records import Progress

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import atomic
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
-from manifold.exports import loss
-from manifold.exports.direct import fit_target
-from manifold.exports.document import Export
-from manifold.exports.principled_values import Principled
-from manifold.exports.targets import Target
 from manifold.fitting import fit_json, fit_samples
+from manifold.fitting.exports import loss
+from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.document import Export
+from manifold.fitting.exports.principled_values import Principled
+from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
@@ -24,6 +23,7 @@ from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
+from manifold.system import atomic
 from manifold.workflows.output_index import file_sha256
 
 

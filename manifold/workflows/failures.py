@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from manifold import atomic
 from manifold.experiments.stability import advice_page
 from manifold.experiments.stability.catalogue import MODES
 from manifold.experiments.stability.trials import Stability, run_modes, select_modes
 from manifold.plots import figures, plot_stability
 from manifold.records import Progress
+from manifold.system import atomic
 
 
 def stability(

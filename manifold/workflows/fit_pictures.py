@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import temporary
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
@@ -17,6 +16,7 @@ from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.rendering import image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
+from manifold.system import temporary
 from manifold.workflows.renders import RIM, file_source
 
 

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from manifold import atomic, small_files
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
@@ -31,6 +30,7 @@ from manifold.model.manifold import Manifold
 from manifold.records import Progress
 from manifold.rendering import backend
 from manifold.rendering.plugin_names import require_plugins, types_of
+from manifold.system import atomic, small_files
 
 _KILLED = (
     "not fitted, since a process was killed (out of memory?); use fewer --jobs, and run again for the rest"

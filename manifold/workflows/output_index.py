@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__, atomic, small_files
+from manifold import __version__
 from manifold.errors import FileFormatError, UsageError
+from manifold.system import atomic, small_files
 
 
 class OutputIndex:

@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import atomic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
@@ -18,6 +17,7 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.plots import figures, plot_latents
 from manifold.records import Progress
+from manifold.system import atomic
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""

@@ -8,11 +8,11 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold import small_files
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.text import decode, number
 from manifold.library.identity import alike, require_material_name
 from manifold.model.colours import ColourChoice
+from manifold.system import small_files
 
 MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__, temporary
+from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
@@ -27,6 +27,7 @@ from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.image_metrics import Summary
 from manifold.rendering.render import RenderSettings, render_bsdf, render_material, require_d65
+from manifold.system import temporary
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
 

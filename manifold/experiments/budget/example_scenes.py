@@ -9,12 +9,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold import atomic
+from manifold.brdf.synthetic import corpus
 from manifold.colour.conversion import sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
-from manifold.synthetic import corpus
+from manifold.system import atomic
 
 
 @dataclass(frozen=True)

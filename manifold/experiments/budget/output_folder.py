@@ -8,9 +8,9 @@ import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from manifold import atomic
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name
+from manifold.system import atomic
 
 
 def require_makeable(folder: Path) -> None:

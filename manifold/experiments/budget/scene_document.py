@@ -16,11 +16,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from manifold import atomic, small_files
 from manifold.errors import UsageError
 from manifold.experiments.budget import scene_files
 from manifold.rendering import backend, images
 from manifold.rendering.plugin_names import require_plugins, types_of
+from manifold.system import atomic, small_files
 
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from manifold import small_files
 from manifold.errors import FileFormatError
+from manifold.system import small_files
 
 _MOST_LEVELS = 100  # elements within elements; scenes of people have ten
 _MOST_INCLUDES = 15  # files within files, as in Mitsuba

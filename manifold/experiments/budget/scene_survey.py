@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from manifold import temporary
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb, xyz_weights
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
@@ -24,6 +23,7 @@ from manifold.experiments.budget.scene_document import SceneDocument
 from manifold.records import Array, Bands
 from manifold.rendering import backend, images
 from manifold.rendering.backend import Backend
+from manifold.system import temporary
 
 LIGHT_SAMPLES = 16
 MOST_PIXELS = 400  # of one material, for light

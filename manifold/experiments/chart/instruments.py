@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from manifold import metrics
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.synthetic import corpus
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.ball_errors import BallErrors, values_at
@@ -22,7 +23,6 @@ from manifold.experiments.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination, evaluate
 from manifold.records import Array, BsdfFile
-from manifold.synthetic import corpus
 
 REFERENCE = "syn_satin_gold"
 REFERENCE_PAIRS = 8192

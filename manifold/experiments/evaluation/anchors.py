@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from manifold.brdf.synthetic.neural import NeuralBRDF, read_neural_fits
 from manifold.errors import UsageError
 from manifold.experiments.evaluation.method import Encode, Method
 from manifold.experiments.evaluation.tabulated import Data
@@ -17,7 +18,6 @@ from manifold.fitting.principled import fit_bsdf
 from manifold.mapping import Identity
 from manifold.model.combination import Combination, Values
 from manifold.records import Array, Bands
-from manifold.synthetic.neural import NeuralBRDF, read_neural_fits
 
 PRINCIPLED = "principled"
 NEURAL_NUMBERS = 675  # weights and biases of the published networks

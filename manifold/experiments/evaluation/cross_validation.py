@@ -17,8 +17,8 @@ from manifold.errors import ShapeError
 from manifold.experiments.evaluation.method import Encode, Fit, Method
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.model.combination import Combination
-from manifold.parallel import one_blas_thread
 from manifold.records import Array
+from manifold.system.parallel import one_blas_thread
 
 Split = tuple[Array, Array]
 """Indices of the materials to learn from, and of those to predict."""

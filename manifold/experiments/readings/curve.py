@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
-from manifold.completion.expected import KINDS, errors_of
-from manifold.completion.samples import LibrarySamples
-from manifold.completion.suggest import all_directions, directions_of
 from manifold.errors import UsageError
 from manifold.experiments.readings.methods import METHODS, Task
+from manifold.model.completion.expected import KINDS, errors_of
+from manifold.model.completion.samples import LibrarySamples
+from manifold.model.completion.suggest import all_directions, directions_of
 from manifold.records import Array, Progress
 
 COUNTS = (1, 2, 5, 8, 10, 12, 16, 20, 50)

@@ -8,10 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from manifold.completion.complete import complete_at
-from manifold.completion.expected import in_sample_bands, sample_axis
-from manifold.completion.samples import LibrarySamples, ball_pairs
-from manifold.completion.suggest import first_readings
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.fit_samples import FitSamples
@@ -19,6 +15,10 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.formats.readings import Readings
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.model.completion.complete import complete_at
+from manifold.model.completion.expected import in_sample_bands, sample_axis
+from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.model.completion.suggest import first_readings
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 

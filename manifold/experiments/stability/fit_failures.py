@@ -10,6 +10,8 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF
 from manifold.brdf.plausibility import mirrored_quadrature
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import RoughConductor
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.experiments.stability.testbed import TestBed
@@ -21,8 +23,6 @@ from manifold.fitting.identifiability import DETERMINED
 from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.records import Array, Bands
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.microfacet import RoughConductor
 
 Pairs = tuple[Array, Array]
 

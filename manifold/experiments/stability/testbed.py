@@ -19,6 +19,8 @@ import numpy as np
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
 from manifold.experiments.evaluation.tabulated import Data
@@ -32,8 +34,6 @@ from manifold.model.manifold import Manifold, Settings
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Bands, BsdfFile
-from manifold.synthetic.ggx import GGX
-from manifold.synthetic.microfacet import Plastic
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)

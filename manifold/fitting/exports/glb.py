@@ -1,0 +1,129 @@
+"""Binary glTF files (`.glb`) of a ball and a plane of one material, written and read.
+
+Source: glTF 2.0 specification, chapter 4 (GLB).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold import __version__
+from manifold.errors import FileFormatError
+from manifold.fitting.exports import gltf, meshes
+from manifold.fitting.exports.document import Export
+from manifold.fitting.exports.meshes import Mesh
+from manifold.records import Array
+
+_MAGIC, _VERSION, _JSON, _BIN = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
+_FLOAT, _UINT16, _VERTICES, _INDICES = 5126, 5123, 34962, 34963
+
+
+def glb(export: Export) -> bytes:
+    """The file: nodes `ball` and `plane`, one material, loss and source among its extras."""
+    material = gltf.to_json(export.parameters, export.name) | {"extras": export.about()}
+    is_anisotropic = "KHR_materials_anisotropy" in material.get("extensions", {})
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"Exported by manifold {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [
+            {"name": "ball", "mesh": 0, "translation": [0.0, 1.0, 0.0]},
+            {"name": "plane", "mesh": 1, "translation": [0.0, 0.0, -2.5]},
+        ],
+        "materials": [material],
+        "meshes": [], "accessors": [], "bufferViews": [], "buffers": [],
+    }  # fmt: skip
+    if used := sorted(material.get("extensions", {})):
+        document["extensionsUsed"] = used
+    content = bytearray()
+    for mesh in (meshes.ball(), meshes.plane()):
+        document["meshes"].append(_add_mesh(document, content, mesh, with_tangents=is_anisotropic))
+    document["buffers"] = [{"byteLength": len(content)}]
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    chunks = _chunk(_JSON, text, b" ") + _chunk(_BIN, bytes(content), b"\0")
+    return struct.pack("<III", _MAGIC, _VERSION, 12 + len(chunks)) + chunks
+
+
+def _chunk(kind: int, content: bytes, padding: bytes) -> bytes:
+    content += padding * (-len(content) % 4)
+    return struct.pack("<II", len(content), kind) + content
+
+
+def _add_mesh(
+    document: dict[str, Any], content: bytearray, mesh: Mesh, *, with_tangents: bool
+) -> dict[str, Any]:
+    attributes = {
+        "POSITION": _add(document, content, mesh.positions, _VERTICES, with_bounds=True),
+        "NORMAL": _add(document, content, mesh.normals, _VERTICES),
+    }
+    if with_tangents:
+        attributes["TANGENT"] = _add(document, content, mesh.tangents, _VERTICES)
+    indices = _add(document, content, mesh.triangles.reshape(-1, 1), _INDICES)
+    return {
+        "name": mesh.name,
+        "primitives": [{"attributes": attributes, "indices": indices, "material": 0}],
+    }
+
+
+def _add(
+    document: dict[str, Any], content: bytearray, values: Array, target: int, *, with_bounds: bool = False
+) -> int:
+    """Append an array to the buffer; the index of its accessor."""
+    content += b"\0" * (-len(content) % 4)
+    document["bufferViews"].append(
+        {"buffer": 0, "byteOffset": len(content), "byteLength": values.nbytes, "target": target}
+    )
+    content += values.tobytes()
+    accessor: dict[str, Any] = {
+        "bufferView": len(document["bufferViews"]) - 1,
+        "componentType": _FLOAT if values.dtype.kind == "f" else _UINT16,
+        "count": len(values),
+        "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]],
+    }
+    if with_bounds:
+        accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+    document["accessors"].append(accessor)
+    return len(document["accessors"]) - 1
+
+
+def read(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The JSON and the binary chunk of a `.glb`.
+
+    Raises:
+        FileFormatError: it is no binary glTF 2.0, or is cut off.
+    """
+    content = path.read_bytes()
+    wanted = "expected a binary glTF 2.0"
+    if len(content) < 20:
+        raise FileFormatError(f"{path}: {len(content)} bytes, {wanted}")
+    magic, version, length = struct.unpack_from("<III", content)
+    if (magic, version) != (_MAGIC, _VERSION) or length != len(content):
+        raise FileFormatError(
+            f"{path}: header {magic:#x}, version {version}, {length} of {len(content)} bytes, {wanted}"
+        )
+    chunks: dict[int, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", content, at)
+        chunks.setdefault(kind, content[at + 8 : at + 8 + size])
+        at += 8 + size
+    try:
+        return json.loads(chunks[_JSON]), chunks.get(_BIN, b"")
+    except (KeyError, ValueError) as error:
+        raise FileFormatError(f"{path}: no JSON chunk ({error}), {wanted}") from error
+
+
+def accessor_values(document: dict[str, Any], content: bytes, index: int) -> Array:
+    """The values of an accessor, shape (count, components)."""
+    accessor = document["accessors"][index]
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind = {_FLOAT: "<f4", _UINT16: "<u2"}[accessor["componentType"]]
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+    offset = view["byteOffset"] + accessor.get("byteOffset", 0)
+    values = np.frombuffer(content, kind, accessor["count"] * width, offset)
+    return values.reshape(-1, width)

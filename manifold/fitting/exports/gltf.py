@@ -1,0 +1,183 @@
+"""glTF 2.0: metallic-roughness with its extensions as parameters, as JSON of a material, and as a BRDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from manifold.directions import from_spherical
+from manifold.fitting.exports import lobes
+from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.records import Array
+
+DEFAULTS: dict[str, Any] = {
+    "baseColorFactor": [1.0, 1.0, 1.0],
+    "metallicFactor": 1.0,
+    "roughnessFactor": 1.0,
+    "ior": 1.5,
+    "specularFactor": 1.0,
+    "specularColorFactor": [1.0, 1.0, 1.0],
+    "clearcoatFactor": 0.0,
+    "clearcoatRoughnessFactor": 0.0,
+    "sheenColorFactor": [0.0, 0.0, 0.0],
+    "sheenRoughnessFactor": 0.0,
+    "anisotropyStrength": 0.0,
+}
+"""Every parameter that exports may set, with the specification's default."""
+
+COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
+SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
+FREE = (
+    "baseColorFactor",
+    "metallicFactor",
+    "roughnessFactor",
+    "ior",
+    "clearcoatFactor",
+    "clearcoatRoughnessFactor",
+    "sheenColorFactor",
+    "sheenRoughnessFactor",
+)
+"""What a direct fit changes."""
+
+EXTENSIONS: dict[str, tuple[str, ...]] = {
+    "KHR_materials_ior": ("ior",),
+    "KHR_materials_specular": ("specularFactor", "specularColorFactor"),
+    "KHR_materials_clearcoat": ("clearcoatFactor", "clearcoatRoughnessFactor"),
+    "KHR_materials_sheen": ("sheenColorFactor", "sheenRoughnessFactor"),
+    "KHR_materials_anisotropy": ("anisotropyStrength",),
+}
+
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/exports.md
+_LAMBDA_ROUGH = np.array([21.5473, 3.82987, 0.19823, -1.97760, -4.32054])
+_LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Parameters of a material, all of `DEFAULTS`; see docs/exports.md."""
+    alpha_x, alpha_y = material.alphas
+    made = DEFAULTS | {
+        "baseColorFactor": list(material.base_color),
+        "metallicFactor": material.metallic,
+        "roughnessFactor": float(np.sqrt(min(alpha_y, 1.0))),
+    }
+    if material.metallic < 1.0:
+        made["ior"] = material.ior
+        made["specularFactor"] = 0.0 if material.is_diffuse else 1.0
+        made["specularColorFactor"] = (1.0 + material.spec_tint * (material.tint - 1.0)).tolist()
+    if material.coat_weight > 0.0:
+        made["clearcoatFactor"] = material.coat_weight
+        made["clearcoatRoughnessFactor"] = float(np.sqrt(material.coat_alpha))
+    if np.any(material.sheen_colour > 0.0):
+        made["sheenColorFactor"] = np.clip(SHEEN_SCALE * material.sheen_colour, 0.0, 1.0).tolist()
+        made["sheenRoughnessFactor"] = SHEEN_ROUGHNESS
+    if material.anisotropic > 0.0:
+        made["anisotropyStrength"] = float(np.sqrt(min((alpha_x - alpha_y) / max(1.0 - alpha_y, 1e-6), 1.0)))
+    return made
+
+
+def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """A material of glTF: extensions only where they differ from their defaults."""
+    material: dict[str, Any] = {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*values["baseColorFactor"], 1.0],
+            "metallicFactor": values["metallicFactor"],
+            "roughnessFactor": values["roughnessFactor"],
+        },
+    }
+    extensions = {}
+    for extension, names in EXTENSIONS.items():
+        entries = {key: values[key] for key in names if values[key] != DEFAULTS[key]}
+        if entries:
+            extensions[extension] = entries
+    if extensions:
+        material["extensions"] = extensions
+    return material
+
+
+def from_json(material: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of a material of glTF: the inverse of `to_json`."""
+    made = dict(DEFAULTS) | dict(material.get("pbrMetallicRoughness", {}))
+    made["baseColorFactor"] = list(made["baseColorFactor"])[:3]
+    for entries in material.get("extensions", {}).values():
+        made |= entries
+    return made
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions.
+    """
+    pairs = Pairs.of(view, light)
+    base = np.asarray(values["baseColorFactor"])
+    alpha = values["roughnessFactor"] ** 2
+    along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
+    specular = lobes.specular_separable(pairs, along, alpha)[:, None]
+    metal = specular * lobes.schlick(base, 1.0, pairs.cos_d)
+    f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
+    strength = values["specularFactor"]
+    fresnel = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
+    dielectric = (1.0 - fresnel.max(axis=1, keepdims=True)) * base / np.pi + fresnel * specular
+    f = dielectric + values["metallicFactor"] * (metal - dielectric)
+    f = _sheen(values, pairs, f)
+    if values["clearcoatFactor"]:
+        coat_alpha = values["clearcoatRoughnessFactor"] ** 2
+        coat = lobes.specular_separable(pairs, coat_alpha, coat_alpha)[:, None]
+        share = values["clearcoatFactor"] * lobes.schlick(0.04, 1.0, pairs.cos_v)
+        f = f + share * (coat - f)
+    return f
+
+
+def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:
+    colour = np.asarray(values["sheenColorFactor"])
+    if not np.any(colour):
+        return base
+    roughness = values["sheenRoughnessFactor"]
+    scale = np.minimum(
+        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_v),
+        1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_l),
+    )
+    return _sheen_lobe(pairs, roughness)[:, None] * colour + scale[:, None] * base
+
+
+def _sheen_lobe(pairs: Pairs, roughness: float) -> Array:
+    """`D V` of the sheen, (P,)."""
+    alpha = max(roughness, 0.05) ** 2
+    shadowing = 1.0 + _lambda(pairs.cos_v, alpha) + _lambda(pairs.cos_l, alpha)
+    return lobes.charlie(pairs, roughness) / (4.0 * shadowing * pairs.cos_v * pairs.cos_l)
+
+
+def _lambda(cosine: Array, alpha: float) -> Array:
+    a, b, c, d, e = _LAMBDA_ROUGH + (1.0 - alpha) ** 2 * (_LAMBDA_SMOOTH - _LAMBDA_ROUGH)
+
+    def fit(x: Array | float) -> Array:
+        return a / (1.0 + b * np.power(x, c)) + d * np.asarray(x) + e
+
+    return np.exp(np.where(cosine < 0.5, fit(cosine), 2.0 * fit(0.5) - fit(np.maximum(1.0 - cosine, 0.0))))
+
+
+def _sheen_albedo(roughness: float, cosine: Array) -> Array:
+    nodes, albedo = _sheen_table(round(float(roughness), 6))
+    return np.interp(cosine, nodes, albedo)
+
+
+@lru_cache(maxsize=64)
+def _sheen_table(roughness: float) -> tuple[Array, Array]:
+    """Directional albedo of a white sheen, by quadrature."""
+    nodes = np.linspace(0.02, 1.0, 24)
+    cos_l, phi = (np.arange(48) + 0.5) / 48, (np.arange(48) + 0.5) / 48 * np.pi
+    c, p = (a.ravel() for a in np.meshgrid(cos_l, phi))
+    light = from_spherical(np.arccos(c), p)
+    albedo = []
+    for node in nodes:
+        view = np.broadcast_to([np.sqrt(1.0 - node**2), 0.0, node], light.shape)
+        albedo.append(np.mean(_sheen_lobe(Pairs.of(view, light), roughness) * c) * 2.0 * np.pi)
+    return nodes, np.minimum(albedo, 1.0)

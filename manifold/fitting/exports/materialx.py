@@ -1,0 +1,67 @@
+"""MaterialX documents (`.mtlx`) of one surface shader and one material."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from manifold.errors import FileFormatError
+from manifold.fitting.exports import openpbr, standard_surface
+from manifold.fitting.exports.document import Export
+
+NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
+    "openpbr": ("open_pbr_surface", openpbr.DEFAULTS),
+    "standard-surface": ("standard_surface", standard_surface.DEFAULTS),
+}
+"""Category and defaults of the shader node of each target."""
+
+
+def identifier(name: str) -> str:
+    """A name that MaterialX and USD accept."""
+    made = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return made if re.match(r"[A-Za-z_]", made) else f"_{made}"
+
+
+def mtlx(export: Export) -> bytes:
+    """The document; inputs that have their defaults are left out. Colours are linear Rec. 709."""
+    category, defaults = NODES[export.target]
+    name = identifier(export.name)
+    # lin_rec709: MaterialX's name of linear colours of Rec. 709 primaries
+    root = ET.Element("materialx", version="1.39", colorspace="lin_rec709", doc=export.sentence())
+    shader = ET.SubElement(root, category, name=f"{name}_shader", type="surfaceshader")
+    for key, value in export.parameters.items():
+        if value != defaults[key]:
+            is_colour = isinstance(value, list)
+            text = ", ".join(map(_number, value)) if is_colour else _number(value)
+            ET.SubElement(shader, "input", name=key, type="color3" if is_colour else "float", value=text)
+    material = ET.SubElement(root, "surfacematerial", name=name, type="material")
+    ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{name}_shader")
+    ET.indent(root)
+    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}"
+
+
+def read(path: Path, target: str) -> dict[str, Any]:
+    """The parameters of a document of `mtlx`.
+
+    Raises:
+        FileFormatError: it holds no such shader.
+    """
+    category, defaults = NODES[target]
+    try:
+        shader = ET.parse(path).getroot().find(category)
+    except ET.ParseError as error:
+        raise FileFormatError(f"{path}: {error}, expected a MaterialX document") from error
+    if shader is None:
+        raise FileFormatError(f"{path}: no {category}, expected a MaterialX document with one")
+    made = dict(defaults)
+    for entry in shader.findall("input"):
+        values = [float(v) for v in entry.get("value", "").split(",")]
+        made[entry.get("name", "")] = values if entry.get("type") == "color3" else values[0]
+    return made

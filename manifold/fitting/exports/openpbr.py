@@ -1,0 +1,158 @@
+"""OpenPBR surface 1.1: parameters, and the BRDF of MaterialX's implementation of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from manifold.fitting.exports import lobes
+from manifold.fitting.exports.layers import dielectric_layer, metal, zeltner_layer
+from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.records import Array
+
+DEFAULTS: dict[str, Any] = {
+    "base_weight": 1.0,
+    "base_color": [0.8, 0.8, 0.8],
+    "base_metalness": 0.0,
+    "specular_weight": 1.0,
+    "specular_color": [1.0, 1.0, 1.0],
+    "specular_roughness": 0.3,
+    "specular_ior": 1.5,
+    "specular_roughness_anisotropy": 0.0,
+    "coat_weight": 0.0,
+    "coat_roughness": 0.0,
+    "coat_ior": 1.6,
+    "coat_darkening": 1.0,
+    "fuzz_weight": 0.0,
+    "fuzz_color": [1.0, 1.0, 1.0],
+    "fuzz_roughness": 0.5,
+}
+"""Every parameter that exports may set, with its default."""
+
+COAT = ("coat_weight", "coat_roughness", "coat_ior", "coat_darkening")
+SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
+FREE = (
+    "base_color",
+    "base_metalness",
+    "specular_weight",
+    "specular_roughness",
+    "specular_ior",
+    "coat_weight",
+    "coat_roughness",
+    "fuzz_weight",
+    "fuzz_roughness",
+)
+"""What a direct fit changes."""
+
+FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Parameters of a material, all of `DEFAULTS`; see docs/exports.md."""
+    made = DEFAULTS | {
+        "base_color": list(material.base_color),
+        "base_metalness": material.metallic,
+        "specular_weight": 0.0 if material.is_diffuse else 1.0,
+        "specular_roughness": material.roughness,
+        "specular_ior": material.ior,
+    }
+    if material.metallic == 0.0:  # for metals it is the edge's colour
+        made["specular_color"] = np.clip(1.0 + material.spec_tint * (material.tint - 1.0), 0.0, 1.0).tolist()
+    if material.anisotropic > 0.0:
+        alpha_x, alpha_y = material.alphas
+        ratio = alpha_y / alpha_x
+        made["specular_roughness_anisotropy"] = 1.0 - ratio
+        made["specular_roughness"] = float(min(np.sqrt(alpha_x / np.sqrt(2.0 / (1.0 + ratio**2))), 1.0))
+    if material.coat_weight > 0.0:
+        made |= {
+            "coat_weight": material.coat_weight,
+            "coat_roughness": float(np.sqrt(material.coat_alpha)),
+            "coat_ior": 1.5,
+            "coat_darkening": 0.0,  # principled's coat does not darken what is below
+        }
+        made["specular_roughness"] = _below_coat(made)
+    if np.any(material.sheen_colour > 0.0):
+        colour = material.sheen_colour
+        made["fuzz_weight"] = float(min(FUZZ_SCALE * colour.max(), 1.0))
+        made["fuzz_color"] = (colour / colour.max()).tolist()
+        made["fuzz_roughness"] = FUZZ_ROUGHNESS
+    return made
+
+
+def _below_coat(values: Mapping[str, Any]) -> float:
+    """The roughness that the coat roughens to the one wanted; 0 where the coat alone is rougher."""
+
+    def excess(roughness: float) -> float:
+        return _roughened(roughness, values["coat_roughness"], values["coat_weight"]) - wanted
+
+    wanted = values["specular_roughness"]
+    if excess(wanted) <= 0.0:
+        return wanted
+    return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, wanted, xtol=1e-9))
+
+
+def _roughened(roughness: float, coat_roughness: float, weight: float) -> float:
+    below = min(roughness**4 + 2.0 * coat_roughness**4, 1.0) ** 0.25
+    return (1.0 - weight) * roughness + weight * below
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them: what is below is scaled by one minus the layer's
+    directional albedo seen by the viewer.
+    """
+    pairs = Pairs.of(view, light)
+    base = np.asarray(values["base_color"]) * values["base_weight"]
+    weight = values["coat_weight"]
+    alpha_x, alpha_y = _alphas(
+        _roughened(values["specular_roughness"], values["coat_roughness"], weight),
+        values["specular_roughness_anisotropy"],
+    )
+    ratio = values["specular_ior"] / values["coat_ior"]
+    ior = (1.0 - weight) * values["specular_ior"] + weight * max(ratio, 1.0 / ratio)
+    root = np.sign(ior - 1.0) * np.sqrt(min(values["specular_weight"] * ior_to_f0(ior), 0.99999))
+    f = np.broadcast_to(base / np.pi, (len(view), 3))
+    f = dielectric_layer(
+        pairs, f, (1.0 + root) / (1.0 - root), alpha_x, alpha_y, tint=np.asarray(values["specular_color"])
+    )
+    m = values["base_metalness"]
+    if m:
+        edge = _metal_fresnel(base, np.asarray(values["specular_color"]), pairs.cos_d)
+        f = (1.0 - m) * f + m * values["specular_weight"] * metal(pairs, edge, alpha_x, alpha_y)
+    f = f * _darkening(values, base)
+    coat_x, coat_y = _alphas(values["coat_roughness"], 0.0)
+    f = dielectric_layer(pairs, f, values["coat_ior"], coat_x, coat_y, weight=weight)
+    return zeltner_layer(
+        pairs, f, values["fuzz_weight"], np.asarray(values["fuzz_color"]), values["fuzz_roughness"]
+    )
+
+
+def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
+    across = 1.0 - anisotropy
+    alpha_x = roughness**2 * float(np.sqrt(2.0 / (1.0 + across**2)))
+    return alpha_x, across * alpha_x
+
+
+def _metal_fresnel(f0: Array, edge: Array, cosine: Array) -> Array:
+    """Schlick's term with a colour at 82 degrees (F82-tint). Source: Hoffman 2019; Kutz et al. 2021."""
+    at = 1.0 / 7.0
+    plain = f0 + (1.0 - f0) * (1.0 - at) ** 5
+    a = plain * (1.0 - edge) / (at * (1.0 - at) ** 6)
+    return lobes.schlick(f0, 1.0, cosine) - a * (cosine * (1.0 - cosine) ** 6)[:, None]
+
+
+def _darkening(values: Mapping[str, Any], base: Array) -> Array:
+    """What light that the coat keeps inside loses below it, (3,)."""
+    kept = 1.0 - (1.0 - ior_to_f0(values["coat_ior"])) / values["coat_ior"] ** 2
+    m = values["base_metalness"]
+    albedo = base * ((1.0 - m) + m * values["specular_weight"])
+    share = values["coat_weight"] * values["coat_darkening"]
+    return 1.0 + share * ((1.0 - kept) / (1.0 - albedo * kept) - 1.0)

@@ -1,0 +1,110 @@
+"""Autodesk Standard Surface 1.0.1: parameters, and the BRDF of MaterialX's implementation of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.fitting.exports import lobes
+from manifold.fitting.exports.layers import dielectric_layer, imageworks_layer, metal
+from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.principled_values import Principled
+from manifold.records import Array
+
+DEFAULTS: dict[str, Any] = {
+    "base": 1.0,
+    "base_color": [0.8, 0.8, 0.8],
+    "metalness": 0.0,
+    "specular": 1.0,
+    "specular_color": [1.0, 1.0, 1.0],
+    "specular_roughness": 0.2,
+    "specular_IOR": 1.5,
+    "specular_anisotropy": 0.0,
+    "sheen": 0.0,
+    "sheen_color": [1.0, 1.0, 1.0],
+    "sheen_roughness": 0.3,
+    "coat": 0.0,
+    "coat_roughness": 0.1,
+    "coat_IOR": 1.5,
+}
+"""Every parameter that exports may set, with its default."""
+
+COAT = ("coat", "coat_roughness")
+SHEEN = ("sheen", "sheen_color", "sheen_roughness")
+FREE = (
+    "base_color",
+    "metalness",
+    "specular",
+    "specular_roughness",
+    "specular_IOR",
+    "coat",
+    "coat_roughness",
+    "sheen",
+    "sheen_roughness",
+)
+"""What a direct fit changes."""
+
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Parameters of a material, all of `DEFAULTS`; see docs/exports.md."""
+    made = DEFAULTS | {
+        "base_color": list(material.base_color),
+        "metalness": material.metallic,
+        "specular": 0.0 if material.is_diffuse else 1.0,
+        "specular_roughness": material.roughness,
+        "specular_IOR": material.ior,
+    }
+    if material.metallic == 0.0:
+        made["specular_color"] = np.clip(1.0 + material.spec_tint * (material.tint - 1.0), 0.0, 1.0).tolist()
+    if material.anisotropic > 0.0:  # the same aspect: alpha / sqrt(1 - a), alpha * sqrt(1 - a)
+        made["specular_anisotropy"] = 0.9 * material.anisotropic
+    if material.coat_weight > 0.0:
+        made["coat"], made["coat_roughness"] = material.coat_weight, float(np.sqrt(material.coat_alpha))
+    if np.any(material.sheen_colour > 0.0):
+        colour = material.sheen_colour
+        made["sheen"] = float(min(SHEEN_SCALE * colour.max(), 1.0))
+        made["sheen_color"] = (colour / colour.max()).tolist()
+        made["sheen_roughness"] = SHEEN_ROUGHNESS
+    return made
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: Georgiev et al. 2019; layers as MaterialX 1.39 implements them.
+    """
+    pairs = Pairs.of(view, light)
+    base = np.asarray(values["base_color"]) * values["base"]
+    alpha = values["specular_roughness"] ** 2
+    aspect = float(np.sqrt(1.0 - min(values["specular_anisotropy"], 0.98)))
+    alpha_x, alpha_y = min(alpha / aspect, 1.0), alpha * aspect
+    tint = np.asarray(values["specular_color"])
+    f = np.broadcast_to(base / np.pi, (len(view), 3))
+    f = imageworks_layer(
+        pairs, f, values["sheen"], np.asarray(values["sheen_color"]), values["sheen_roughness"]
+    )
+    f = dielectric_layer(
+        pairs, f, values["specular_IOR"], alpha_x, alpha_y, weight=values["specular"], tint=tint
+    )
+    m = values["metalness"]
+    if m:
+        n, k = artistic_index(base, tint * values["specular"])
+        f = (1.0 - m) * f + m * metal(pairs, lobes.fresnel_conductor(n, k, pairs.cos_d), alpha_x, alpha_y)
+    coat_alpha = values["coat_roughness"] ** 2
+    return dielectric_layer(pairs, f, values["coat_IOR"], coat_alpha, coat_alpha, weight=values["coat"])
+
+
+def artistic_index(reflectivity: Array, edge: Array) -> tuple[Array, Array]:
+    """Indices n and k, (3,) each, of a metal by its colours. Source: Gulbrandsen 2014, as in MaterialX."""
+    r = np.clip(reflectivity, 0.0, 0.99)
+    root = np.sqrt(r)
+    n = (1.0 - edge) * (1.0 + root) / (1.0 - root) + edge * (1.0 - r) / (1.0 + r)
+    k2 = ((n + 1.0) ** 2 * r - (n - 1.0) ** 2) / (1.0 - r)
+    return n, np.sqrt(np.maximum(k2, 0.0))

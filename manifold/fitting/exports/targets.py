@@ -1,0 +1,145 @@
+"""The targets of exports: names, suffixes, parameters, shading models and writers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from manifold.errors import UsageError
+from manifold.fitting.exports import (
+    blender,
+    glb,
+    gltf,
+    materialx,
+    openpbr,
+    preview_surface,
+    standard_surface,
+    unity,
+    unreal,
+    usd,
+)
+from manifold.fitting.exports.document import Export
+from manifold.fitting.exports.principled_values import Principled
+from manifold.records import Array
+
+Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a material can go.
+
+    Attributes:
+        name: as users say it.
+        suffix: of its files; several targets share `.json`.
+        defaults: every parameter that exports may set.
+        parameters: those of a material.
+        brdf: the target's own shading model, f in 1/sr of parameters, view and light; None where it is not evaluated.
+        content: the file of an export.
+        title: in words.
+        free: parameters that a direct fit changes.
+        coat, sheen: those of the coat and of the sheen, the weight first; empty where there is none.
+    """
+
+    name: str
+    suffix: str
+    defaults: Mapping[str, Any]
+    parameters: Callable[[Principled], dict[str, Any]]
+    brdf: Brdf | None
+    content: Callable[[Export, Principled], bytes]
+    title: str
+    free: tuple[str, ...] = ()
+    coat: tuple[str, ...] = ()
+    sheen: tuple[str, ...] = ()
+
+
+def _json(conventions: Mapping[str, str]) -> Callable[[Export, Principled], bytes]:
+    def content(export: Export, material: Principled) -> bytes:
+        made = export.to_json() | {"about": export.sentence(), "conventions": dict(conventions)}
+        if export.target == "unreal":
+            made["shading_model"] = unreal.shading_model(export.parameters)
+        return (json.dumps(made, indent=2, allow_nan=False) + "\n").encode()
+
+    return content
+
+
+_BLENDER = {
+    "Base Color": "scene-linear Rec. 709 (sRGB primaries), 0 to 1",
+    "Roughness": "0 to 1; GGX alpha is its square; Coat Roughness alike",
+    "IOR": "of the surface; Specular IOR Level 0.5 leaves its reflectance as it is",
+}
+
+_ALL = (
+    Target(
+        "gltf", ".glb", gltf.DEFAULTS, gltf.parameters, gltf.brdf,
+        lambda export, material: glb.glb(export), "glTF 2.0, metallic-roughness and extensions",
+        gltf.FREE, gltf.COAT, gltf.SHEEN,
+    ),
+    Target(
+        "openpbr", ".mtlx", openpbr.DEFAULTS, openpbr.parameters, openpbr.brdf,
+        lambda export, material: materialx.mtlx(export), "MaterialX, open_pbr_surface",
+        openpbr.FREE, openpbr.COAT, openpbr.SHEEN,
+    ),
+    Target(
+        "standard-surface", ".mtlx", standard_surface.DEFAULTS, standard_surface.parameters, standard_surface.brdf,
+        lambda export, material: materialx.mtlx(export), "MaterialX, standard_surface",
+        standard_surface.FREE, standard_surface.COAT, standard_surface.SHEEN,
+    ),
+    Target(
+        "usd", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
+        lambda export, material: usd.usda(export).encode(), "USD, UsdPreviewSurface",
+        preview_surface.FREE, preview_surface.COAT,
+    ),
+    Target(
+        "usd-materialx", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
+        lambda export, material: usd.usda(export, openpbr.parameters(material)).encode(),
+        "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+        preview_surface.FREE, preview_surface.COAT,
+    ),
+    Target(
+        "blender", ".py", blender.DEFAULTS, blender.parameters, None,
+        lambda export, material: blender.script(export).encode(), "Blender 4, Principled BSDF, a script",
+    ),
+    Target(
+        "blender-json", ".json", blender.DEFAULTS, blender.parameters, None, _json(_BLENDER),
+        "Blender 4, Principled BSDF, values",
+    ),
+    Target(
+        "unreal", ".json", unreal.DEFAULTS, unreal.parameters, unreal.brdf, _json(unreal.CONVENTIONS),
+        "Unreal Engine 5, Default Lit or Clear Coat",
+        unreal.FREE, unreal.COAT,
+    ),
+    Target(
+        "unity", ".json", unity.DEFAULTS, unity.parameters, None, _json(unity.CONVENTIONS),
+        "Unity, High Definition pipeline, Lit",
+    ),
+)  # fmt: skip
+
+TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}
+"""The targets by name."""
+
+
+def target_of(name: str | None, path: Path) -> Target:
+    """The target of that name, or the one that a file's suffix tells.
+
+    Raises:
+        UsageError: there is none, or the suffix is another's.
+    """
+    if name is not None and name not in TARGETS:
+        raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
+    if name is None:
+        fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
+        if not fitting:
+            known = ", ".join(dict.fromkeys(target.suffix for target in _ALL))
+            raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected one of {known}")
+        if path.suffix.lower() == ".json":
+            names = ", ".join(target.name for target in fitting)
+            raise UsageError(f"{path}: several targets are JSON; say which with --target: {names}")
+        return fitting[0]
+    target = TARGETS[name]
+    if path.suffix.lower() != target.suffix:
+        raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected {target.suffix} for {name}")
+    return target

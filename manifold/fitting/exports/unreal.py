@@ -1,0 +1,92 @@
+"""Unreal Engine 5: inputs of the Default Lit and Clear Coat shading models, with their conventions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from manifold.fitting.exports import lobes
+from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.principled_values import Principled
+from manifold.records import Array
+
+DEFAULTS: dict[str, Any] = {
+    "BaseColor": [0.5, 0.5, 0.5],
+    "Metallic": 0.0,
+    "Specular": 0.5,
+    "Roughness": 0.5,
+    "Anisotropy": 0.0,
+    "ClearCoat": 0.0,
+    "ClearCoatRoughness": 0.1,
+}
+"""Every input that exports may set, with the value that an unconnected one has."""
+
+COAT = ("ClearCoat", "ClearCoatRoughness")
+FREE = (
+    "BaseColor",
+    "Metallic",
+    "Specular",
+    "Roughness",
+    "ClearCoat",
+    "ClearCoatRoughness",
+)
+"""What a direct fit changes."""
+
+CONVENTIONS: dict[str, str] = {
+    "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",
+    "Metallic": "0 to 1",
+    "Specular": "0 to 1; reflectance at normal incidence is 0.08 times it",
+    "Roughness": "0 to 1; GGX alpha is its square",
+    "Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of Roughness",
+    "ClearCoat": "0 to 1, shading model Clear Coat, index 1.5",
+    "ClearCoatRoughness": "0 to 1; GGX alpha is its square",
+}
+
+
+def shading_model(values: Mapping[str, Any]) -> str:
+    """Name of the shading model that takes all of the values."""
+    return "Clear Coat" if values["ClearCoat"] > 0.0 else "Default Lit"
+
+
+def parameters(material: Principled) -> dict[str, Any]:
+    """Inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
+    made = DEFAULTS | {
+        "BaseColor": list(material.base_color),
+        "Metallic": material.metallic,
+        "Specular": 0.0 if material.is_diffuse else material.specular,
+        "Roughness": material.roughness,
+    }
+    if material.anisotropic > 0.0:
+        alpha_x, alpha_y = material.alphas
+        mean = 0.5 * (alpha_x + alpha_y)
+        made["Anisotropy"] = float((alpha_x - alpha_y) / (alpha_x + alpha_y))
+        made["Roughness"] = float(np.sqrt(min(mean, 1.0)))
+    if material.coat_weight > 0.0:
+        made["ClearCoat"] = material.coat_weight
+        made["ClearCoatRoughness"] = float(np.sqrt(material.coat_alpha))
+    return made
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`.
+        view, light: unit vectors (P, 3).
+    Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
+    """
+    pairs = Pairs.of(view, light)
+    base, m = np.asarray(values["BaseColor"]), values["Metallic"]
+    alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
+    f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base
+    f90 = np.minimum(50.0 * f0[1], 1.0)  # nothing below 2 % is a surface: shadowing
+    specular = lobes.specular_correlated(pairs, max(alpha * (1.0 + a), 1e-3), max(alpha * (1.0 - a), 1e-3))
+    f = (1.0 - m) * base / np.pi + specular[:, None] * lobes.schlick(f0, f90, pairs.cos_d)
+    if values["ClearCoat"]:
+        coat_alpha = values["ClearCoatRoughness"] ** 2
+        fresnel = values["ClearCoat"] * lobes.schlick(0.04, 1.0, pairs.cos_d)
+        coat = lobes.specular_correlated(pairs, coat_alpha, coat_alpha)[:, None]
+        f = f * (1.0 - fresnel) ** 2 + fresnel * coat
+    return f

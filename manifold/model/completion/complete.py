@@ -1,0 +1,195 @@
+"""Readings completed: what they and a library say of a material everywhere, and what they leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from manifold.errors import UsageError
+from manifold.formats.readings import Readings
+from manifold.metrics import cosine_weight
+from manifold.model.completion.reading_bands import beyond, for_library, in_all_bands
+from manifold.model.completion.samples import LibrarySamples
+from manifold.model.prediction import PredictedBRDF
+from manifold.models.completion_weights import completion_weights
+from manifold.models.mixtures import BROAD, SHARP, Mixtures, posterior
+from manifold.records import Array
+
+_HYPOTHESES = 200  # mixtures by which the spread is told
+_SHOWN_ALTERNATIVES = 5
+_ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A material that meets the readings as well, or nearly.
+
+    Attributes:
+        like: names of the materials that it is a mixture of, and their weights.
+        probability: of it and of what looks alike.
+        misfit: relative error of its mean over bands at the readings.
+        difference: from the completion, in cube roots on the ball, relative.
+    """
+
+    like: tuple[tuple[str, float], ...]
+    probability: float
+    misfit: float
+    difference: float
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """A material completed from readings.
+
+    Attributes:
+        samples: what it is made of.
+        readings: in the bands that were compared.
+        at_readings: cube roots of samples there, shape (n + 1, P).
+        hypotheses: mixtures that may be its structure, and how likely they are, by readings that may be wrong a little.
+        weights: of samples in the bands of the library, shape (B, n + 1).
+        predicted: f at the readings, in 1/sr, shape (P, B_r).
+    """
+
+    samples: LibrarySamples
+    readings: Readings
+    at_readings: Array
+    hypotheses: Mixtures
+    weights: Array
+    predicted: Array
+
+    @cached_property
+    def brdf(self) -> PredictedBRDF:
+        """The completed BRDF, never negative."""
+        return self.samples.predicted(self.weights)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the file left open, and what the readings do not reach, in sentences."""
+        reach = beyond(self.readings, self.samples.bands)
+        if reach is None:
+            return self.readings.notes
+        note = f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm, as the bands at these ends are"
+        return (*self.readings.notes, note)
+
+    @cached_property
+    def misfits(self) -> Array:
+        """Relative error of cube roots at every reading over its bands, shape (P,)."""
+        is_read = self.readings.measured
+        read = np.cbrt(np.maximum(np.where(is_read, self.readings.values, 0.0), 0.0))
+        wrong = np.where(is_read, np.cbrt(self.predicted) - read, 0.0)
+        norm = np.maximum(np.linalg.norm(read, axis=1), np.finfo(float).tiny)
+        return np.linalg.norm(wrong, axis=1) / norm
+
+    @cached_property
+    def likeliest(self) -> tuple[Array, Array]:
+        """Probabilities (h,) of the likeliest hypotheses, of sum 1, and their weights (h, n + 1)."""
+        chosen = self.hypotheses.likeliest(_HYPOTHESES)
+        probability = self.hypotheses.probability[chosen]
+        return probability / probability.sum(), self.hypotheses.weights(chosen)
+
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation of hypotheses over all directions and the ball, relative to their mean, in cube roots."""
+        probability, weights = self.likeliest
+        curves = weights @ self.samples.directions
+        mean = probability @ curves
+        variance = probability @ (curves - mean) ** 2
+        return float(np.sqrt(variance @ self.samples.weights / (mean**2 @ self.samples.weights)))
+
+    def spread_at(self, wi: Array, wo: Array) -> Array:
+        """Standard deviation of hypotheses about f at direction pairs (P, 3), relative to their mean, shape (P,)."""
+        probability, weights = self.likeliest
+        curves = (weights @ self.samples.at(wi, wo)) ** 3
+        mean = probability @ curves
+        variance = probability @ (curves - mean) ** 2
+        return np.sqrt(variance) / np.maximum(mean, np.finfo(float).tiny)
+
+    @cached_property
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """Hypotheses that look different from each other on the ball, likeliest first."""
+        probability, weights = self.likeliest
+        on_ball = slice(self.samples.n_grid, None)
+        curves = weights @ self.samples.directions[:, on_ball]
+        importance = self.samples.weights[on_ball]
+        mean = probability @ curves
+        norm = float(mean**2 @ importance)
+        heads: list[int] = []
+        totals: list[float] = []
+        for h, curve in enumerate(curves):
+            apart = [float((curve - curves[k]) ** 2 @ importance) / norm for k in heads]
+            if apart and min(apart) < _ALIKE**2:
+                totals[int(np.argmin(apart))] += float(probability[h])
+            else:
+                heads.append(h)
+                totals.append(float(probability[h]))
+        order = np.argsort(totals)[::-1][:_SHOWN_ALTERNATIVES]
+        structure = _structure(self.readings)
+        return tuple(
+            Alternative(
+                self._materials(weights[heads[k]]),
+                totals[k],
+                float(np.linalg.norm(weights[heads[k]] @ self.at_readings - structure) / np.linalg.norm(structure)),
+                float(np.sqrt((curves[heads[k]] - mean) ** 2 @ importance / norm)),
+            )
+            for k in order
+        )  # fmt: skip
+
+    @property
+    def made_of(self) -> tuple[tuple[str, float], ...]:
+        """The materials that the completion is made of, and their shares, largest first."""
+        return self._materials(self.weights.mean(axis=0))
+
+    def _materials(self, weights: Array) -> tuple[tuple[str, float], ...]:
+        names = (*self.samples.names, "Lambertian")
+        totals = np.bincount(self.samples.material_of, weights, len(names))
+        return tuple(
+            (names[m], float(totals[m])) for m in np.argsort(-totals, kind="stable") if totals[m] > 0.005
+        )[:6]
+
+
+def complete(samples: LibrarySamples, readings: Readings) -> Completion:
+    """What readings of a material and a library say of it in all directions.
+
+    Args:
+        samples: of the library.
+        readings: at P direction pairs.
+    Raises:
+        BandMismatchError: the bands of readings and library do not go together.
+        UsageError: no reading is left, or all are zero.
+    """
+    readings = _usable(for_library(readings, samples.bands))
+    at_readings = samples.at(readings.wi, readings.wo)
+    return complete_at(samples, readings, at_readings)
+
+
+def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array) -> Completion:
+    """`complete`, where cube roots of samples at the readings (n + 1, P) are at hand."""
+    weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
+    structure, gram = _structure(readings), samples.gram
+    sharp, broad = (posterior(at_readings, structure, weights, gram, noise=noise) for noise in (SHARP, BROAD))
+    targets = np.cbrt(np.maximum(readings.values, 0.0)).T
+    found = completion_weights(at_readings, targets, weights, gram, samples.material_of, sharp.mean)
+    return Completion(
+        samples, readings, at_readings, broad, in_all_bands(found, readings, samples.bands),
+        (found @ at_readings).T ** 3,
+    )  # fmt: skip
+
+
+def _usable(readings: Readings) -> Readings:
+    """Those above the horizon that were measured, and weigh something."""
+    is_usable = (readings.wi[:, 2] > 1e-3) & (readings.wo[:, 2] > 1e-3)
+    is_usable &= readings.measured.any(axis=1) & (readings.weights > 0.0)
+    left = readings.select_pairs(is_usable) if is_usable.any() else None
+    if left is None or not np.nansum(np.maximum(left.values, 0.0)) > 0.0:
+        raise UsageError(
+            f"{readings.name}: none of {len(readings)} readings is above zero and above the horizon, expected "
+            "one or more"
+        )
+    return left
+
+
+def _structure(readings: Readings) -> Array:
+    """Cube roots of the mean over bands at every reading, shape (P,)."""
+    return np.cbrt(np.maximum(np.nanmean(np.maximum(readings.values, 0.0), axis=1), 0.0))

@@ -1,0 +1,122 @@
+"""What error to expect of a completion: that of the library's materials, completed from the same directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from manifold.colour import ball_colours
+from manifold.formats.readings import Readings
+from manifold.metrics import cube_root_error, relative_error
+from manifold.model.completion.complete import Completion, complete_at
+from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.records import Array, Bands
+
+KINDS = ("ball", "cube_root", "linear")
+_STRENGTH = 0.1  # of the prior that errors do not depend on a sign, in its variances
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Errors of left-out materials of a library, completed from the directions of some readings.
+
+    Attributes:
+        errors: ball CIEDE2000, cube-root error and linear error of every material, shape (N, 3).
+        signs: what tells them: how badly readings are met, and how much hypotheses differ, shape (N, 2).
+    """
+
+    errors: Array
+    signs: Array
+
+    def expected(self, found: Completion) -> dict[str, float]:
+        """Errors to expect of a completion from these directions: medians, by kind.
+
+        Logarithms of errors are linear in those of the signs, with slopes that are never negative.
+        """
+        every = np.ones(len(self.signs), bool)
+        return dict(zip(KINDS, self._line(signs_of(found), every).tolist(), strict=True))
+
+    @property
+    def left_out(self) -> Array:
+        """Errors to expect of every material, learned from the others, shape (N, 3)."""
+        every = np.arange(len(self.signs))
+        return np.array([self._line(self.signs[i], every != i) for i in every])
+
+    def _line(self, signs: Array, known: Array) -> Array:
+        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.signs, self.errors))
+        centre, level = x.mean(axis=0), y.mean(axis=0)
+        scale = x.std(axis=0) + 1e-6
+        X = np.vstack([(x - centre) / scale, np.sqrt(_STRENGTH * len(x)) * np.eye(x.shape[1])])
+        at = (np.clip(np.log(np.maximum(signs, 1e-6)), x.min(axis=0), x.max(axis=0)) - centre) / scale
+        slopes = np.array([nnls(X, np.append(column, np.zeros(x.shape[1])))[0] for column in (y - level).T])
+        return np.exp(level + slopes @ at)
+
+
+def signs_of(found: Completion) -> Array:
+    """What tells how wrong a completion is: root mean square misfit of readings, spread of hypotheses; shape (2,)."""
+    return np.array([float(np.sqrt(np.mean(found.misfits**2))), found.spread])
+
+
+def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
+    """Complete every material of a library from the others, at the directions of some readings.
+
+    Args:
+        samples: of the library.
+        readings: those of which values do not matter, only directions and weights.
+    """
+    at_readings = samples.at(readings.wi, readings.wo)
+    errors, signs = [], []
+    for m in range(len(samples.names)):
+        found = leave_out(samples, m, at_readings, readings)
+        errors.append(completion_errors(samples, m, found))
+        signs.append(signs_of(found))
+    return Calibration(np.array(errors), np.array(signs))
+
+
+def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Readings) -> Completion:
+    """Material m completed from all others, read without noise in the sample bands, as weights of these bands."""
+    axis = sample_axis(samples)
+    own = samples.material_of == m
+    read = Readings(
+        samples.names[m], "library", readings.wi, readings.wo,
+        None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm),
+        at_readings[own].T ** 3, readings.weights,
+    )  # fmt: skip
+    return complete_at(in_sample_bands(samples.without(m)), read, at_readings[~own])
+
+
+def completion_errors(samples: LibrarySamples, m: int, found: Completion) -> tuple[float, float, float]:
+    """Ball CIEDE2000, cube-root and linear error of what was found for material m, in the sample bands."""
+    on_grid = (found.weights @ found.samples.directions[:, : samples.n_grid]).T ** 3
+    return errors_of(samples, m, on_grid, (found.weights @ found.samples.ball).T ** 3)
+
+
+def errors_of(samples: LibrarySamples, m: int, on_grid: Array, on_ball: Array) -> tuple[float, float, float]:
+    """Ball CIEDE2000, cube-root and linear error of f predicted for material m in the sample bands.
+
+    Args:
+        on_grid: f on the grid, shape (P_g, B_s).
+        on_ball: f at the pairs that light a ball, shape (P_b, B_s).
+    """
+    own = samples.material_of == m
+    ball, axis, n = ball_pairs(), sample_axis(samples), samples.n_grid
+    if not np.all(np.isfinite(on_ball)):
+        return np.nan, np.nan, np.nan
+    seen = ball_colours.delta_e(ball.xyz(samples.ball[own].T ** 3, axis), ball.xyz(on_ball, axis))
+    truth, cosines = samples.directions[own, :n].T ** 3, samples.weights[:n] ** 1.5
+    return seen, cube_root_error(truth, on_grid, cosines), relative_error(truth, on_grid, cosines)
+
+
+def sample_axis(samples: LibrarySamples) -> Bands:
+    """The spectral axis of the sample bands."""
+    nm = samples.bands.wavelengths_nm
+    return samples.bands if nm is None else Bands(tuple(nm[b] for b in samples.sample_bands))
+
+
+def in_sample_bands(samples: LibrarySamples) -> LibrarySamples:
+    """The same samples, of a library that has the sample bands only."""
+    held = replace(samples, bands=sample_axis(samples))
+    held.__dict__["gram"] = samples.gram
+    return held

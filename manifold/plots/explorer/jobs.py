@@ -1,0 +1,193 @@
+"""Work that a served page asked for: one command at a time, each in a process of its own, which can be cancelled."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from manifold.errors import UsageError
+from manifold.plots.explorer.actions import SPECTRUM, Action
+from manifold.system import temporary
+
+MOST_WAITING = 50
+_MOST_KEPT = 200  # jobs that are remembered
+_MOST_WORDS = 4000  # characters of a command's output that are passed on
+_GRACE_S = 3.0  # between asking a process to end and ending it
+
+
+@dataclass(eq=False)
+class Job:
+    """One command.
+
+    Attributes:
+        number: its own.
+        action: what it does.
+        state: `waiting`, `running`, `done`, `failed` or `cancelled`.
+        words: its output, or why it failed.
+        result: its JSON, where it prints one.
+        seconds: it took, or has taken so far.
+    """
+
+    number: int
+    action: Action
+    clean_up: Callable[[], None]
+    state: str = "waiting"
+    words: str = ""
+    result: dict[str, Any] | None = None
+    started: float | None = None
+    ended: float | None = None
+    process: subprocess.Popen[str] | None = field(default=None, repr=False)
+
+    @property
+    def seconds(self) -> float:
+        """How long it has run."""
+        if self.started is None:
+            return 0.0
+        return (self.ended or time.monotonic()) - self.started
+
+    def to_json(self) -> dict[str, Any]:
+        """What a page shows of it."""
+        output = self.action.output
+        return {
+            "number": self.number, "title": self.action.title, "state": self.state, "words": self.words,
+            "result": self.result, "seconds": round(self.seconds, 1),
+            "picture": self.state == "done" and output is not None and output.suffix == ".png",
+        }  # fmt: skip
+
+
+class Queue:
+    """Runs actions one after the other.
+
+    Args:
+        folder: working folder of the commands.
+        command: what runs `manifold`.
+    """
+
+    def __init__(self, folder: Path, command: tuple[str, ...] = (sys.executable, "-m", "manifold")) -> None:
+        self._folder, self._command = folder, command
+        self._jobs: dict[int, Job] = {}
+        self._waiting: deque[Job] = deque()
+        self._numbers = itertools.count(1)
+        self._changed = threading.Condition()
+        self._is_closed = False
+        self._worker = threading.Thread(target=self._work, daemon=True)
+        self._worker.start()
+
+    def add(self, action: Action, clean_up: Callable[[], None] = lambda: None) -> Job:
+        """Queue an action.
+
+        Raises:
+            UsageError: too many wait already.
+        """
+        with self._changed:
+            if len(self._waiting) >= MOST_WAITING:
+                raise UsageError(f"{MOST_WAITING} actions wait already; cancel some, or wait")
+            job = Job(next(self._numbers), action, clean_up)
+            self._jobs[job.number] = job
+            self._waiting.append(job)
+            over = [n for n, j in self._jobs.items() if j.ended is not None][: -_MOST_KEPT or None]
+            for number in over:
+                del self._jobs[number]
+            self._changed.notify_all()
+        return job
+
+    def is_writing(self, output: Path) -> bool:
+        """Whether a job that is not done will write a file."""
+        with self._changed:
+            return any(j.action.output == output and j.ended is None for j in self._jobs.values())
+
+    def jobs(self) -> list[Job]:
+        """All that are remembered, oldest first."""
+        with self._changed:
+            return list(self._jobs.values())
+
+    def cancel(self, number: int) -> bool:
+        """Stop a job, or take it from the queue; whether there was anything to stop."""
+        with self._changed:
+            job = self._jobs.get(number)
+            if job is None or job.ended is not None:
+                return False
+            job.state = "cancelled"
+            if job in self._waiting:
+                self._waiting.remove(job)
+                self._end(job)
+            elif job.process is not None:
+                _stop(job.process)
+            return True
+
+    def close(self) -> None:
+        """Cancel everything and wait for the worker."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+        for job in self.jobs():
+            self.cancel(job.number)
+        self._worker.join(2 * _GRACE_S)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting and not self._is_closed:
+                    self._changed.wait()
+                if self._is_closed:
+                    return
+                job = self._waiting.popleft()
+                job.state, job.started = "running", time.monotonic()
+            try:
+                with temporary.folder() as folder:
+                    self._run(job, folder)
+            except OSError as error:
+                job.state, job.words = "failed", str(error.strerror or error)
+            with self._changed:
+                self._end(job)
+
+    def _run(self, job: Job, folder: Path) -> None:
+        arguments = list(job.action.arguments)
+        if job.action.spectrum is not None:
+            path = folder / "reflectance.txt"
+            path.write_text(job.action.spectrum, encoding="utf-8")
+            arguments[arguments.index(SPECTRUM)] = f"--reflectance={path}"
+        with self._changed:
+            if job.state == "cancelled":
+                return
+            job.process = subprocess.Popen(
+                [*self._command, *arguments], cwd=self._folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace", start_new_session=True,
+            )  # fmt: skip
+        said, complained = job.process.communicate()
+        if job.state == "cancelled":
+            return
+        job.state = "done" if job.process.returncode == 0 else "failed"
+        job.words = (said if job.state == "done" else complained).strip()[-_MOST_WORDS:]
+        if "--json=-" in arguments and job.state == "done":
+            with suppress(ValueError):
+                job.result, job.words = json.loads(said), complained.strip()[-_MOST_WORDS:]
+
+    def _end(self, job: Job) -> None:
+        job.ended = time.monotonic()
+        job.clean_up()
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    """End a process and what it started: politely, then not."""
+
+    def signalled(number: int) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+
+    signalled(signal.SIGTERM)
+    timer = threading.Timer(_GRACE_S, lambda: signalled(signal.SIGKILL) if process.poll() is None else None)
+    timer.daemon = True
+    timer.start()

@@ -1,0 +1,52 @@
+"""One self-contained page of a map: its script, its style and its data in a single file that asks for nothing."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from importlib.resources import files
+from typing import Any
+
+_MODULES = (
+    "numerics", "elements", "ball", "map", "plots", "state", "facts", "controls", "documents", "served", "explorer",
+)  # fmt: skip  # a module after what it imports
+_IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)
+_EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MULTILINE)
+
+
+def make_page(document: dict[str, Any]) -> str:
+    """The page as HTML.
+
+    Args:
+        document: of `tables.to_document`, JSON; with `served` where a program answers its requests.
+    """
+    script, style = joined_script(), _source("style.css")
+    connect = "'self'" if document.get("served") else "'none'"
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
+        f"connect-src {connect}; base-uri 'none'; form-action 'none'"
+    )
+    parts = {"POLICY": policy, "STYLE": style, "DATA": _json_in_html(document), "SCRIPT": script}
+    return re.sub(r"@(POLICY|STYLE|DATA|SCRIPT)@", lambda found: parts[found[1]], _source("page.html"))
+
+
+def joined_script() -> str:
+    """The modules as one, in the order in which they need each other."""
+    joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in _MODULES]
+    return "\n".join(joined)
+
+
+def _source(name: str) -> str:
+    return files("manifold.plots.explorer").joinpath(name).read_text(encoding="utf-8")
+
+
+def _json_in_html(document: dict[str, Any]) -> str:
+    """JSON that cannot close the element it stands in, whatever names it holds."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,0 +1,249 @@
+"""The page on the loopback interface, and the actions that it may ask for.
+
+A page of another site cannot ask: requests carry a token that only the address of the page holds, the Host header
+names the loopback interface, and the Origin header the page. Bodies are bounded in size and in time.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import os
+import secrets
+import shutil
+import threading
+import time
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any, cast
+from urllib.parse import parse_qs, urlsplit
+
+from manifold.errors import UsageError
+from manifold.plots.explorer.actions import Context, action, locate
+from manifold.plots.explorer.jobs import Queue
+
+LOOPBACK = "127.0.0.1"
+MOST_JSON = 1 << 20  # bytes
+MOST_FILE = 1 << 28
+_SOCKET_S, _BODY_S = 10.0, 60.0  # without a byte; for a whole body
+_MOST_CONNECTIONS = 32
+_BLOCK = 1 << 16
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class _Refused(Exception):
+    """A request that is answered by a status and a sentence."""
+
+    def __init__(self, status: HTTPStatus, words: str) -> None:
+        super().__init__(words)
+        self.status = status
+
+
+class ExplorerServer(ThreadingHTTPServer):
+    """Serves one page on the loopback interface.
+
+    Attributes:
+        token: what requests must carry.
+        queue: of actions.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = True
+
+    def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
+        """Listen on a port; 0 is any that is free.
+
+        Raises:
+            UsageError: the port is taken, or may not be used.
+        """
+        self.page, self.context = page.encode(), context
+        self.token = secrets.token_urlsafe(24)
+        self.queue = Queue(context.folder) if queue is None else queue
+        self._connections = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        try:
+            super().__init__((LOOPBACK, port), _Handler)
+        except (OSError, OverflowError) as error:
+            self.queue.close()
+            raise UsageError(f"port {port} cannot be listened on ({error}); choose another --port") from None
+
+    @property
+    def address(self) -> str:
+        """Of the page, token included."""
+        return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Take a connection, or close it where too many are open."""
+        if not self._connections.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in its thread."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._connections.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A connection that broke is nobody's concern."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server_version, sys_version = "manifold", ""
+    timeout = _SOCKET_S
+
+    @property
+    def _explorer(self) -> ExplorerServer:
+        return cast(ExplorerServer, self.server)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged: addresses hold the token."""
+
+    def do_GET(self) -> None:
+        """The page, the state of jobs, and pictures that were rendered."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Actions."""
+        self._answer(self._post)
+
+    def _answer(self, method: Any) -> None:
+        try:
+            method()
+        except _Refused as refused:
+            self._send(refused.status, "application/json", _json({"error": str(refused)}))
+        except UsageError as error:
+            self._send(HTTPStatus.BAD_REQUEST, "application/json", _json({"error": str(error)}))
+        except TimeoutError:
+            self.close_connection = True
+
+    def _get(self) -> None:
+        parts = urlsplit(self.path)
+        given = parse_qs(parts.query).get("token", [""])[0] or self.headers.get("X-Token", "")
+        self._require_here(given)
+        if parts.path == "/":
+            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self._explorer.page)
+        elif parts.path == "/jobs":
+            self._send_jobs()
+        elif parts.path.startswith("/picture/"):
+            self._send_picture(parts.path.removeprefix("/picture/"))
+        else:
+            raise _Refused(HTTPStatus.NOT_FOUND, "no such address")
+
+    def _post(self) -> None:
+        self._require_here(self.headers.get("X-Token", ""))
+        if self.headers.get("Origin") != f"http://{self.headers.get('Host')}":
+            raise _Refused(HTTPStatus.FORBIDDEN, "the request comes from another page")
+        path = urlsplit(self.path).path
+        if path == "/do/locate":
+            self._locate()
+        elif path == "/do/cancel":
+            number = self._json_body().get("number")
+            found = isinstance(number, int) and self._explorer.queue.cancel(number)
+            self._send(HTTPStatus.OK, "application/json", _json({"cancelled": found}))
+        elif path.startswith("/do/"):
+            self._do(path.removeprefix("/do/"))
+        else:
+            raise _Refused(HTTPStatus.NOT_FOUND, "no such address")
+
+    def _do(self, kind: str) -> None:
+        queue, body = self._explorer.queue, self._json_body()
+
+        def is_taken(path: Path) -> bool:
+            return os.path.lexists(path) or queue.is_writing(path)
+
+        job = queue.add(action(kind, body, self._explorer.context, is_taken))
+        self._send(HTTPStatus.ACCEPTED, "application/json", _json({"number": job.number}))
+
+    def _require_here(self, token: str) -> None:
+        port = self._explorer.server_port
+        if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
+            raise _Refused(HTTPStatus.FORBIDDEN, "the request names another host")
+        if not hmac.compare_digest(token.encode(), self._explorer.token.encode()):
+            raise _Refused(
+                HTTPStatus.FORBIDDEN, "no token, or an old one; open the address that manifold printed"
+            )
+
+    def _json_body(self) -> dict[str, Any]:
+        if self.headers.get("Content-Type", "").split(";")[0] != "application/json":
+            raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
+        blocks = bytearray()
+        for block in self._blocks(MOST_JSON):
+            blocks += block
+        try:
+            content = json.loads(blocks)
+        except (ValueError, RecursionError):
+            content = None
+        if not isinstance(content, dict):
+            raise _Refused(HTTPStatus.BAD_REQUEST, "expected a JSON object")
+        return content
+
+    def _blocks(self, most: int) -> Any:
+        """The body in blocks, at most so many bytes, within a time."""
+        text = self.headers.get("Content-Length", "")
+        if not text.isdecimal() or self.headers.get("Transfer-Encoding"):
+            self.close_connection = True
+            raise _Refused(HTTPStatus.LENGTH_REQUIRED, "expected Content-Length")
+        left, end = int(text[:20]), time.monotonic() + _BODY_S
+        if left > most:
+            self.close_connection = True
+            raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {most} bytes")
+        while left:
+            block = self.rfile.read1(min(left, _BLOCK))
+            if not block or time.monotonic() > end:
+                raise TimeoutError
+            left -= len(block)
+            yield block
+
+    def _locate(self) -> None:
+        """Keep a dropped file aside until it is located."""
+        folder = Path(mkdtemp(prefix="manifold-explore-"))
+
+        def remove() -> None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+        try:
+            with (folder / "dropped.bsdf").open("wb") as stream:
+                for block in self._blocks(MOST_FILE):
+                    stream.write(block)
+            asked = locate(folder / "dropped.bsdf", "the dropped file", self._explorer.context)
+            job = self._explorer.queue.add(asked, remove)
+        except BaseException:
+            remove()
+            raise
+        self._send(HTTPStatus.ACCEPTED, "application/json", _json({"number": job.number}))
+
+    def _send_jobs(self) -> None:
+        jobs = [job.to_json() for job in self._explorer.queue.jobs()]
+        self._send(HTTPStatus.OK, "application/json", _json({"jobs": jobs}))
+
+    def _send_picture(self, number: str) -> None:
+        for job in self._explorer.queue.jobs():
+            if str(job.number) == number and job.to_json()["picture"] and job.action.output is not None:
+                self._send(HTTPStatus.OK, "image/png", job.action.output.read_bytes())
+                return
+        raise _Refused(HTTPStatus.NOT_FOUND, "no such picture")
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+
+def _json(content: dict[str, Any]) -> bytes:
+    return json.dumps(content).encode()

@@ -1,0 +1,3 @@
+from . import atomic, parallel, small_files, temporary
+
+__all__ = ["atomic", "parallel", "small_files", "temporary"]

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from manifold.brdf.measured import BRDF
-from manifold.brdf.valleys import valley_depth
+from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.library.store import Library
@@ -26,9 +26,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.settings import KINDS, Settings
 from manifold.records import Array
 
-INCIDENCES_DEG = (30.0, 45.0, 60.0)
-AROUND_MIRROR_DEG = 20.0
-OUTGOING_DEG = np.arange(-85.0, 86.0)
 ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
 STEP = 0.01
 
@@ -66,7 +63,12 @@ class Interior:
         beside = self._model.predict(x + STEP * step / np.linalg.norm(step))
         f = brdf.eval(self._ball.wi, self._ball.wo)
         albedo = brdf.albedo(from_spherical(np.deg2rad(ALBEDO_INCIDENCES_DEG), 0.0)).max()
-        return Place(hole_depth(brdf), float(np.mean(f < 0.0)), float(albedo), self.apart(brdf, beside))
+        return Place(
+            plausibility(brdf).highlight_valley,
+            float(np.mean(f < 0.0)),
+            float(albedo),
+            self.apart(brdf, beside),
+        )
 
     def rounded(self) -> list[float]:
         """How far each material's ball moves where its coordinates are rounded to three decimals."""
@@ -81,18 +83,6 @@ class Interior:
         ball = self._ball
         xyz = (ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), self._model.bands) for brdf in (a, b))
         return ball_colours.delta_e(*xyz)
-
-
-def hole_depth(brdf: BRDF) -> float:
-    """Deepest in-plane minimum around the mirror direction, as a share of the lower of its two sides."""
-    wo = from_spherical(np.abs(np.deg2rad(OUTGOING_DEG)), np.where(OUTGOING_DEG > 0.0, np.pi, 0.0))
-    deepest = 0.0
-    for incidence in INCIDENCES_DEG:
-        wi = np.broadcast_to(from_spherical(np.deg2rad(incidence), 0.0), wo.shape)
-        near = np.abs(OUTGOING_DEG - incidence) <= AROUND_MIRROR_DEG
-        f = np.maximum(brdf.eval(wi, wo), 0.0).mean(axis=1)[near]
-        deepest = max(deepest, float(valley_depth(f)))
-    return deepest
 
 
 def main() -> None:

@@ -83,7 +83,7 @@ def from_rusinkiewicz(
     )
     d = np.stack([np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)], axis=-1)
     mirrored = d * np.array([-1.0, -1.0, 1.0])
-    return tuple(normalize(_rotate_z(_rotate_y(w, theta_h), phi_h)) for w in (d, mirrored))  # type: ignore[return-value]
+    return tuple(normalize(rotate_z(_rotate_y(w, theta_h), phi_h)) for w in (d, mirrored))  # type: ignore[return-value]
 
 
 def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
@@ -97,7 +97,7 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
         h = half_vector(wi, wo)
     theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
     phi_h = np.arctan2(h[..., 1], h[..., 0])
-    d = _rotate_y(_rotate_z(wi, -phi_h), -theta_h)
+    d = _rotate_y(rotate_z(wi, -phi_h), -theta_h)
     theta_d = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
     return theta_h, theta_d, np.arctan2(d[..., 1], d[..., 0]), phi_h
 
@@ -107,6 +107,7 @@ def _rotate_y(w: Array, angle: Array) -> Array:
     return np.stack([c * w[..., 0] + s * w[..., 2], w[..., 1], c * w[..., 2] - s * w[..., 0]], axis=-1)
 
 
-def _rotate_z(w: Array, angle: Array) -> Array:
+def rotate_z(w: Array, angle: Array | float) -> Array:
+    """Vectors (..., 3) turned about the normal by an angle in rad."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)

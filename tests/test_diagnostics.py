@@ -7,7 +7,7 @@ import pytest
 from manifold.brdf.plausibility import Plausibility
 from manifold.model import diagnostics
 
-SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9)
+SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, highlight_valley=0.05)
 
 
 def test_a_sound_result_has_no_diagnostics():
@@ -19,9 +19,13 @@ def test_a_sound_result_has_no_diagnostics():
     ("arguments", "said"),
     [
         ((True, SOUND), "not supported by the data"),
-        ((False, Plausibility(0.2, 0.0, 0.9)), "20 % of the values were negative"),
-        ((False, Plausibility(0.0, 0.0, 3.0)), "directional albedo 3.00"),
-        ((False, Plausibility(0.0, 0.6, 0.9)), "differ by 60 %"),
+        ((False, Plausibility(0.2, 0.0, 0.9, 0.0)), "20 % of the values were negative"),
+        ((False, Plausibility(0.0, 0.0, 3.0, 0.0)), "directional albedo 3.00"),
+        ((False, Plausibility(0.0, 0.6, 0.9, 0.0)), "differ by 60 %"),
+        (
+            (False, Plausibility(0.0, 0.0, 0.9, 0.3)),
+            "dark hole or ring near the mirror direction: 30 % below",
+        ),
         ((False, SOUND, 0.3), "missed by up to 0.30"),
     ],
 )

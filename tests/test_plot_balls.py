@@ -118,7 +118,7 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
 
 
 def test_a_walk_says_what_speaks_against_its_steps(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5))
+    monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5, 0.0))
     (step,) = ball_pictures.walk(
         folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
     )

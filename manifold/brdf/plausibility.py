@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from manifold.brdf import valleys
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.directions import from_spherical, gauss_legendre, hemisphere_quadrature
+from manifold.directions import from_spherical, gauss_legendre, hemisphere_quadrature, rotate_z
 from manifold.records import Array, BsdfFile
 
 Evaluate = Callable[[Array, Array], Array]
@@ -33,6 +34,8 @@ class Plausibility:
             of both. Measured materials have one too.
         max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees; of a file, of
             0, 5, ... 85 degrees.
+        highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
+            of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
 
     Anisotropic BRDFs are seen from eight azimuths, isotropic ones from one.
     """
@@ -40,6 +43,7 @@ class Plausibility:
     negative_share: float
     reciprocity_error: float
     max_albedo: float
+    highlight_valley: float
 
 
 def plausibility(brdf: BRDF) -> Plausibility:
@@ -64,9 +68,10 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
     negative = np.maximum(_negative(wide), _negative(narrow))
     reciprocity = np.maximum(_reciprocity(wide), _reciprocity(narrow))
     albedo = np.max([seen.albedo for seen in narrow], axis=0)
+    valley = _highlight_valley(evaluate, is_isotropic)
     return [
-        Plausibility(float(n), float(r), float(a))
-        for n, r, a in zip(negative, reciprocity, albedo, strict=True)
+        Plausibility(float(n), float(r), float(a), float(v))
+        for n, r, a, v in zip(negative, reciprocity, albedo, valley, strict=True)
     ]
 
 
@@ -79,6 +84,16 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 def largest_albedo(measured: MeasuredBRDF) -> Array:
     """Largest directional albedo of each band over incidences of 0, 5, ... 85 degrees, shape (B,)."""
     return measured.albedo(_incident(_FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0)
+
+
+def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
+    """Depth of the deepest valley around the mirror direction, shape (M,)."""
+    wi, wo = np.broadcast_arrays(*valleys.profile_pairs(valleys.JUDGED_INCIDENCES_DEG))
+    depths = []
+    for azimuth in (0,) if is_isotropic else AZIMUTHS_DEG:
+        f = evaluate(*(rotate_z(w.reshape(-1, 3), np.deg2rad(azimuth)) for w in (wi, wo))).mean(axis=2)
+        depths.append(valleys.valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
+    return np.max(depths, axis=0)
 
 
 def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:

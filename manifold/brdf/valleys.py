@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.records import Array
 
-INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
+LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
+JUDGED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
+"""Others than those that maps are laid out by, so that predictions are judged by what nothing was made to meet."""
 REACH_DEG = 20.0
 """How far from the mirror direction profiles go."""
 
 
-def profile_pairs() -> tuple[Array, Array]:
+def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tuple[Array, Array]:
     """Directions wi (I, 1, 3) and wo (I, D, 3): in the plane of incidence, around the mirror direction."""
     offset = np.arange(-REACH_DEG, REACH_DEG + 1.0)
-    incidence = np.array(INCIDENCES_DEG)
+    incidence = np.array(incidences_deg)
     outgoing = np.deg2rad(np.minimum(incidence[:, None] + offset, 85.0))
     wo = np.stack([-np.sin(outgoing), np.zeros_like(outgoing), np.cos(outgoing)], axis=2)
     return from_spherical(np.deg2rad(incidence), np.zeros(len(incidence)))[:, None], wo

@@ -15,6 +15,7 @@ from manifold.records import Array
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
+MOST_VALLEY = 0.1  # of the values beside it; measured materials reach 0.07
 MOST_MISSED = 0.02  # of a reflectance
 MOST_UNMEASURED = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
@@ -134,6 +135,11 @@ def of_prediction(
         diagnostics.append(
             f"not reciprocal: f(wi, wo) and f(wo, wi) differ by {100.0 * found.reciprocity_error:.0f} %; "
             "--physical takes their mean"
+        )
+    if found.highlight_valley > MOST_VALLEY:
+        diagnostics.append(
+            f"dark hole or ring near the mirror direction: {100.0 * found.highlight_valley:.0f} % below what is on its "
+            "two sides, where measured materials have at most 7 %"
         )
     if missed > MOST_MISSED:
         diagnostics.append(

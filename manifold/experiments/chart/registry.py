@@ -66,7 +66,7 @@ class Setting:
 def settings(n_bands: int) -> list[Setting]:
     """All settings for materials of so many bands, simplest first."""
     pca, gplvm, monochrome = _pca("cube-root", 6), _gplvm("cube-root", 6), _monochrome(3, _SAMPLES)
-    blend = _blend(2)
+    blend, nonnegative = _blend(2), _nonnegative()
     return [
         Setting("nearest", "nearest", "one or two materials", "nearest", fit_nearest, lambda B: 1),
         Setting("linear", "linear, two nearest", "one or two materials", "linear", fit_linear, lambda B: 3),
@@ -77,17 +77,20 @@ def settings(n_bands: int) -> list[Setting]:
         *(_monochrome(2, count) for count in (SAMPLE_BANDS,) if count < n_bands),
         blend,
         _blend(3),
-        *_nonnegative(),
+        *nonnegative,
         *(_sparse(pca, threshold) for threshold in _THRESHOLDS),
         *(_stored(gplvm, storage_forms.few_bands(r)) for r in _FEW_BANDS if r < n_bands),
-        *(_stored(setting, storage_forms.half()) for setting in (pca, gplvm, monochrome, blend)),
+        *(
+            _stored(setting, storage_forms.half())
+            for setting in (pca, gplvm, monochrome, blend, nonnegative[0])
+        ),
         *(
             _stored(gplvm, storage_forms.few_angles(outgoing=o, incident=i))
             for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))
         ),
         *(
             _stored(setting, storage_forms.few_angles(outgoing=o, incident=i))
-            for setting in (monochrome, blend)
+            for setting in (monochrome, blend, nonnegative[0])
             for o, i in _COARSE
         ),
     ]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from manifold.errors import UsageError
+
 from . import terminal
 from .library_commands import JsonOption
 
@@ -68,6 +70,8 @@ def chart(
     if output is not None:
         figures.require_writable(output)
     if readings:
+        if model is not None or anchor is not None:
+            raise UsageError("--readings charts a library by itself; leave --model and --anchor out")
         _chart_readings(results, library, only or (), output)
         return
     with terminal.progress("Chart") as step:

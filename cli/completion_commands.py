@@ -96,14 +96,12 @@ def complete(
         _show_suggested(results, first, "Read first")
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
-    name, _ = completions.read(readings[:1], sample, correction)
-    target = output or Path(f"{_file_name(name.name)}.bsdf")
+    if instrument is not None and not suggest:
+        raise UsageError("--instrument chooses among directions to read next; say --suggest K, too")
     with terminal.progress("Completing") as step:
         made = completions.complete_files(
-            readings, library, target, sample=sample, correction=correction,
-            picture=target.with_suffix(".png") if picture else None,
-            count=suggest, instrument=instrument, force=force, resolution=resolution, n_theta_i=incidences,
-            on_progress=step,
+            readings, library, output, sample=sample, correction=correction, with_picture=picture, count=suggest,
+            instrument=instrument, force=force, resolution=resolution, n_theta_i=incidences, on_progress=step,
         )  # fmt: skip
     found, expected = made.found, made.expected
     results.rows(
@@ -171,8 +169,3 @@ def _show_suggested(results: terminal.Results, suggested: Suggested, title: str)
         ("incidence", "outgoing", "azimuth"),
         [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],
     )
-
-
-def _file_name(name: str) -> str:
-    """A sample's name as that of a file."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "completed"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +14,14 @@ from manifold.colour.correction import learn_correction
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.experiments.readings.curve import measure_curves
+from manifold.formats import csv_table
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
 from manifold.model.completion.correction_file import read_correction
-from manifold.model.completion.expected import completion_errors, leave_out
+from manifold.model.completion.expected import Calibration, completion_errors, leave_out, signs_of
 from manifold.model.completion.hybrid import combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.materials import MaterialCache
@@ -153,13 +154,25 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(samples, library):
 
 def test_expected_errors_are_learned_from_the_other_materials(samples):
     found = calibrate(samples, readings(np.ones((12, 3))))
-    assert found.errors.shape == (len(NAMES), 3)
-    assert np.all(found.left_out > 0.0)
     at = samples.at(*DIRECTIONS)
-    made = leave_out(samples, 0, at, readings(np.ones((12, 3))))
-    expected = found.expected(made)
-    assert set(expected) == {"ball", "cube_root", "linear"}
-    assert found.errors.min() * 0.1 < expected["ball"] < found.errors[:, 0].max() * 10.0
+    for m in (0, 5):
+        made = leave_out(samples, m, at, readings(np.ones((12, 3))))
+        np.testing.assert_allclose(found.errors[m], completion_errors(samples, m, made))
+        np.testing.assert_allclose(found.signs[m], signs_of(made))
+        others = np.arange(len(NAMES)) != m
+        learned = Calibration(found.errors[others], found.signs[others]).expected(made)
+        np.testing.assert_allclose(found.left_out[m], list(learned.values()))
+
+
+def test_expected_errors_are_the_line_of_their_logarithms(rng):
+    x = rng.standard_normal((400, 2))
+    x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
+    slopes = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -1.0]])
+    held = Calibration(np.exp(1.0 + x @ slopes), np.exp(x))
+    # Ridge regression on standardised, uncorrelated signs divides slopes by 1 + 0.1; negative ones are 0.
+    expected = held.expected(SimpleNamespace(misfits=np.exp([1.0]), spread=np.exp(0.5)))
+    want = np.exp(1.0 + np.array([1.0 / 1.1, 0.5 * 0.5 / 1.1, 0.0]))
+    np.testing.assert_allclose(list(expected.values()), want, rtol=1e-6)  # 1e-6 is added to deviations
 
 
 def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples):
@@ -281,12 +294,7 @@ def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library
 def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_path):
     brdf = MeasuredBRDF(Library.open(library).read("syn_felt_orange"))
     wi, wo = DIRECTIONS
-    with (tmp_path / "felt.csv").open("w", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", "R", "G", "B"])
-        for a, b, f in zip(wi, wo, brdf.eval(wi, wo), strict=True):
-            angles = [np.degrees(x) for w in (a, b) for x in (np.arccos(w[2]), np.arctan2(w[1], w[0]))]
-            table.writerow([*angles, *f])
+    csv_table.write(tmp_path / "felt.csv", readings(brdf.eval(wi, wo)))
     status, out, err = run(
         "complete", "felt.csv", "-L", library, "-o", "felt_rgb.bsdf", "--suggest", "2", "--json", "felt.json",
         cwd=tmp_path,
@@ -299,12 +307,20 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     document = json.loads((tmp_path / "felt.json").read_text())
     assert len(document["suggested_deg"]) == 2
     assert document["expected"]["ball"] > 0.0
-    status, _, err = run("complete", "-L", library, cwd=tmp_path)
-    assert (status, "no file of readings" in err) == (2, True)
+
+
+def test_options_that_would_be_ignored_are_usage_errors(run, library, tmp_path):
+    for arguments, what in (
+        (("complete", "-L", library), "no file of readings"),
+        (("complete", "felt.csv", "-L", library, "--instrument", "ma-t12"), "say --suggest K"),
+        (("chart", "--readings", "--model", "model.h5"), "leave --model"),
+    ):
+        status, _, err = run(*arguments, cwd=tmp_path)
+        assert (status, what in err) == (2, True)
 
 
 def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_path, rng):
-    nm = np.arange(400, 701, 20)
+    nm = np.arange(400.0, 701.0, 20.0)
     theta_i, theta_o, phi = (
         a.ravel() for a in np.meshgrid([0, 20, 40, 60], np.arange(0, 75, 10), [0, 60, 120, 180])
     )
@@ -312,23 +328,15 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
     wo = from_spherical(np.deg2rad(theta_o.astype(float)), np.deg2rad(phi.astype(float)))
     sensors = rng.random((3, len(nm)))
 
-    def write(name, directions, columns, f):
-        with (tmp_path / name).open("w", newline="") as stream:
-            table = csv.writer(stream)
-            table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", *columns])
-            for a, b, row in zip(*directions, f, strict=True):
-                angles = [
-                    np.degrees(x) for w in (a, b) for x in (np.arccos(min(w[2], 1.0)), np.arctan2(w[1], w[0]))
-                ]
-                table.writerow([*angles, *row])
-
     names = []
     for k in range(5):
         spectrum = 0.1 + rng.random(3) @ np.array(
             [np.exp(-(((nm - c) / 60.0) ** 2)) for c in (450, 550, 650)]
         )
-        write(f"s{k}.csv", DIRECTIONS, nm, np.tile(spectrum, (12, 1)))
-        write(f"g{k}.csv", (wi, wo), [465, 525, 630], np.tile(sensors @ spectrum, (len(wi), 1)))
+        flat = readings(np.tile(spectrum, (12, 1)), nm=nm)
+        gonio = readings(np.tile(sensors @ spectrum, (len(wi), 1)), (wi, wo), np.array([465.0, 525.0, 630.0]))
+        csv_table.write(tmp_path / f"s{k}.csv", flat)
+        csv_table.write(tmp_path / f"g{k}.csv", gonio)
         names += [f"s{k}.csv", f"g{k}.csv"]
     status, out, err = run("calibrate", *names, "-o", "c.json", cwd=tmp_path)
     assert status == 0, err
@@ -346,18 +354,13 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
 def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tmp_path):
     brdf = MeasuredBRDF(Library.open(library).read("syn_felt_orange"))
     wi, wo = DIRECTIONS
-    with (tmp_path / "felt.csv").open("w", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(["theta_i", "phi_i", "theta_o", "phi_o", "R", "G", "B"])
-        for a, b, f in zip(wi, wo, brdf.eval(wi, wo), strict=True):
-            angles = [np.degrees(x) for w in (a, b) for x in (np.arccos(w[2]), np.arctan2(w[1], w[0]))]
-            table.writerow([*angles, *f])
+    csv_table.write(tmp_path / "felt.csv", readings(brdf.eval(wi, wo)))
     status, _, err = run("fit", "felt.csv", "-o", "felt.fit.json", cwd=tmp_path)
     assert status == 0, err
     content = json.loads((tmp_path / "felt.fit.json").read_text())
     assert content["source"]["file"] == "felt.csv"
     assert content["residuals"]["cube-root"] < 0.1
-    (tmp_path / "few.csv").write_text("\n".join((tmp_path / "felt.csv").read_text().splitlines()[:3]) + "\n")
+    csv_table.write(tmp_path / "few.csv", readings(brdf.eval(wi, wo)).select_pairs(np.arange(2)))
     status, _, err = run("fit", "few.csv", "-o", "few.fit.json", cwd=tmp_path)
     assert status == 1
     assert "expected 4 or more" in err

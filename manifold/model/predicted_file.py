@@ -8,19 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from manifold import __version__
-from manifold.brdf import goniometer
-from manifold.brdf.physical import physical_file
-from manifold.brdf.plausibility import Plausibility, plausibility_of_file
-from manifold.errors import UsageError
-from manifold.io_rgl import material_name, write_bsdf
+from manifold.brdf.plausibility import Plausibility
 from manifold.model import diagnostics
+from manifold.model.checked_file import require_bsdf_output, write_checked
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
-from manifold.system import atomic
 
 PREDICTED = "Predicted at latent"
 """How the descriptions of predicted files begin."""
@@ -100,34 +96,24 @@ def predict(
             more than 1.05 times its light.
         LatentError: the latent does not have Q finite coordinates.
     """
-    name = material_name(output)
-    if output.suffix != ".bsdf" or not name:
-        raise UsageError(f"{output}: predictions are written as .bsdf files; name one with -o NAME.bsdf")
-    atomic.require_writable(output)
+    require_bsdf_output(output, "predictions")
     if isinstance(model, Path):
         model = Manifold.load(model, library)
     x = model.require_latent(latent)
     model.prepare(on_progress)
     start = time.perf_counter()
     chosen = choose_colour(model, x, colour)
-    brdf = model.predict(x, chosen.colours)
-    clipped = ClippedBRDF(brdf)
-    measure = physical_file if physical else goniometer.measure
-    file = measure(
+    clipped = ClippedBRDF(model.predict(x, chosen.colours))
+    found = write_checked(
+        output,
         clipped,
-        name,
         description=_describe(model, x, chosen.words, physical),
+        remedy="scale it with --physical, write more --incidences",
+        physical=physical,
+        force=force,
         resolution=resolution,
         n_theta_i=n_theta_i,
-        version=(1, 0) if model.bands.is_rgb else (3, 1),
     )
-    found = plausibility_of_file(file)
-    if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
-        raise UsageError(
-            f"{output}: would return {found.max_albedo:.2f} times its light at an incidence to 85 degrees, expected at "
-            f"most {diagnostics.MOST_ALBEDO}; scale it with --physical, write more --incidences, or --force it"
-        )
-    write_bsdf(output, file)
     seconds = time.perf_counter() - start
     diagnosis = diagnostics.diagnose(
         model, x, found, colours=chosen.colours, missed=chosen.missed, negative_share=clipped.clipped_share

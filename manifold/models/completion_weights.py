@@ -10,7 +10,7 @@ from manifold.records import Array
 _ALIKE = 1.0  # how much bands of a material keep the shares of materials that their mean has
 _SMALL = 0.003  # of the energy in all directions, against that of the readings
 _STAY = 0.03  # of what the second pass may change in all directions
-FEW = 12.0  # readings at which these hold; more readings speak louder
+FEW = 12.0  # sum of the weights of readings, cosines in them, at which these hold; more readings speak louder
 
 
 def completion_weights(

@@ -57,11 +57,10 @@ class Mixtures:
     @property
     def mean(self) -> Array:
         """Weights averaged by probability, shape (n + 1,)."""
-        every = np.arange(len(self.probability))
         weights = np.zeros(self.n_samples + 1)
         np.add.at(weights, self.first, self.probability * self.scale * self.share)
         np.add.at(weights, self.second, self.probability * self.scale * (1.0 - self.share))
-        weights[-1] = self.probability[every] @ self.lambertian
+        weights[-1] = self.probability @ self.lambertian
         return weights
 
     def likeliest(self, count: int) -> Array:

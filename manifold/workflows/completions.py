@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
-from manifold.brdf import goniometer
-from manifold.brdf.plausibility import Plausibility, plausibility_of_file
+from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection
+from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import registry
 from manifold.formats.readings import Readings
-from manifold.io_rgl import material_name, write_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics
+from manifold.model.checked_file import require_bsdf_output, write_checked
 from manifold.model.completion.complete import Completion, complete
 from manifold.model.completion.correction_file import read_correction, write_correction
 from manifold.model.completion.expected import calibrate
@@ -91,11 +91,11 @@ class Completed:
 def complete_files(
     paths: Sequence[Path],
     library: Path,
-    output: Path,
+    output: Path | None = None,
     *,
     sample: str | None = None,
     correction: Path | None = None,
-    picture: Path | None = None,
+    with_picture: bool = False,
     count: int = 0,
     instrument: str | None = None,
     force: bool = False,
@@ -108,10 +108,10 @@ def complete_files(
     Args:
         paths: of one instrument, or of several, whose colours are right first.
         library: of measured materials.
-        output: the file to write; its name becomes the material's.
+        output: the file to write; its name becomes the material's. The sample's name, .bsdf, if None.
         sample: which of a file's samples.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
-        picture: of the ball, to render.
+        with_picture: also render its ball, beside the file.
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
         force: write a file, too, that returns more than 1.05 times its light.
@@ -124,32 +124,24 @@ def complete_files(
         UsageError: the output does not end in `.bsdf`, or nothing was read.
     """
     start = time.perf_counter()
-    if output.suffix != ".bsdf" or not material_name(output):
-        raise UsageError(
-            f"{output}: completed materials are written as .bsdf files; name one with -o NAME.bsdf"
-        )
-    atomic.require_writable(output)
     readings, hybrid = read(paths, sample, correction)
+    output = output or Path(f"{_file_name(readings.name)}.bsdf")
+    require_bsdf_output(output, "completed materials")
     opened = Library.open(library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True), on_progress)
     found = complete(samples, readings)
     expected = calibrate(samples, found.readings).expected(found)
     suggested = suggest(samples, count, found, instrument) if count else None
-    file = goniometer.measure(
+    plausibility = write_checked(
+        output,
         ClippedBRDF(found.brdf),
-        material_name(output),
         description=_describe(found),
+        remedy="read more directions near the highlight",
+        force=force,
         resolution=resolution,
         n_theta_i=n_theta_i,
-        version=(1, 0) if opened.bands.is_rgb else (3, 1),
     )
-    plausibility = plausibility_of_file(file)
-    if plausibility.max_albedo > diagnostics.MOST_ALBEDO and not force:
-        raise UsageError(
-            f"{output}: would return {plausibility.max_albedo:.2f} times its light at an incidence to 85 degrees, "
-            f"expected at most {diagnostics.MOST_ALBEDO}; read more directions near the highlight, or --force it"
-        )
-    write_bsdf(output, file)
+    picture = output.with_suffix(".png") if with_picture else None
     if picture is not None:
         settings = renders.make_settings(size=256, samples=64, seed=0, illuminant="D65", environment=None)
         renders.render(renders.file_source(output), picture, settings, on_progress)
@@ -210,8 +202,6 @@ def suggest_first(library: Path, count: int, instrument: str | None = None) -> S
 
 def uncertainty(found: Completion) -> dict[str, Any]:
     """Standard deviation of f over hypotheses, relative, in the plane of incidence, direction by direction."""
-    from manifold.directions import from_spherical
-
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
@@ -225,3 +215,8 @@ def _describe(found: Completion) -> str:
         f"Completed from {len(found.readings)} readings ({found.readings.instrument}) of {found.readings.name} through "
         f"{len(found.samples.names)} materials by manifold {__version__}"
     )
+
+
+def _file_name(name: str) -> str:
+    """A sample's name as that of a file."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "completed"

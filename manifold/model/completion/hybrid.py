@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
 
 from manifold.colour.correction import ColourCorrection, learn_correction
 from manifold.directions import to_rusinkiewicz
@@ -20,7 +21,7 @@ from manifold.records import Array
 
 _CAMERA_BANDS = 3
 _MOST = 2000  # readings of a goniometer that are used
-_BETWEEN = 4  # incidences at least, between which directions are interpolated
+_SIMPLEX = 4  # points at least, between which directions are interpolated in three coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +122,11 @@ def interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
     known = readings.measured.all(axis=1)
     at, roots = _coordinates(readings.wi[known], readings.wo[known]), np.cbrt(readings.values[known])
     _, first = np.unique(at.round(4), axis=0, return_index=True)
-    if len(first) < _BETWEEN:
+    if len(first) < _SIMPLEX:
         return np.full((len(wi), readings.values.shape[1]), np.nan)
     try:
         found = LinearNDInterpolator(at[first], roots[first])(_coordinates(wi, wo))
-    except Exception as error:  # Qhull: points in a plane
+    except QhullError as error:  # points in a plane
         raise UsageError(
             f"{readings.name}: its directions lie in one plane, expected several incidences to interpolate between"
         ) from error

@@ -40,7 +40,7 @@ class LibrarySamples:
         names: of the materials, N of them.
         bands: of the library.
         sample_bands: which of them are samples, shape (B_s,); sample m * B_s + s is band s of material m.
-        materials: in these bands alone; empty where tables are all there is.
+        materials: in these bands alone.
         directions: cube roots at the encoding grid, then at some pairs that light a ball, shape (n + 1, P).
         weights: of these pairs; grid and ball have the same energy, shape (P,).
         n_grid: how many pairs are the grid's.
@@ -77,30 +77,16 @@ class LibrarySamples:
             with_lambertian(roots_at(materials, wi, wo), wi, wo)
             for wi, wo in ((grid.wi, grid.wo), (ball.wi, ball.wo))
         )
-        return cls.of_tables(cache.names, bands, chosen, materials, on_grid, grid.cosines, on_ball)
-
-    @classmethod
-    def of_tables(
-        cls,
-        names: Sequence[str],
-        bands: Bands,
-        sample_bands: Array,
-        materials: Sequence[MeasuredBRDF],
-        on_grid: Array,
-        cosines: Array,
-        on_ball: Array,
-    ) -> LibrarySamples:
-        """From cube roots on a grid (n + 1, P_g) with its cosines (P_g,), and on the ball (n + 1, P_b)."""
         some = slice(None, None, _BALL_STRIDE)
-        on_grid_weights = cosines ** (2.0 / 3.0)
-        on_ball_weights = ball_pairs().light[some] ** (2.0 / 3.0)
+        on_grid_weights = grid.cosines ** (2.0 / 3.0)
+        on_ball_weights = ball.light[some] ** (2.0 / 3.0)
         energy = [
             float(np.sum(roots**2 @ weights))
             for roots, weights in ((on_grid, on_grid_weights), (on_ball[:, some], on_ball_weights))
         ]
         on_ball_weights = on_ball_weights * energy[0] / max(energy[1], np.finfo(float).tiny)
         return cls(
-            tuple(names), bands, sample_bands, materials, np.hstack([on_grid, on_ball[:, some]]),
+            tuple(cache.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
             np.concatenate([on_grid_weights, on_ball_weights]), on_grid.shape[1], on_ball,
         )  # fmt: skip
 
@@ -132,7 +118,7 @@ class LibrarySamples:
         left = replace(
             self,
             names=tuple(self.names[int(m)] for m in others),
-            materials=[self.materials[int(m)] for m in others] if self.materials else (),
+            materials=[self.materials[int(m)] for m in others],
             directions=self.directions[rows],
             ball=self.ball[rows],
         )

@@ -1,0 +1,74 @@
+"""A predicted BRDF as an RGL file that returns no more light than measured ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from manifold.brdf import goniometer
+from manifold.brdf.physical import physical_file
+from manifold.brdf.plausibility import Plausibility, plausibility_of_file
+from manifold.errors import UsageError
+from manifold.io_rgl import material_name, write_bsdf
+from manifold.model import diagnostics
+from manifold.model.prediction import ClippedBRDF
+from manifold.system import atomic
+
+
+def require_bsdf_output(output: Path, what: str) -> None:
+    """Check where a file is to be written, before the work is done.
+
+    Args:
+        output: its path.
+        what: what is written, in words.
+    Raises:
+        UsageError: the name does not end in `.bsdf`, or the file cannot be written.
+    """
+    if output.suffix != ".bsdf" or not material_name(output):
+        raise UsageError(f"{output}: {what} are written as .bsdf files; name one with -o NAME.bsdf")
+    atomic.require_writable(output)
+
+
+def write_checked(
+    output: Path,
+    brdf: ClippedBRDF,
+    *,
+    description: str,
+    remedy: str,
+    physical: bool = False,
+    force: bool = False,
+    resolution: int = 32,
+    n_theta_i: int = 8,
+) -> Plausibility:
+    """Measure a BRDF with the virtual goniometer, and write the file unless it returns far more light than it gets.
+
+    Args:
+        output: the file; its name becomes the material's.
+        brdf: what is measured.
+        description: of the file.
+        remedy: what to do about a file that returns more than 1.05 times its light, besides forcing it.
+        physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
+        force: write it however much light it returns.
+        resolution: nodes per axis of the outgoing grid; with `physical`, at least.
+        n_theta_i: incident elevations; with `physical`, at least.
+    Returns:
+        Of the written file.
+    Raises:
+        UsageError: it would return more than 1.05 times its light.
+    """
+    measure = physical_file if physical else goniometer.measure
+    file = measure(
+        brdf,
+        material_name(output),
+        description=description,
+        resolution=resolution,
+        n_theta_i=n_theta_i,
+        version=(1, 0) if brdf.bands.is_rgb else (3, 1),
+    )
+    found = plausibility_of_file(file)
+    if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
+        raise UsageError(
+            f"{output}: would return {found.max_albedo:.2f} times its light at an incidence to 85 degrees, expected at "
+            f"most {diagnostics.MOST_ALBEDO}; {remedy}, or --force it"
+        )
+    write_bsdf(output, file)
+    return found

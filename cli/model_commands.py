@@ -269,13 +269,17 @@ def predict(
     """
     from manifold.model import predicted_file
     from manifold.model.colours import NEAREST, ColourChoice
-    from manifold.workflows import many_points, point_table
 
     results = terminal.Results(json)
     colour = ColourChoice(like, reflectance, srgb)
     if points is not None:
         if latent is not None or colour != NEAREST:
             raise UsageError("found --from and a place or colour; write these into columns of the table")
+        from manifold.workflows import (  # with Mitsuba, which one prediction does without
+            many_points,
+            point_table,
+        )
+
         table, folder = point_table.read_points(points), output or Path("predictions")
         outcomes = many_points.predict_all(
             model, table, folder, library=library, physical=physical, force=force, resolution=resolution,

@@ -101,7 +101,7 @@ def render(
     """
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.rendering import images
-    from manifold.workflows import many_points, point_table, renders
+    from manifold.workflows import renders
 
     results = terminal.Results(json)
     places = {"a file": file, "--latent": latent, "--from": points}
@@ -122,6 +122,8 @@ def render(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
+        from manifold.workflows import many_points, point_table
+
         table, folder = point_table.read_points(points), output or Path("renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,

@@ -15,9 +15,9 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import UsageError
-from manifold.gpr import GPWeights
 from manifold.models.criteria import Products
 from manifold.models.encoder import Encoder
+from manifold.models.gp_weights import GPWeights
 from manifold.models.kernels import kernel_named, require_mu
 from manifold.models.objective import (
     LatentObjective,

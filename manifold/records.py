@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -17,6 +18,15 @@ Array = NDArray[Any]
 
 Progress = Callable[[int, int, str], None]
 """Called with how much is done, of how much in all, and the name of what was done last."""
+
+Stage = Callable[[str], AbstractContextManager[Progress | None]]
+"""Opens one stage of a long command by its title and gives the progress callback for it, or None."""
+
+
+def no_stage(title: str) -> AbstractContextManager[None]:
+    """A stage nobody watches."""
+    return nullcontext()
+
 
 RGB_NAMES = ("R", "G", "B")
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.gplvm import GPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
@@ -54,6 +53,10 @@ def fit_space(
 def _fit_materials(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
+    from manifold.gplvm import (
+        GPLVM,  # scikit-learn takes most of a second to import, and predictions do without
+    )
+
     matrix = _gram(materials, s, None, on_progress)
     fitted = GPLVM(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior

@@ -15,13 +15,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
 from manifold.models.colour_table import ColourTable
 from manifold.models.decoder import Decoder, EncodingPairs
 from manifold.models.encoder import Encoder
+from manifold.models.gp_weights import GPWeights
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
 

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.stats import spearmanr
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
@@ -132,6 +131,8 @@ class LeftOut:
         }
 
     def _compare(self, errors: Array, least: float) -> CalibrationResult:
+        from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
+
         X, scale, expected = self.space.X, self.space.kernel.length_scale, np.empty_like(errors)
         for i in range(len(X)):
             others = np.delete(np.arange(len(X)), i)

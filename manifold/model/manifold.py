@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.gpr import GPWeights
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
@@ -28,6 +27,7 @@ from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.spaces import SPACES
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated

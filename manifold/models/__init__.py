@@ -12,7 +12,7 @@ _HOMES = {
     "Encoder": "manifold.models.encoder",
     "GPLVM": "manifold.gplvm",
     "GPRegressor": "manifold.gpr",
-    "GPWeights": "manifold.gpr",
+    "GPWeights": "manifold.models.gp_weights",
     "hooke_jeeves": "manifold.dls",
     "Kernel": "manifold.models.kernels",
     "kernel_named": "manifold.models.kernels",

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
 PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent

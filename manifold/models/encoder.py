@@ -16,11 +16,11 @@ from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
 from manifold.errors import UsageError
-from manifold.gpr import GPWeights
 from manifold.models import criteria
 from manifold.models.colour_table import ColourTable
 from manifold.models.criteria import CRITERIA, OF_VALUES, Criterion, Products
 from manifold.models.decoder import Decoder
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
 _STARTS = 5  # nearest training materials to start from

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from manifold.errors import ShapeError, UsageError
-from manifold.gpr import GPWeights
+from manifold.models.gp_weights import GPWeights
 from manifold.models.kernels import kernel_named, require_mu
 from manifold.models.objective import (
     LatentObjective,

@@ -15,6 +15,7 @@ from manifold.library.importing import import_files
 from manifold.model.manifold import Settings
 from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
+from manifold.records import Stage, no_stage
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
 from manifold.system import atomic
@@ -23,7 +24,6 @@ from manifold.workflows.budgets import BudgetSettings
 from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.pictures import slices, sources
-from manifold.workflows.pipeline import DEFAULT_LIBRARY, DEFAULT_MODEL, Stage, no_stage
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
@@ -80,7 +80,7 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     made anew. Without Mitsuba nothing is rendered or fitted.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    files, library, model = folder / "corpus", folder / DEFAULT_LIBRARY, folder / DEFAULT_MODEL
+    files, library, model = folder / "corpus", folder / "library.zarr", folder / "model.h5"
     with stage("Measuring the synthetic corpus") as step:
         corpus.write(files, keep=True, on_progress=step)
     with stage("Importing it into a library") as step:

@@ -13,12 +13,11 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.library.identity import hash_arrays
 from manifold.model import predicted_file
 from manifold.model.manifold import Manifold
-from manifold.records import Progress
+from manifold.records import Progress, Stage, no_stage
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.workflows import renders
 from manifold.workflows.output_index import OutputIndex, file_sha256
-from manifold.workflows.pipeline import Stage, no_stage
 from manifold.workflows.point_table import Point, PointTable
 
 Check = Callable[[Path], None]

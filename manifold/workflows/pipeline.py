@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,20 +15,8 @@ from manifold.experiments.evaluation.selection import Candidate
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.plots import figures, plot_latents
-from manifold.records import Progress
+from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
-
-Stage = Callable[[str], AbstractContextManager[Progress | None]]
-"""Opens one stage of a long command by its title and gives the progress callback for it, or None."""
-
-
-DEFAULT_LIBRARY = Path("library.zarr")
-DEFAULT_MODEL = Path("model.h5")
-
-
-def no_stage(title: str) -> AbstractContextManager[None]:
-    """A stage nobody watches."""
-    return nullcontext()
 
 
 @dataclass(frozen=True)

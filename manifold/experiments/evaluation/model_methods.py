@@ -10,10 +10,10 @@ from manifold.experiments.evaluation.latent_models import fit_settings
 from manifold.experiments.evaluation.method import Encode, Fit, Method
 from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
-from manifold.gpr import GPWeights
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
 _COMPARED_CRITERIA = ("decoded", "cube-root", "likelihood")

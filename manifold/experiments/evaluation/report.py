@@ -32,11 +32,11 @@ from manifold.experiments.evaluation.report_measures import (
     tabulated_blocks,
 )
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
-from manifold.gpr import IsolatedLatentsWarning
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
+from manifold.models.gp_weights import IsolatedLatentsWarning
 from manifold.records import Array, Progress, evenly_spaced
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked

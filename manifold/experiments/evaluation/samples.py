@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from manifold.experiments.evaluation.tabulated import Data
-from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
 from manifold.model.combination import Combination
 from manifold.models.criteria import OF_VALUES
 from manifold.models.decoder import Decoder
 from manifold.models.encoder import Encoder
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
 

@@ -12,11 +12,11 @@ from manifold.experiments.stability.model_failures import held_out, in_error_of_
 from manifold.experiments.stability.testbed import TestBed, embed, in_space
 from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
 from manifold.gplvm import GPLVM
-from manifold.gpr import GPWeights
 from manifold.mapping import mapping_named
 from manifold.model.combination import Combination
 from manifold.model.material_space import MaterialSpace
 from manifold.model.prediction import PredictedBRDF
+from manifold.models.gp_weights import GPWeights
 from manifold.models.incremental import IncrementalObjective
 from manifold.models.kernels import SquaredExponential
 from manifold.models.objective import LatentObjective, centre_gram, pca_start

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.gpr import GPWeights
 from manifold.mapping import Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
+from manifold.models.gp_weights import GPWeights
 from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering.plugin import packed_tables
 from manifold.rendering.plugin.packed_tables import Tables

@@ -1,0 +1,293 @@
+"""Weights of the training samples: what a Gaussian process with one kernel for all outputs knows from latents alone.
+
+Because all outputs share one kernel, a prediction is a weighted sum of the training samples. `GPWeights` never sees
+an output.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve, solve_triangular
+from scipy.spatial.distance import cdist
+
+from manifold.errors import ShapeError
+from manifold.models.cholesky import factorise
+from manifold.models.kernels import Kernel, first_equal_row
+from manifold.models.objective import centre_gram
+from manifold.records import Array
+
+LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is warned of
+_ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
+_MOST_ALONE = 0.25  # share of such samples
+
+
+class FlatModelWarning(UserWarning):
+    """A fitted process explains less than half of the variance between samples: it predicts their mean, or nearly."""
+
+
+class IsolatedLatentsWarning(UserWarning):
+    """Many fitted latents are far from all others: between them a process predicts the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class LengthScaleBound:
+    """How fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
+
+    Attributes:
+        nearest: index of the nearest training latent, shape (M,).
+        distance: distance to it, shape (M,).
+        displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
+        bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
+            kernel, `e^(-1/2) / l` of the squared exponential.
+    """
+
+    nearest: Array
+    distance: Array
+    displacement: Array
+    bound: Array
+
+    @property
+    def slack(self) -> Array:
+        """`bound / displacement`, shape (M,): at least 1 where the condition holds, inf on a latent."""
+        moved = self.displacement > 0
+        return np.where(moved, self.bound / np.where(moved, self.displacement, 1.0), np.inf)
+
+    @property
+    def holds(self) -> Array:
+        """Whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        return self.displacement <= self.bound
+
+
+class GPWeights:
+    """The part of a Gaussian process that depends on the training latents alone.
+
+    Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
+
+    Args:
+        X: training latents, shape (N, Q). Duplicates are allowed.
+        kernel: the covariance function.
+
+    Attributes:
+        X: the latents, float64, shape (N, Q).
+        K: covariance of the training latents (jitter included), shape (N, N).
+        L: its lower Cholesky factor, shape (N, N).
+        jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
+
+    Raises:
+        ShapeError: X is no finite (N, Q) array.
+        NumericalError: K cannot be factorised even with jitter.
+
+    Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 12-14.
+    """
+
+    def __init__(self, X: Array, kernel: Kernel) -> None:
+        self.X = _require_latents(X, None, "X").copy()
+        self.kernel = kernel
+        self.K, self.L, self.jitter = factorise(self.X, self.kernel)
+
+    @property
+    def n_samples(self) -> int:
+        """N."""
+        return int(self.X.shape[0])
+
+    def weights(self, X_new: Array) -> Array:
+        """Weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
+
+        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
+        before and added after. At a training latent the row is exactly a unit vector; where several training
+        latents coincide there, that of the first.
+
+        Args:
+            X_new: latents, shape (M, Q).
+        Raises:
+            ShapeError: X_new is no finite (M, Q) array.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
+        V = W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
+        # K^-1 K[:, i] is a unit vector only to rounding: with equal coordinates it is written down instead.
+        match = first_equal_row(X_new, self.X)
+        hit = np.flatnonzero(match >= 0)
+        V[hit] = 0.0
+        V[hit, match[hit]] = 1.0
+        return V
+
+    def variance(self, X_new: Array) -> Array:
+        """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
+
+        Exactly 0 at a training latent, at most the prior's.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
+        variance = np.maximum(self.kernel.prior_variance(X_new) - np.einsum("nm,nm->m", A, A), 0.0)
+        variance[first_equal_row(X_new, self.X) >= 0] = 0.0
+        return variance
+
+    def variance_fraction(self, X_new: Array) -> Array:
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates.
+
+        The prior's without a linear term: that grows with the distance from the origin, and the line that far
+        latents follow is no knowledge of what lies there. At most 1.
+        """
+        return np.minimum(self.variance(X_new) / (1.0 + self.kernel.mu), 1.0)
+
+    def output_variance(self, S: Array, n_outputs: int) -> float:
+        """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+            n_outputs: D.
+        """
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
+
+    def explained(self, S: Array) -> float:
+        """Share of the variance between the training samples that the smooth mean explains at their latents.
+
+        The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
+        diagonal less 1; 1 interpolates, 0 is the mean everywhere.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+        """
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
+        return 1.0 - residual / float(np.trace(S))
+
+    def warn_of_fit(self, S: Array) -> None:
+        """Warn of latents that were fitted to samples with Gram matrix S (N, N) and predict little of them.
+
+        Warns:
+            FlatModelWarning: `explained` is below one half.
+            IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
+                half of the prior's.
+        """
+        share = self.explained(S)
+        if share < LEAST_EXPLAINED:
+            warnings.warn(
+                f"the fit explains {100.0 * share:.0f} % of the variance between samples "
+                f"(N = {self.n_samples}, length scale {self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), "
+                f"expected at least {100.0 * LEAST_EXPLAINED:.0f} %; lower the length scale, the prior or mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * (1.0 + self.kernel.mu))
+        if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
+            warnings.warn(
+                f"{alone} of {self.n_samples} latents are far from all others (length scale "
+                f"{self.kernel.length_scale:g}): between them the mean is predicted; take more materials, fewer "
+                "dimensions, a longer length scale or a nearer start",
+                IsolatedLatentsWarning,
+                stacklevel=3,
+            )
+
+    def leave_one_out_weights(self) -> Array:
+        """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+
+        Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
+        `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
+        samples adds `(1 - sum(a)) / (N - 1)`. Where another training latent coincides with x_i, that sample
+        is the prediction, as in `weights`.
+
+        Raises:
+            ShapeError: there are fewer than two samples.
+        Source: Rasmussen & Williams 2006, eq. 5.12.
+        """
+        N = self.n_samples
+        if N < 2:
+            raise ShapeError("leave-one-out needs at least 2 samples, found 1")
+        A = -self._precision / np.diag(self._precision)[:, None]  # [N, N]
+        np.fill_diagonal(A, 0.0)
+        V = A + (1.0 - A.sum(axis=1, keepdims=True)) / (N - 1)
+        np.fill_diagonal(V, 0.0)
+        twin = self._first_twin
+        hit = np.flatnonzero(twin >= 0)
+        V[hit] = 0.0
+        V[hit, twin[hit]] = 1.0
+        return V
+
+    def leave_one_out_variance(self) -> Array:
+        """Variance of every sample given the others, in units of the output variance, shape (N,).
+
+        Source: Rasmussen & Williams 2006, eq. 5.12: `1 / [K^-1]_ii`.
+        """
+        return np.where(self._first_twin >= 0, 0.0, 1.0 / np.diag(self._precision))
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number kappa(K) in the 2-norm."""
+        eigenvalues = np.linalg.eigvalsh(self.K)
+        return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
+
+    def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
+        """The condition on the length scale at X_new, with its slack.
+
+        Args:
+            X_new: latents, shape (M, Q).
+            S: Gram matrix of the training outputs, shape (N, N); centred here.
+        Source: Hikichi & Iwasaki, eq. 15.
+        """
+        X_new = _require_latents(X_new, self.X.shape[1], "X_new")
+        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        V = self.weights(X_new)
+        distances = cdist(X_new, self.X)
+        nearest = distances.argmin(axis=1)
+        rows = np.arange(X_new.shape[0])
+        V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
+        squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
+        factor = self.kernel.steepest_at(self.X) * np.sqrt(2.0 * self.n_samples)
+        norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
+        distance = distances[rows, nearest]
+        return LengthScaleBound(
+            nearest=nearest,
+            distance=distance,
+            displacement=np.sqrt(np.maximum(squared, 0.0)),
+            bound=factor * self.condition * norm_Y * distance,
+        )
+
+    def _solve(self, B: Array) -> Array:
+        """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
+        return cho_solve((self.L, True), B)
+
+    @cached_property
+    def _precision(self) -> Array:
+        return self._solve(np.eye(self.n_samples))
+
+    @cached_property
+    def _first_twin(self) -> Array:
+        """Index of the first *other* training latent with the same coordinates, or -1, shape (N,)."""
+        _, group = np.unique(self.X, axis=0, return_inverse=True)
+        members: dict[int, list[int]] = {}
+        for i, g in enumerate(group.reshape(-1)):
+            members.setdefault(int(g), []).append(i)
+        twin = np.full(self.n_samples, -1)
+        for indices in members.values():
+            if len(indices) > 1:
+                twin[indices] = indices[0]
+                twin[indices[0]] = indices[1]
+        return twin
+
+
+def _require_latents(X: Array, columns: int | None, name: str) -> Array:
+    X = np.asarray(X, dtype=np.float64)
+    expected = "(samples, Q)" if columns is None else f"(samples, {columns})"
+    if X.ndim != 2 or X.shape[1] == 0 or (columns is not None and X.shape[1] != columns):
+        raise ShapeError(f"{name} has shape {X.shape}, expected {expected}")
+    if columns is None and X.shape[0] == 0:
+        raise ShapeError(f"{name} has no rows, expected at least one training latent")
+    if not np.all(np.isfinite(X)):
+        raise ShapeError(f"{name} has non-finite values, expected finite latents")
+    return X
+
+
+def _require_square(S: Array, n: int, name: str) -> Array:
+    S = np.asarray(S, dtype=np.float64)
+    if S.shape != (n, n):
+        raise ShapeError(f"{name} has shape {S.shape}, expected ({n}, {n})")
+    if not np.all(np.isfinite(S)):
+        raise ShapeError(f"{name} has non-finite values, expected a finite Gram matrix")
+    return S

@@ -10,6 +10,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import terminal
+from .instrument_commands import CorrectionOption
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
 
 if TYPE_CHECKING:
@@ -54,12 +55,7 @@ def complete(
     sample: Annotated[
         str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
     ] = None,
-    correction: Annotated[
-        Path | None,
-        typer.Option(
-            help="Correct readings in three bands by this file of `manifold calibrate`.", metavar="FILE"
-        ),
-    ] = None,
+    correction: CorrectionOption = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
     ] = False,

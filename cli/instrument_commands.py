@@ -10,6 +10,15 @@ import typer
 from . import terminal
 from .library_commands import JsonOption
 
+CorrectionOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--correction",
+        help="Correct readings in three bands by this file of `manifold calibrate`.",
+        metavar="FILE",
+    ),
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
@@ -46,6 +55,7 @@ def convert(
     sample: Annotated[
         str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
     ] = None,
+    correction: CorrectionOption = None,
     resolution: Annotated[
         int,
         typer.Option(help="Of RGL files: nodes per axis of the outgoing grid.", metavar="N", min=2, max=512),
@@ -69,7 +79,12 @@ def convert(
     results = terminal.Results(json)
     with terminal.progress("Converting"):
         made = conversion.convert(
-            inputs, output, to=to, sample=sample, options=Options(resolution, incidences)
+            inputs,
+            output,
+            to=to,
+            sample=sample,
+            correction=correction,
+            options=Options(resolution, incidences),
         )
     error = made.error
     rows: dict[str, object] = {

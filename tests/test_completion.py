@@ -341,10 +341,19 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
     status, out, err = run("calibrate", *names, "-o", "c.json", cwd=tmp_path)
     assert status == 0, err
     assert "chosen" in out
-    learned, at = read_correction(tmp_path / "c.json")
-    made = corrected(read_readings(tmp_path / "g3.csv"), learned, at)
+    learned = read_correction(tmp_path / "c.json")
+    made = corrected(read_readings(tmp_path / "g3.csv"), learned)
     truth = read_readings(tmp_path / "s3.csv").values[0]
     np.testing.assert_allclose(made.values, np.tile(truth, (len(made), 1)), rtol=0.05)
+    with pytest.raises(BandMismatchError, match="another instrument"):
+        corrected(readings(np.ones((12, 3))), learned)
+    status, out, err = run("convert", "g3.csv", "-o", "g3.bsdf", "--correction", "c.json", cwd=tmp_path)
+    assert status == 0, err
+    spectral = MeasuredBRDF(read_bsdf(tmp_path / "g3.bsdf"))
+    assert spectral.bands == learned.target
+    np.testing.assert_allclose(spectral.eval(wi[5], wo[5]), truth, rtol=0.05)
+    status, _, err = run("convert", "g3.bsdf", "-o", "g4.bsdf", "--correction", "c.json", cwd=tmp_path)
+    assert (status, "leave --correction out" in err) == (2, True)
     (tmp_path / "c.json").write_text("{}")
     with pytest.raises(FileFormatError, match="not a colour correction"):
         read_correction(tmp_path / "c.json")

@@ -163,8 +163,8 @@ def read(
         for k, path in enumerate(paths)
     ]
     if correction is not None:
-        learned, nm = read_correction(correction)
-        readings = [corrected(r, learned, nm) if r.values.shape[1] == 3 else r for r in readings]
+        learned = read_correction(correction)
+        readings = [corrected(r, learned) if r.values.shape[1] == 3 else r for r in readings]
     hybrid, first = None, readings[0]
     for other in readings[1:]:
         hybrid = combine(first, other)
@@ -189,8 +189,8 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrectio
     atomic.require_writable(output)
     readings = [registry.read_readings(path, None, _MOST_READINGS) for path in paths]
     learned = learn_across(list(zip(readings[::2], readings[1::2], strict=True)))
-    write_correction(output, learned, readings[0].wavelengths_nm)
-    return learned
+    write_correction(output, learned)
+    return learned.colours
 
 
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from manifold.errors import UsageError
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
+from manifold.model.completion.correction_file import read_correction
 from manifold.records import Array, Bands
 from manifold.system import atomic
 from manifold.workflows.conversion_source import Source, open_source
@@ -88,6 +89,7 @@ def convert(
     *,
     to: str | None = None,
     sample: str | None = None,
+    correction: Path | None = None,
     options: Options | None = None,
 ) -> Conversion:
     """Convert a file of a BRDF or of readings into another format.
@@ -97,22 +99,25 @@ def convert(
         output: what to write; its suffix chooses the format.
         to: one of `TARGETS`, where the suffix does not tell.
         sample: which of a file's samples.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         options: of RGL files.
     Raises:
         UsageError: the format is unknown, the output cannot be written, or readings do not make a BRDF.
         FileFormatError: a file is not what it should be.
+        BandMismatchError: the correction was learned in other bands.
     """
     target = _target(output, to)
     atomic.require_writable(output)
     if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
         raise UsageError(f"{output}: is the file to be converted; name another output")
-    source = open_source(paths, sample, rgb=False)
+    learned = None if correction is None else read_correction(correction)
+    source = open_source(paths, sample, learned)
     if (
         target.is_rgb
         and not source.nodes.bands.is_rgb
         and not (target is TARGETS["zemax"] and _is_single(source))
     ):
-        source = open_source(paths, sample, rgb=True)
+        source = open_source(paths, sample, learned, rgb=True)
     notes = target.write(output, source, options or Options())
     nodes = source.nodes
     back = open_source([output])

@@ -20,6 +20,7 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
+from manifold.model.completion.hybrid import InstrumentCorrection, corrected
 from manifold.records import Array, Bands, BsdfFile
 
 MOST_NODES = 100_000
@@ -90,25 +91,45 @@ class SrgbBRDF:
         return to_srgb(self._brdf.albedo(wi), self._brdf.bands)
 
 
-def open_source(paths: Sequence[Path], sample: str | None = None, *, rgb: bool = False) -> Source:
+def open_source(
+    paths: Sequence[Path],
+    sample: str | None = None,
+    correction: InstrumentCorrection | None = None,
+    *,
+    rgb: bool = False,
+) -> Source:
     """Read what is to be converted.
 
     Args:
         paths: one file, or the files of one sample (pab-opto's, one per incidence).
         sample: which of a file's samples.
+        correction: of colours of readings, before anything else.
         rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
     Raises:
-        UsageError, FileFormatError: as `registry.read` and `read_bsdf`.
+        UsageError, FileFormatError: as `registry.read` and `read_bsdf`; or what is to be corrected is no readings.
+        BandMismatchError: the correction was learned in other bands.
     """
     if len(paths) == 1 and _is_tensor_file(paths[0]):
+        if correction is not None:
+            raise _not_corrected(paths[0])
         file = read_bsdf(paths[0])
         return _of_rgl(_file_in_srgb(file) if rgb else file)
     for path in paths:
         if _is_tensor_file(path):
             raise UsageError(f"{path}: an RGL file among {len(paths)} files; convert it alone")
     record = registry.merge([registry.read(path, sample) for path in paths])
+    if correction is not None:
+        if isinstance(record, DenseTable):
+            raise _not_corrected(paths[0])
+        record = corrected(record, correction)
     source = _of_table(record) if isinstance(record, DenseTable) else _of_readings(record)
     return _in_srgb(source) if rgb else source
+
+
+def _not_corrected(path: Path) -> UsageError:
+    return UsageError(
+        f"{path}: a table of a BRDF, expected an instrument's readings to correct; leave --correction out"
+    )
 
 
 def _is_tensor_file(path: Path) -> bool:

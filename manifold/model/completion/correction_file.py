@@ -11,28 +11,27 @@ import numpy as np
 from manifold import __version__
 from manifold.colour.correction import FORMS, ColourCorrection
 from manifold.errors import FileFormatError
-from manifold.records import Array
+from manifold.model.completion.hybrid import InstrumentCorrection
+from manifold.records import Bands
 from manifold.system import atomic
 from manifold.system.small_files import read_json
 
 _FORMAT = "manifold colour correction"
 
 
-def write_correction(path: Path, correction: ColourCorrection, wavelengths_nm: Array | None) -> None:
-    """Write a correction, atomically.
-
-    Args:
-        path: a JSON file.
-        correction: to bands of these wavelengths.
-        wavelengths_nm: of the reference, shape (B,); None for linear sRGB.
-    """
-    nm = None if wavelengths_nm is None else np.asarray(wavelengths_nm).tolist()
-    content = {"format": _FORMAT, "program": f"manifold {__version__}", "wavelengths_nm": nm}
-    atomic.write_text(path, json.dumps(content | correction.to_json(), indent=1) + "\n")
+def write_correction(path: Path, correction: InstrumentCorrection) -> None:
+    """Write a correction as a JSON file, atomically; wavelengths are in nm, or null for linear sRGB."""
+    content = {
+        "format": _FORMAT,
+        "program": f"manifold {__version__}",
+        "source_wavelengths_nm": correction.source.wavelengths_nm,
+        "wavelengths_nm": correction.target.wavelengths_nm,
+    }
+    atomic.write_text(path, json.dumps(content | correction.colours.to_json(), indent=1) + "\n")
 
 
-def read_correction(path: Path) -> tuple[ColourCorrection, Array | None]:
-    """A correction, and the wavelengths of its bands in nm, or None for linear sRGB.
+def read_correction(path: Path) -> InstrumentCorrection:
+    """Read a correction.
 
     Raises:
         UsageError: the file cannot be read.
@@ -47,17 +46,20 @@ def read_correction(path: Path) -> tuple[ColourCorrection, Array | None]:
         ) from error
 
 
-def _checked(content: Any) -> tuple[ColourCorrection, Array | None]:
+def _checked(content: Any) -> InstrumentCorrection:
     if content["format"] != _FORMAT or content["form"] not in FORMS:
         raise ValueError("its format or form is unknown")
     matrix = np.array(content["matrix"], dtype=np.float64)
     scale, largest = float(content["scale"]), float(content["largest"])
-    nm = content["wavelengths_nm"]
-    nm = None if nm is None else np.array(nm, dtype=np.float64)
-    bands = 3 if nm is None else len(nm)
-    terms = ColourCorrection.terms_of(content["form"])
-    if matrix.shape != (terms, bands) or not np.all(np.isfinite(matrix)):
-        raise ValueError(f"its matrix has shape {matrix.shape}, expected {(terms, bands)} of finite numbers")
+    source, target = (_bands(content[key]) for key in ("source_wavelengths_nm", "wavelengths_nm"))
+    shape = (ColourCorrection.terms_of(content["form"]), target.count)
+    if matrix.shape != shape or not np.all(np.isfinite(matrix)):
+        raise ValueError(f"its matrix has shape {matrix.shape}, expected {shape} of finite numbers")
     if not (0.0 < scale < np.inf and 0.0 < largest < np.inf):
         raise ValueError("its scale or largest value is not positive")
-    return ColourCorrection(content["form"], matrix, scale, largest, dict(content["errors"])), nm
+    colours = ColourCorrection(content["form"], matrix, scale, largest, dict(content["errors"]))
+    return InstrumentCorrection(colours, source, target)
+
+
+def _bands(nm: Any) -> Bands:
+    return Bands(None if nm is None else tuple(float(w) for w in nm))

@@ -17,11 +17,26 @@ from manifold.colour.correction import ColourCorrection, learn_correction
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import BandMismatchError, UsageError
 from manifold.formats.readings import Readings
-from manifold.records import Array
+from manifold.records import Array, Bands
 
 _CAMERA_BANDS = 3
 _MOST = 2000  # readings of a goniometer that are used
 _SIMPLEX = 4  # points at least, between which directions are interpolated in three coordinates
+
+
+@dataclass(frozen=True, eq=False)
+class InstrumentCorrection:
+    """What three bands of an instrument become in the bands of another.
+
+    Attributes:
+        colours: of the values.
+        source: the bands that are corrected.
+        target: the bands of the reference.
+    """
+
+    colours: ColourCorrection
+    source: Bands
+    target: Bands
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +70,7 @@ def shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
     return at_reference[is_shared], reference.values[is_shared]
 
 
-def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
+def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> InstrumentCorrection:
     """The correction of an instrument by another, from samples that both read.
 
     Args:
@@ -71,28 +86,29 @@ def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection
             )
     values = [shared_values(*pair) for pair in pairs]
     groups = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in values])
-    return learn_correction(
+    learned = learn_correction(
         np.vstack([x for x, _ in values]), np.vstack([y for _, y in values]),
         groups=groups if len(pairs) > 1 else None,
     )  # fmt: skip
+    return InstrumentCorrection(learned, pairs[0][1].bands, pairs[0][0].bands)
 
 
-def corrected(readings: Readings, correction: ColourCorrection, wavelengths_nm: Array | None) -> Readings:
-    """Readings in three bands as those of the reference that a correction was learned from.
+def corrected(readings: Readings, correction: InstrumentCorrection) -> Readings:
+    """Readings in the bands of the reference that a correction was learned from.
 
     Raises:
-        BandMismatchError: they have not three bands.
+        BandMismatchError: they have other bands than those that are corrected.
     """
-    if readings.values.shape[1] != _CAMERA_BANDS:
-        raise BandMismatchError(
-            f"{readings.name}: {readings.values.shape[1]} bands to correct, expected three"
-        )
+    correction.source.require_same(
+        readings.bands, readings.name, "the colour correction was learned from another instrument's"
+    )
+    colours, nm = correction.colours, correction.target.wavelengths_nm
     known = readings.measured.all(axis=1)
-    values = np.full((len(readings), correction.matrix.shape[1]), np.nan)
-    values[known] = correction.apply(readings.values[known])
-    beyond = 100.0 * float(np.mean(correction.is_beyond(readings.values[known]))) if known.any() else 0.0
-    made = replace(readings, wavelengths_nm=wavelengths_nm, values=values)
-    note = f"colours corrected: {correction.form}"
+    values = np.full((len(readings), colours.matrix.shape[1]), np.nan)
+    values[known] = colours.apply(readings.values[known])
+    beyond = 100.0 * float(np.mean(colours.is_beyond(readings.values[known]))) if known.any() else 0.0
+    made = replace(readings, wavelengths_nm=None if nm is None else np.array(nm), values=values)
+    note = f"colours corrected: {colours.form}"
     if beyond > 0.0:
         note += f"; {beyond:.0f} % of the readings are brighter than any it was learned at, corrected in proportion"
     return made.with_note(note)
@@ -112,7 +128,7 @@ def combine(reference: Readings, other: Readings) -> Hybrid:
         return Hybrid(_joined(reference, other), None, 0)
     x, y = shared_values(reference, other)
     correction = learn_correction(x, y)
-    taken = corrected(_thinned(other), correction, reference.wavelengths_nm)
+    taken = corrected(_thinned(other), InstrumentCorrection(correction, other.bands, reference.bands))
     note = f"{other.instrument} corrected by {reference.instrument} at {len(x)} directions that both read"
     return Hybrid(_joined(reference, taken).with_note(note), correction, len(x))
 

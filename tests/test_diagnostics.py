@@ -34,6 +34,13 @@ def test_each_defect_of_a_prediction_has_its_diagnostic(arguments, said):
     assert said in sentence
 
 
+def test_what_a_measured_file_has_of_its_own_is_not_said_against_the_place():
+    negative, ring = diagnostics.of_measured(Plausibility(0.12, 0.0, 0.9, 0.3))
+    assert "12 % of the measured values are negative" in negative
+    assert "the measured file has a dark hole or ring near the mirror direction, 30 % deep" in ring
+    assert diagnostics.of_measured(SOUND) == ()
+
+
 def test_a_material_outside_the_manifold_is_diagnosed():
     (sentence,) = diagnostics.of_embedding(0.8)
     assert "error 0.80: outside the manifold" in sentence

@@ -85,8 +85,11 @@ def diagnose(
     why = f"the nearest material is {nearest[0][1]:.1f} length scales away"
     if ball is not None:
         why += f", the error to expect {ball:.0f} CIEDE2000 of the ball"
-    negative = found.negative_share if negative_share is None else negative_share
-    sentences = of_prediction(is_extrapolation, replace(found, negative_share=negative), missed, why)
+    judged = found if negative_share is None else replace(found, negative_share=negative_share)
+    if model.space.training_index(x, colours) is not None:
+        sentences = of_measured(judged)
+    else:
+        sentences = of_prediction(is_extrapolation, judged, missed, why)
     sentences += of_unmeasured(model.unmeasured_share(x)) + model.notes
     return Diagnosis(ball, cube_root, is_extrapolation, nearest, missed, found, sentences)
 
@@ -144,6 +147,22 @@ def of_prediction(
     if missed > MOST_MISSED:
         diagnostics.append(
             f"requested reflectance out of reach at this structure: missed by up to {missed:.2f}"
+        )
+    return tuple(diagnostics)
+
+
+def of_measured(found: Plausibility) -> tuple[str, ...]:
+    """Of a measured material at its own place."""
+    sound = replace(found, negative_share=0.0, highlight_valley=0.0)
+    diagnostics = list(of_prediction(False, sound))
+    negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
+    if found.negative_share > MOST_NEGATIVE:
+        diagnostics.append(
+            f"{negative:.2g} % of the measured values are negative: noise, or colours outside of sRGB"
+        )
+    if found.highlight_valley > MOST_VALLEY:
+        diagnostics.append(
+            f"the measured file has a dark hole or ring near the mirror direction, {valley:.0f} % deep"
         )
     return tuple(diagnostics)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import threading
 
 import numpy as np
 import pytest
@@ -13,7 +15,10 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
+from manifold.plots.explorer.actions import Context
+from manifold.plots.explorer.jobs import Queue
 from manifold.plots.explorer.page import make_page
+from manifold.plots.explorer.server import ExplorerServer
 from manifold.plots.explorer.tables import tabulate, to_document
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
@@ -263,6 +268,34 @@ def test_nothing_is_wider_than_the_window(visited):
     for width in (360, 390, 768, 1280):
         visited.page.set_viewport_size({"width": width, "height": 900})
         assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_a_dropped_file_is_located_completed_or_a_colour_by_what_it_holds(browser, document, tmp_path):
+    prints = (sys.executable, "-c", "print('{}')")
+    context = Context(tmp_path, tmp_path / "model.h5", tmp_path / "library.zarr", NAMES, 2, True)
+    page = make_page(document | {"served": {"targets": [["gltf", "glTF 2.0"]]}})
+    server = ExplorerServer(page, context, queue=Queue(tmp_path, prints))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    made = visit(browser, server.address)
+    spectrum = "nm reflectance\n" + "".join(f"{nm} 0.5\n" for nm in range(380, 781, 20))
+    readings = "Geometry,450,550,650\n45as15,0.1,0.2,0.5\n45as45,0.1,0.2,0.5\n"
+    drop = """([name, text]) => {
+      const files = new DataTransfer();
+      files.items.add(new File([text], name));
+      document.dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
+    }"""
+    for name, text in (("a.bsdf", "tensor_file..."), ("my sheet.csv", readings), ("red.txt", spectrum)):
+        made.page.evaluate(drop, [name, text])
+    made.page.locator("#caption", has_text="red.txt").wait_for()
+    made.page.locator("#do-export").press("Enter")
+    made.page.locator("#jobs li[data-state=done]", has_text="export here.glb").wait_for()
+    titles = sorted(job.action.title for job in server.queue.jobs())
+    assert titles == ["complete my-sheet_rgb.bsdf", "export here.glb", "locate the dropped file"]
+    assert made.errors == []
+    made.page.close()
+    server.shutdown()
+    server.server_close()
+    server.queue.close()
 
 
 def test_three_dimensions_have_a_slider(browser, tmp_path):

@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from browser import chromium, visit
@@ -30,7 +31,7 @@ HERE = {"name": "here", "latent": [0.1, -0.2]}
 @pytest.fixture
 def context(tmp_path):
     (tmp_path / "work").mkdir()
-    return Context(tmp_path / "work", tmp_path / "model.h5", None, NAMES, 2, True)
+    return Context(tmp_path / "work", tmp_path / "model.h5", tmp_path / "library.zarr", NAMES, 2, True)
 
 
 @pytest.fixture
@@ -129,7 +130,8 @@ def test_the_page_itself_needs_the_token(served):
         {"latent": [1.0]}, {"latent": ["1", "2"]}, {"latent": "--help"}, {"latent": [True, 1]},
         {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]},
         {"like": "nobody"}, {"like": "--force"}, {"srgb": "red"}, {"srgb": "#12345g"},
-        {"like": NAMES[0], "srgb": "#112233"}, {"spectrum": [[400, 0.5]]}, {"spectrum": "/etc/passwd"},
+        {"target": "gltf"}, {"like": NAMES[0], "srgb": "#112233"}, {"spectrum": [[400, 0.5]]},
+        {"spectrum": "/etc/passwd"},
         {"spectrum": [[400, 0.5], [500, "x"]]}, {"output": "/tmp/out"}, {"model": "/etc/passwd"},
     ],
     ids=str,
@@ -148,6 +150,61 @@ def test_bodies_that_are_no_request_are_refused(served, body):
 @pytest.mark.parametrize("path", ["/do/", "/do/embed", "/do/../predict", "/do/predict/x", "/", "/do/serve"])
 def test_other_actions_are_refused(served, path):
     assert request(served, "POST", path, HERE)[0] in (400, 404)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"target": "obj"}, {"target": ["gltf"]}, {"target": "--force"}, {"target": "gltf", "direct": "yes"}],
+    ids=str,
+)
+def test_hostile_exports_are_refused(served, context, changed):
+    assert request(served, "POST", "/do/export", HERE | changed)[0] == 400
+    assert served.queue.jobs() == []
+
+
+def test_an_export_is_called_by_its_target(served, context):
+    for target in ("gltf", "unity", "unreal"):
+        status, content = request(served, "POST", "/do/export", HERE | {"target": target, "direct": True})
+        assert status == 202
+    finished(served, json.loads(content)["number"])
+    assert files(context) == ["here-2.json", "here.glb", "here.json"]
+    asked = served.queue.jobs()[0].action.arguments
+    assert {"--target=gltf", "--direct", "--json=-"} < set(asked)
+
+
+@pytest.mark.parametrize(
+    "name", [None, "", "../out", "/etc/passwd", "a\\b", "--force", "x" * 61, "\xe9", "a b"]
+)
+def test_readings_need_a_plain_name(served, context, name):
+    assert request(served, "POST", "/do/complete", b"Geometry,400\n", X_Name=name)[0] == 400
+    assert served.queue.jobs() == []
+    assert files(context) == []
+
+
+def test_dropped_readings_are_completed_under_their_name_and_thrown_away(served, context):
+    (context.folder / "sample_rgb.png").write_bytes(b"of somebody")
+    status, content = request(served, "POST", "/do/complete", b"Geometry,400\n", X_Name="sample")
+    assert status == 202
+    job = finished(served, json.loads(content)["number"])
+    assert job.state == "done"
+    assert files(context) == ["sample-2_rgb.bsdf", "sample_rgb.png"]
+    assert "--picture" in job.action.arguments
+    assert not Path(job.action.arguments[1]).exists()
+
+
+def test_parallel_requests_of_one_name_get_names_of_their_own(context):
+    server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threads = [threading.Thread(target=request, args=(server, "POST", "/do/render", HERE)) for _ in range(20)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    outputs = [job.action.output for job in server.queue.jobs()]
+    server.shutdown()
+    server.server_close()
+    server.queue.close()
+    assert len(set(outputs)) == len(outputs) == 20
 
 
 def test_huge_files_are_refused_before_they_are_read(served):
@@ -228,6 +285,16 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
         page.locator("#jobs button", has_text="Go to").click()
         x = page.evaluate("window.explorer.state.x")
         assert len(x) == 2
+        page.locator("#export-target").select_option("unreal")
+        page.locator("#do-export").press("Enter")
+        page.locator("#jobs li[data-state=done]", has_text="mine.json").wait_for()
+        assert "CIEDE2000" in page.locator("#jobs li", has_text="export mine.json").text_content()
+        rows = "Geometry,450,550,650\n" + "".join(f"45as{a},0.1,0.2,0.5\n" for a in (15, 25, 45, 75, 110))
+        page.locator("#complete-file").set_input_files(
+            {"name": "my readings.csv", "mimeType": "text/csv", "buffer": rows.encode()}
+        )
+        page.locator("#jobs li[data-state=done]", has_text="complete my-readings_rgb.bsdf").wait_for()
+        page.locator("#jobs img[alt*='my-readings']").wait_for()
         page.locator("#action-name").fill("../mine")
         page.locator("#do-render").click()
         page.locator("#problem", has_text="name: expected letters").wait_for()

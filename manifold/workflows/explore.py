@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.errors import UsageError
+from manifold.fitting.exports import TARGETS
 from manifold.model.manifold import Manifold
 from manifold.plots.explorer.actions import Context
 from manifold.plots.explorer.page import make_page
@@ -57,11 +58,12 @@ def server(
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         raise UsageError(f"{folder}: no folder that can be written to; name another --folder")
     loaded = _load(model, library)
-    where = None if library is None else library.resolve()
     context = Context(
-        folder.resolve(), model.resolve(), where, loaded.names, loaded.X.shape[1], loaded.bands.is_rgb
-    )
-    page = make_page(_document(loaded, on_progress) | {"served": True})
+        folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],
+        loaded.bands.is_rgb,
+    )  # fmt: skip
+    targets = [[target.name, target.title] for target in TARGETS.values()]
+    page = make_page(_document(loaded, on_progress) | {"served": {"targets": targets}})
     return ExplorerServer(page, context, port)
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from manifold.errors import UsageError
+from manifold.fitting.exports import TARGETS
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
-_ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".json"}
+_ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".json", "export": ""}
 _MOST_ROWS = 5000  # of a spectrum
 _MOST_COPIES = 1000
 
@@ -29,7 +30,7 @@ class Context:
     Attributes:
         folder: where files are written.
         model: path of the model.
-        library: where its library is, if not where the model remembers it.
+        library: path of its library.
         names: of the materials.
         latent_dim: Q.
         is_rgb: whether the library is linear sRGB.
@@ -37,7 +38,7 @@ class Context:
 
     folder: Path
     model: Path
-    library: Path | None
+    library: Path
     names: Sequence[str]
     latent_dim: int
     is_rgb: bool
@@ -51,12 +52,14 @@ class Action:
         title: for people.
         arguments: of `manifold`.
         output: the file that it writes, if any.
+        picture: the picture among what it writes, if any.
         spectrum: text of a reflectance file whose path takes the place of `SPECTRUM` among the arguments, if any.
     """
 
     title: str
     arguments: tuple[str, ...]
     output: Path | None = None
+    picture: Path | None = None
     spectrum: str | None = None
 
 
@@ -72,9 +75,9 @@ def action(
     """The action that a request asks for.
 
     Args:
-        kind: `predict`, `render` or `fit`.
+        kind: `predict`, `render`, `fit` or `export`.
         request: `name` of the file without its ending, `latent`, and of colours at most one of `like`, `srgb` and
-            `spectrum`, rows of wavelength in nm and reflectance.
+            `spectrum`, rows of wavelength in nm and reflectance; of an export also `target`, and `direct`, a boolean.
         context: of the page.
         is_taken: whether something is, or will be, at a path.
     Raises:
@@ -82,17 +85,58 @@ def action(
     """
     if kind not in _ENDINGS:
         raise UsageError(f"no action '{kind[:40]}', expected {', '.join(_ENDINGS)}")
-    unknown = set(request) - {"name", "latent", "like", "srgb", "spectrum"}
+    expected = {
+        "name",
+        "latent",
+        "like",
+        "srgb",
+        "spectrum",
+        *(["target", "direct"] if kind == "export" else []),
+    }
+    unknown = set(request) - expected
     if unknown:
         raise UsageError(
             f"found {sorted(unknown)[0][:40]!r} in the request, expected name, latent, and a colour"
         )
-    output = _output(request.get("name"), kind, context, is_taken)
+    ending = _ENDINGS[kind]
+    options: tuple[str, ...] = ()
+    if kind == "predict":
+        ending = f"_{'rgb' if context.is_rgb else 'spec'}{ending}"
+    elif kind == "export":
+        ending, options = _export(request)
+    output = _output(request.get("name"), ending, context, is_taken)
     colour, spectrum = _colour(request, context)
     arguments = (
         kind, f"--latent={_latent(request.get('latent'), context)}", *colour, f"--output={output}", *_model(context),
+        *options,
     )  # fmt: skip
-    return Action(f"{kind} {output.name}", arguments, output, spectrum)
+    picture = output if kind == "render" else None
+    return Action(f"{kind} {output.name}", arguments, output, picture, spectrum)
+
+
+def complete(path: Path, name: Any, context: Context, is_taken: Callable[[Path], bool]) -> Action:
+    """Complete the readings of a file that was dropped, and render the ball of what is found.
+
+    Raises:
+        UsageError: the name is none.
+    """
+    ending = f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
+    output = _output(name, ending, context, lambda p: is_taken(p) or is_taken(p.with_suffix(".png")))
+    arguments = (
+        "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
+    )  # fmt: skip
+    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"))
+
+
+def _export(request: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """Ending and options of an export."""
+    target, direct = request.get("target"), request.get("direct", False)
+    if not isinstance(target, str) or target not in TARGETS:
+        raise UsageError(f"target: expected one of {', '.join(TARGETS)}")
+    if not isinstance(direct, bool):
+        raise UsageError("direct: expected true or false")
+    options = (f"--target={target}", *["--direct"] * direct, "--json=-")
+    return TARGETS[target].suffix, options
 
 
 def locate(path: Path, shown: str, context: Context) -> Action:
@@ -101,8 +145,7 @@ def locate(path: Path, shown: str, context: Context) -> Action:
 
 
 def _model(context: Context) -> tuple[str, ...]:
-    library = () if context.library is None else (f"--library={context.library}",)
-    return (f"--model={context.model}", *library)
+    return (f"--model={context.model}", f"--library={context.library}")
 
 
 def _latent(latent: Any, context: Context) -> str:
@@ -140,14 +183,13 @@ def _spectrum(rows: Any) -> str:
     return "".join(f"{float(nm)!r} {float(value)!r}\n" for nm, value in rows)
 
 
-def _output(name: Any, kind: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
+def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
     """A path in the folder that nothing is at: a number is added to a name that is taken."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")
-    kind_of_file = ("_rgb" if context.is_rgb else "_spec") if kind == "predict" else ""
     for copy in range(1, _MOST_COPIES):
         number = f"-{copy}" if copy > 1 else ""
-        path = context.folder / f"{name}{number}{kind_of_file}{_ENDINGS[kind]}"
+        path = context.folder / f"{name}{number}{ending}"
         if not is_taken(path):
             return path
     raise UsageError(f"name: {_MOST_COPIES} files are called {name}; choose another")

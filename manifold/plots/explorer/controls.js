@@ -219,7 +219,7 @@ export const controls = {
     byId("like").addEventListener("change", (event) => this.change({ colour: "like", like: event.target.value }));
     byId("picked").addEventListener("input", (event) => this.change({ colour: "picked", srgb: event.target.value }, false));
     byId("picked").addEventListener("change", () => this.commit());
-    byId("spectrum-file").addEventListener("change", (event) => this.takeFile(event.target.files[0]));
+    byId("spectrum-file").addEventListener("change", (event) => this.takeSpectrum(event.target.files[0]));
     document.addEventListener("dragover", (event) => {
       event.preventDefault();
       document.body.classList.add("dropping");
@@ -230,16 +230,16 @@ export const controls = {
     document.addEventListener("drop", (event) => {
       event.preventDefault();
       document.body.classList.remove("dropping");
-      if (event.dataTransfer.files.length) this.takeFile(event.dataTransfer.files[0]);
+      if (event.dataTransfer.files.length) this.takeDropped(event.dataTransfer.files[0]);
     });
   },
 
-  async takeFile(file) {
+  async takeDropped(file) {
+    if (!(await this.server?.take(file))) await this.takeSpectrum(file);
+  },
+
+  async takeSpectrum(file) {
     if (!file) return;
-    if (this.server && /\.bsdf$/i.test(file.name)) {
-      this.server.locate(file);
-      return;
-    }
     try {
       if (file.size > 1e6) throw new Error("expected a text file of at most 1 MB");
       const { nm, values } = parseSpectrum(await file.text());

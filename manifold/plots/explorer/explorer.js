@@ -189,6 +189,6 @@ Object.assign(Explorer.prototype, facts, controls, documents);
 
 const data = JSON.parse(byId("data").textContent);
 const explorer = new Explorer(data, await Materials.load(data));
-explorer.server = serve(explorer, data.served);
+explorer.server = serve(explorer, data);
 explorer.start();
 window.explorer = explorer; // for scripts and tests

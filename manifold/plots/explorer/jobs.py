@@ -57,13 +57,18 @@ class Job:
             return 0.0
         return (self.ended or time.monotonic()) - self.started
 
+    @property
+    def has_picture(self) -> bool:
+        """Whether it has made a picture that is still there."""
+        picture = self.action.picture
+        return self.state == "done" and picture is not None and picture.is_file()
+
     def to_json(self) -> dict[str, Any]:
         """What a page shows of it."""
-        output = self.action.output
         return {
             "number": self.number, "title": self.action.title, "state": self.state, "words": self.words,
             "result": self.result, "seconds": round(self.seconds, 1),
-            "picture": self.state == "done" and output is not None and output.suffix == ".png",
+            "picture": self.has_picture,
         }  # fmt: skip
 
 
@@ -106,7 +111,9 @@ class Queue:
     def is_writing(self, output: Path) -> bool:
         """Whether a job that is not done will write a file."""
         with self._changed:
-            return any(j.action.output == output and j.ended is None for j in self._jobs.values())
+            return any(
+                output in (j.action.output, j.action.picture) and j.ended is None for j in self._jobs.values()
+            )
 
     def jobs(self) -> list[Job]:
         """All that are remembered, oldest first."""

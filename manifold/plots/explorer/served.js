@@ -3,14 +3,38 @@
 const POLL = 600; // ms between looks at what is being done
 
 /** Connect the controls of actions; null where the page is a file. */
-export function serve(explorer, isServed) {
-  if (!isServed) return null;
+export function serve(explorer, { served }) {
+  if (!served) return null;
   const token = new URLSearchParams(location.search).get("token") ?? "";
-  return new Actions(explorer, token);
+  return new Actions(explorer, token, served.targets);
+}
+
+const MAGIC = "tensor_file"; // of RGL's .bsdf files
+const isPairOfNumbers = (line) => /^\s*[-+.\deE]+[\s,;]+[-+.\deE]+\s*$/.test(line);
+
+/** Whether a text is a table of wavelengths and reflectances, not of readings: most lines are two numbers. */
+const isSpectrum = (text) => {
+  const lines = text.split(/\r?\n/).filter((line) => line.trim());
+  return 2 * lines.filter(isPairOfNumbers).length > lines.length;
+};
+
+/** What a result says in a sentence: what an export loses, or the error that a completed material has. */
+function inWords(result) {
+  const made = result?.exports?.[0];
+  if (made) {
+    const loss = made.ciede2000 === null ? "its loss is not evaluated" : `loses ${made.ciede2000.toFixed(2)} CIEDE2000`;
+    const principled = made.principled_ciede2000;
+    return `, ${loss}` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
+  }
+  if (result?.expected) {
+    const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
+    return `, expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`;
+  }
+  return "";
 }
 
 class Actions {
-  constructor(explorer, token) {
+  constructor(explorer, token, targets) {
     this.explorer = explorer;
     this.token = token;
     this.items = new Map();
@@ -18,15 +42,25 @@ class Actions {
     this.list = byId("jobs");
     byId("actions").hidden = false;
     for (const kind of ["predict", "render", "fit"]) {
-      byId(`do-${kind}`).addEventListener("click", () => this.ask(kind, this.request(byId("action-name").value)));
+      byId(`do-${kind}`).addEventListener("click", () => this.ask(kind, this.request()));
     }
-    byId("locate-file").addEventListener("change", (event) => this.locate(event.target.files[0]));
+    byId("export-target").append(...targets.map(([name, title]) => new Option(title, name)));
+    byId("do-export").addEventListener("click", () => this.ask("export",
+      { ...this.request(), target: byId("export-target").value, direct: byId("export-direct").checked }));
+    for (const kind of ["locate", "complete"]) {
+      byId(`${kind}-file`).addEventListener("change", (event) => {
+        const [file] = event.target.files;
+        event.target.value = ""; // so that the same file can be chosen again
+        if (file) this[kind](file);
+      });
+    }
     this.look();
   }
 
   /** What the commands need to know of the place that is shown. */
-  request(name) {
-    const { state, spectrum } = this.explorer, request = { name, latent: state.x };
+  request() {
+    const { state, spectrum } = this.explorer;
+    const request = { name: document.getElementById("action-name").value, latent: state.x };
     if (state.colour === "like") request.like = state.like;
     if (state.colour === "picked") request.srgb = state.srgb;
     if (state.colour === "file" && spectrum) request.spectrum = spectrum.rows;
@@ -45,8 +79,23 @@ class Actions {
     return this.post(`/do/${kind}`, { body: JSON.stringify(request), headers });
   }
 
+  /** Take a file that was dropped, unless it is a spectrum; whether it was taken. */
+  async take(file) {
+    if ((await file.slice(0, MAGIC.length).text()) === MAGIC) this.locate(file);
+    else if (file.size > 1e6 || !isSpectrum(await file.text())) this.complete(file);
+    else return false;
+    return true;
+  }
+
   async locate(file) {
-    if (file) await this.post("/do/locate", { body: file, headers: { "Content-Type": "application/octet-stream" } });
+    await this.post("/do/locate", { body: file, headers: { "Content-Type": "application/octet-stream" } });
+  }
+
+  /** The completed file is called like the readings, as far as its name is plain. */
+  async complete(file) {
+    const plain = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed" };
+    await this.post("/do/complete", { body: file, headers });
   }
 
   async post(path, options) {
@@ -88,7 +137,7 @@ class Actions {
     }
     const isOpen = job.state === "waiting" || job.state === "running";
     const [words, bar, cancel] = item.children;
-    const said = job.state === "failed" ? `: ${job.words}` : "";
+    const said = job.state === "failed" ? `: ${job.words}` : job.state === "done" ? inWords(job.result) : "";
     words.textContent = `${job.title}: ${job.state}${job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`}${said}`;
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;

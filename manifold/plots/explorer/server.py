@@ -13,6 +13,7 @@ import secrets
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
 from manifold.errors import UsageError
-from manifold.plots.explorer.actions import Context, action, locate
+from manifold.plots.explorer.actions import Action, Context, action, complete, locate
 from manifold.plots.explorer.jobs import Queue
 
 LOOPBACK = "127.0.0.1"
@@ -69,6 +70,7 @@ class ExplorerServer(ThreadingHTTPServer):
         self.page, self.context = page.encode(), context
         self.token = secrets.token_urlsafe(24)
         self.queue = Queue(context.folder) if queue is None else queue
+        self.naming = threading.Lock()  # from the choice of a free name until its job is queued
         self._connections = threading.BoundedSemaphore(_MOST_CONNECTIONS)
         try:
             super().__init__((LOOPBACK, port), _Handler)
@@ -147,7 +149,10 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(HTTPStatus.FORBIDDEN, "the request comes from another page")
         path = urlsplit(self.path).path
         if path == "/do/locate":
-            self._locate()
+            self._take_file(lambda dropped: locate(dropped, "the dropped file", self._explorer.context))
+        elif path == "/do/complete":
+            name, context = self.headers.get("X-Name"), self._explorer.context
+            self._take_file(lambda dropped: complete(dropped, name, context, self._is_taken))
         elif path == "/do/cancel":
             number = self._json_body().get("number")
             found = isinstance(number, int) and self._explorer.queue.cancel(number)
@@ -158,13 +163,13 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(HTTPStatus.NOT_FOUND, "no such address")
 
     def _do(self, kind: str) -> None:
-        queue, body = self._explorer.queue, self._json_body()
-
-        def is_taken(path: Path) -> bool:
-            return os.path.lexists(path) or queue.is_writing(path)
-
-        job = queue.add(action(kind, body, self._explorer.context, is_taken))
+        body = self._json_body()
+        with self._explorer.naming:
+            job = self._explorer.queue.add(action(kind, body, self._explorer.context, self._is_taken))
         self._send(HTTPStatus.ACCEPTED, "application/json", _json({"number": job.number}))
+
+    def _is_taken(self, path: Path) -> bool:
+        return os.path.lexists(path) or self._explorer.queue.is_writing(path)
 
     def _require_here(self, token: str) -> None:
         port = self._explorer.server_port
@@ -206,19 +211,21 @@ class _Handler(BaseHTTPRequestHandler):
             left -= len(block)
             yield block
 
-    def _locate(self) -> None:
-        """Keep a dropped file aside until it is located."""
+    def _take_file(self, asked: Callable[[Path], Action]) -> None:
+        """Keep a dropped file aside until what is asked for is done; a request that is refused is not read."""
         folder = Path(mkdtemp(prefix="manifold-explore-"))
 
         def remove() -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
         try:
-            with (folder / "dropped.bsdf").open("wb") as stream:
+            dropped = folder / "dropped"
+            asked(dropped)  # raises where it would be refused, before the body is read
+            with dropped.open("wb") as stream:
                 for block in self._blocks(MOST_FILE):
                     stream.write(block)
-            asked = locate(folder / "dropped.bsdf", "the dropped file", self._explorer.context)
-            job = self._explorer.queue.add(asked, remove)
+            with self._explorer.naming:
+                job = self._explorer.queue.add(asked(dropped), remove)
         except BaseException:
             remove()
             raise
@@ -230,8 +237,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_picture(self, number: str) -> None:
         for job in self._explorer.queue.jobs():
-            if str(job.number) == number and job.to_json()["picture"] and job.action.output is not None:
-                self._send(HTTPStatus.OK, "image/png", job.action.output.read_bytes())
+            if str(job.number) == number and job.has_picture and job.action.picture is not None:
+                self._send(HTTPStatus.OK, "image/png", job.action.picture.read_bytes())
                 return
         raise _Refused(HTTPStatus.NOT_FOUND, "no such picture")
 

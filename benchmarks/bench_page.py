@@ -110,9 +110,9 @@ def page_ball(page: Any, x: Array) -> Array:
 
 
 def compare_balls(
-    page: Any, model: Manifold, path: Path, x: Array, samples: int, *, is_direct: bool = False
+    page: Any, model: Manifold, x: Array, samples: int, direct: Path | None = None
 ) -> BallErrors:
-    """The page's ball at a place x (Q,) against Mitsuba's."""
+    """The page's ball at a place x (Q,) against Mitsuba's; `direct` is the model's file, where that is asked for."""
     shown, is_rgb = page_ball(page, x), model.bands.is_rgb
     is_whole = shown[..., 3] == 1.0
     with tempfile.TemporaryDirectory() as folder:
@@ -121,11 +121,11 @@ def compare_balls(
         measured = {"type": "measured", "filename": str(file)}
         renders = [mitsuba_ball(measured, is_rgb, samples, seed) for seed in (0, 1)]
     pictures = [decode_srgb(shown[..., :3]), 0.5 * (renders[0] + renders[1])]
-    if is_direct:
+    if direct is not None:
         latent = ",".join(repr(float(v)) for v in x)
         material = {
             "type": "manifold",
-            "model": str(path),
+            "model": str(direct),
             "latent": latent,
             "library": str(model.library.path),
         }
@@ -134,8 +134,8 @@ def compare_balls(
     def delta_e(a: Array, b: Array) -> float:
         return ball_colours.delta_e(*(srgb_to_xyz(np.clip(c[is_whole], 0.0, 1.0)) for c in (a, b)))
 
-    direct = delta_e(pictures[0], pictures[2]) if is_direct else None
-    return BallErrors(delta_e(*pictures[:2]), delta_e(*renders), direct, pictures)
+    evaluated = None if direct is None else delta_e(pictures[0], pictures[2])
+    return BallErrors(delta_e(*pictures[:2]), delta_e(*renders), evaluated, pictures)
 
 
 def places(model: Manifold, count: int, seed: int) -> Array:
@@ -190,7 +190,7 @@ def main() -> None:
         page.wait_for_selector("html[data-complete]", state="attached")
         drag = drag_ms(page)
         found = [
-            compare_balls(page, model, given.model, x, given.samples, is_direct=given.direct)
+            compare_balls(page, model, x, given.samples, given.model if given.direct else None)
             for x in places(model, given.count, given.seed)
         ]
     figures: dict[str, Any] = {"bytes": size, "first_picture_ms": first, "drag_ms": drag}

@@ -9,6 +9,7 @@ import threading
 import numpy as np
 import pytest
 from browser import chromium, visit
+from conftest import REPOSITORY
 from small_library import NAMES, small_library, small_model
 
 from manifold.colour import ball_colours
@@ -20,6 +21,9 @@ from manifold.plots.explorer.jobs import Queue
 from manifold.plots.explorer.page import make_page
 from manifold.plots.explorer.server import ExplorerServer
 from manifold.plots.explorer.tables import tabulate, to_document
+
+sys.path.insert(0, str(REPOSITORY / "benchmarks"))
+import bench_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -105,6 +109,14 @@ def test_the_ball_of_the_page_is_that_of_the_package(visited, model, rng):
         errors.append(ball_colours.delta_e(shown, expected))
     print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
     assert np.mean(errors) < 1.0
+
+
+@pytest.mark.slow
+def test_the_ball_of_the_page_is_that_of_mitsuba_in_the_same_light(visited, model):
+    places = bench_page.places(model, 10, 0)
+    errors = [bench_page.compare_balls(visited.page, model, x, 128).file for x in places]
+    print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
+    assert np.mean(errors) <= 1.0
 
 
 @pytest.mark.parametrize("choice", [{"like": "syn_metal_copper"}, {"srgb": "#3070c0"}, {"srgb": "#101010"}])

@@ -113,14 +113,14 @@ def ball(
     image = environment()
     if is_turned:
         image = np.roll(image, image.shape[1] // 2, axis=1)
-    radiance = _look_up(image, np.einsum("kmc,kcw->kmw", wo, frame)[lit])
+    radiance = radiance_at(image, np.einsum("kmc,kcw->kmw", wo, frame)[lit])
     pixel = np.nonzero(lit)[0]
     light = radiance * wo[lit][:, 2] * (4.0 * cosine * area)[lit]
     starts = np.searchsorted(pixel, np.arange(len(wi)))
     return Ball(wi[pixel], normalize(wo[lit]), light, starts, np.column_stack([x, y]))
 
 
-def _look_up(image: Array, directions: Array) -> Array:
+def radiance_at(image: Array, directions: Array) -> Array:
     """Radiance (M,) from world directions (M, 3), bilinear, of an environment without colour."""
     rows, columns = image.shape[:2]
     elevation = np.arccos(np.clip(directions[:, 2], -1.0, 1.0)) / np.pi * rows - 0.5

@@ -55,7 +55,7 @@ def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, *
     )
     page.set_default_timeout(20_000)
     page.goto(address)
-    page.wait_for_selector("html[data-ready], #problem:not([hidden])", state="attached")
+    page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")
     assert made.errors == []
     return made
 

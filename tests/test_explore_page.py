@@ -197,9 +197,9 @@ def test_every_control_does_what_it_says(visited):
     page.keyboard.press("Tab")
     settle(page)
     assert state(page)["x"][0] == 0.25
-    before = page.evaluate("document.documentElement.dataset.theme")
+    before = page.evaluate("document.body.dataset.theme")
     page.locator("#theme").press("Enter")
-    assert page.evaluate("document.documentElement.dataset.theme") != before
+    assert page.evaluate("document.body.dataset.theme") != before
     page.locator("#zoom-in").click()
     page.locator("#zoom-out").press("Enter")
     assert page.evaluate("window.explorer.map.zoom") == 1

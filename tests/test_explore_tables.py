@@ -16,7 +16,7 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.plots.explorer import tables
 from manifold.plots.explorer.direction_grid import AngleGrid, tabulated_pairs
-from manifold.plots.explorer.page import joined_script, make_page
+from manifold.plots.explorer.page import make_page, page_script, widget_module
 from manifold.workflows import explore
 
 
@@ -113,4 +113,6 @@ def test_names_cannot_close_the_element_that_holds_them():
 
 
 def test_the_script_puts_no_text_into_the_page_as_markup():
-    assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", joined_script())
+    assert not re.search(
+        r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(", page_script() + widget_module()
+    )

@@ -1,7 +1,7 @@
 // Controls to state, by mouse and by keyboard; methods of the page.
 
 import { interpolate, parseSpectrum } from "./numerics.js";
-import { byId, radios } from "./elements.js";
+
 import { fromFragment, toFragment } from "./state.js";
 
 const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
@@ -10,14 +10,14 @@ export const controls = {
   fillControls() {
     const { data } = this;
     const options = (select, names) => select.append(...names.map((name) => new Option(name, name)));
-    for (const id of ["like", "path-from", "path-to"]) options(byId(id), data.names);
-    byId("pinned").append(new Option("nothing", ""), new Option("the pinned place", "\u0000pinned"));
-    options(byId("pinned"), data.names);
-    byId("path-to").value = data.names[data.names.length - 1];
-    options(byId("illuminant"), Object.keys(data.toSrgb));
+    for (const id of ["like", "path-from", "path-to"]) options(this.byId(id), data.names);
+    this.byId("pinned").append(new Option("nothing", ""), new Option("the pinned place", "\u0000pinned"));
+    options(this.byId("pinned"), data.names);
+    this.byId("path-to").value = data.names[data.names.length - 1];
+    options(this.byId("illuminant"), Object.keys(data.toSrgb));
     if (!data.wavelengths) {
-      byId("illuminant").disabled = true;
-      byId("illuminant").title = "the materials of this library carry no spectra";
+      this.byId("illuminant").disabled = true;
+      this.byId("illuminant").title = "the materials of this library carry no spectra";
     }
     const letters = ["x", "y", "z"];
     data.X[0].forEach((_, q) => {
@@ -41,13 +41,13 @@ export const controls = {
         label.append(slider);
       }
       label.append(input);
-      byId("coordinates").append(label);
+      this.byId("coordinates").append(label);
     });
     const name = data.error ? data.error.what : "uncertainty";
-    byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
-    byId("legend-text").textContent = data.error
+    this.byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
+    this.byId("legend-text").textContent = data.error
       ? `${data.error.what}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
-    byId("map-legend").hidden = !data.error;
+    this.byId("map-legend").hidden = !data.error;
   },
 
   moveAxis(q, value, done = true) {
@@ -63,23 +63,23 @@ export const controls = {
     this.listenToColours();
     this.listenToComparison();
     this.listenToSearch();
-    byId("undo").addEventListener("click", () => this.restore(this.history.move(-1)));
-    byId("redo").addEventListener("click", () => this.restore(this.history.move(1)));
-    byId("link").addEventListener("click", () => this.copyLink());
-    byId("theme").addEventListener("click", () => this.setTheme(this.theme.name === "dark" ? "light" : "dark"));
+    this.byId("undo").addEventListener("click", () => this.restore(this.history.move(-1)));
+    this.byId("redo").addEventListener("click", () => this.restore(this.history.move(1)));
+    this.byId("link").addEventListener("click", () => this.copyLink());
+    this.byId("theme").addEventListener("click", () => this.setTheme(this.theme.name === "dark" ? "light" : "dark"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
-    byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
-    byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
-    document.addEventListener("keydown", (event) => this.shortcut(event));
-    window.addEventListener("hashchange", () => {
-      if (location.hash !== `#${toFragment(this.state)}`) {
-        this.state = fromFragment(location.hash, this.data);
+    this.byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
+    this.byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
+    this.root.addEventListener("keydown", (event) => this.shortcut(event));
+    this.link.listen(() => {
+      if (this.link.read() !== toFragment(this.state)) {
+        this.state = fromFragment(this.link.read(), this.data);
         this.history.push(this.state);
         this.request();
       }
     });
-    new ResizeObserver(() => this.request()).observe(byId("map"));
-    new ResizeObserver(() => this.drawBalls()).observe(byId("ball"));
+    new ResizeObserver(() => this.request()).observe(this.byId("map"));
+    new ResizeObserver(() => this.drawBalls()).observe(this.byId("ball"));
   },
 
   shortcut(event) {
@@ -93,7 +93,7 @@ export const controls = {
       }
     } else if (event.key === "/" && !isText) {
       event.preventDefault();
-      byId("search").focus();
+      this.byId("search").focus();
     }
   },
 
@@ -140,8 +140,8 @@ export const controls = {
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => this.mapKey(event));
     canvas.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && this.commit());
-    byId("zoom-in").addEventListener("click", () => this.zoom(map.zoom * 1.5));
-    byId("zoom-out").addEventListener("click", () => this.zoom(map.zoom / 1.5));
+    this.byId("zoom-in").addEventListener("click", () => this.zoom(map.zoom * 1.5));
+    this.byId("zoom-out").addEventListener("click", () => this.zoom(map.zoom / 1.5));
   },
 
   drawMap() {
@@ -172,7 +172,7 @@ export const controls = {
   },
 
   listenToBall() {
-    const canvas = byId("ball");
+    const canvas = this.byId("ball");
     const aim = (x, y) => {
       const r = Math.max(Math.hypot(x, y) / 0.97, 1);
       this.state.lamp = [x / r, y / r];
@@ -195,41 +195,41 @@ export const controls = {
       aim(this.state.lamp[0] + 0.05 * move[0], this.state.lamp[1] + 0.05 * move[1]);
       this.commit();
     });
-    for (const input of radios("light")) input.addEventListener("change", () => this.change({ light: input.value }));
-    byId("illuminant").addEventListener("change", (event) => this.change({ illuminant: event.target.value }));
-    byId("exposure").addEventListener("input", (event) => {
+    for (const input of this.radios("light")) input.addEventListener("change", () => this.change({ light: input.value }));
+    this.byId("illuminant").addEventListener("change", (event) => this.change({ illuminant: event.target.value }));
+    this.byId("exposure").addEventListener("input", (event) => {
       this.state.exposure = Number(event.target.value);
       this.showControls();
       this.drawBalls();
     });
-    byId("exposure").addEventListener("change", () => this.commit());
+    this.byId("exposure").addEventListener("change", () => this.commit());
   },
 
   listenToColours() {
-    for (const input of radios("colour")) {
+    for (const input of this.radios("colour")) {
       input.addEventListener("change", () => {
         if (input.value === "file" && !this.spectrum) {
           this.showControls();
-          byId("spectrum-file").focus();
+          this.byId("spectrum-file").focus();
         } else {
           this.change({ colour: input.value });
         }
       });
     }
-    byId("like").addEventListener("change", (event) => this.change({ colour: "like", like: event.target.value }));
-    byId("picked").addEventListener("input", (event) => this.change({ colour: "picked", srgb: event.target.value }, false));
-    byId("picked").addEventListener("change", () => this.commit());
-    byId("spectrum-file").addEventListener("change", (event) => this.takeSpectrum(event.target.files[0]));
-    document.addEventListener("dragover", (event) => {
+    this.byId("like").addEventListener("change", (event) => this.change({ colour: "like", like: event.target.value }));
+    this.byId("picked").addEventListener("input", (event) => this.change({ colour: "picked", srgb: event.target.value }, false));
+    this.byId("picked").addEventListener("change", () => this.commit());
+    this.byId("spectrum-file").addEventListener("change", (event) => this.takeSpectrum(event.target.files[0]));
+    this.root.addEventListener("dragover", (event) => {
       event.preventDefault();
-      document.body.classList.add("dropping");
+      this.element.classList.add("dropping");
     });
-    document.addEventListener("dragleave", (event) => {
-      if (!event.relatedTarget) document.body.classList.remove("dropping");
+    this.root.addEventListener("dragleave", (event) => {
+      if (!event.relatedTarget) this.element.classList.remove("dropping");
     });
-    document.addEventListener("drop", (event) => {
+    this.root.addEventListener("drop", (event) => {
       event.preventDefault();
-      document.body.classList.remove("dropping");
+      this.element.classList.remove("dropping");
       if (event.dataTransfer.files.length) this.takeDropped(event.dataTransfer.files[0]);
     });
   },
@@ -262,31 +262,31 @@ export const controls = {
   },
 
   listenToComparison() {
-    byId("pin").addEventListener("click", () => {
+    this.byId("pin").addEventListener("click", () => {
       const { x, at, colour, like, srgb } = this.state;
       this.change({ pin: structuredClone({ x, at, colour, like, srgb }) });
     });
-    byId("unpin").addEventListener("click", () => this.change({ pin: null }));
-    byId("pinned").addEventListener("change", (event) => {
+    this.byId("unpin").addEventListener("click", () => this.change({ pin: null }));
+    this.byId("pinned").addEventListener("change", (event) => {
       const k = this.data.names.indexOf(event.target.value);
       const { like, srgb } = this.state;
       const x = k >= 0 ? [...this.data.X[k]] : null;
       this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb } : null });
     });
     const travel = (done) => {
-      const [from, to, t] = [byId("path-from").value, byId("path-to").value, Number(byId("path-t").value)];
+      const [from, to, t] = [this.byId("path-from").value, this.byId("path-to").value, Number(this.byId("path-t").value)];
       const [a, b] = [from, to].map((name) => this.data.X[this.data.names.indexOf(name)]);
       const at = t === 0 ? from : t === 1 ? to : undefined;
       this.change({ x: a.map((v, q) => (t === 1 ? b[q] : v + t * (b[q] - v))), at, path: { from, to, t } }, done);
     };
-    byId("path-t").addEventListener("input", () => travel(false));
-    byId("path-t").addEventListener("change", () => this.commit());
-    byId("path-from").addEventListener("change", () => travel(true));
-    byId("path-to").addEventListener("change", () => travel(true));
+    this.byId("path-t").addEventListener("input", () => travel(false));
+    this.byId("path-t").addEventListener("change", () => this.commit());
+    this.byId("path-from").addEventListener("change", () => travel(true));
+    this.byId("path-to").addEventListener("change", () => travel(true));
   },
 
   listenToSearch() {
-    const input = byId("search"), list = byId("found");
+    const input = this.byId("search"), list = this.byId("found");
     let found = [], at = 0;
     const close = () => {
       list.hidden = true;
@@ -341,9 +341,9 @@ export const controls = {
 
   setTheme(name) {
     this.theme = THEMES[name];
-    document.documentElement.dataset.theme = name;
-    byId("theme").textContent = name === "dark" ? "Light" : "Dark";
-    byId("theme").setAttribute("aria-pressed", String(name === "dark"));
+    this.element.dataset.theme = name;
+    this.byId("theme").textContent = name === "dark" ? "Light" : "Dark";
+    this.byId("theme").setAttribute("aria-pressed", String(name === "dark"));
     if (this.prediction) this.drawMap();
   },
 };

@@ -1,18 +1,16 @@
 // What leaves the page: links and files; methods of the page.
 
-import { byId } from "./elements.js";
-
 export const documents = {
   async copyLink() {
     this.commit();
     try {
-      await navigator.clipboard.writeText(location.href);
-      byId("live").textContent = "Link copied";
-      byId("link").textContent = "Copied";
+      await navigator.clipboard.writeText(this.link.address());
+      this.byId("live").textContent = "Link copied";
+      this.byId("link").textContent = "Copied";
     } catch {
-      byId("link").textContent = "See the address";
+      this.byId("link").textContent = "See the address";
     }
-    setTimeout(() => (byId("link").textContent = "Copy link"), 1500);
+    setTimeout(() => (this.byId("link").textContent = "Copy link"), 1500);
   },
 
   latentDocument() {

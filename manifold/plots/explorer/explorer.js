@@ -5,11 +5,10 @@ import { BallRenderer } from "./ball.js";
 import { MapView } from "./map.js";
 import { drawReflectance, drawSlices } from "./plots.js";
 import { History, fromFragment, toFragment } from "./state.js";
-import { byId } from "./elements.js";
+
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
 import { facts } from "./facts.js";
-import { serve } from "./served.js";
 
 const THUMBNAIL = 96;
 const REST = 600; // ms without a change, after which the ball is lit more finely
@@ -20,24 +19,29 @@ const THEMES = {
     rule: "#55585e", point: "#6db8f2", pin: "#ff7cc0" },
 };
 
-class Explorer {
-  constructor(data, materials) {
+export class Explorer {
+  /**
+   * root: the document, or a shadow root, that holds the page's elements; element: what bears the theme; link: where
+   * the state is kept, {read, write, listen, address}.
+   */
+  constructor(data, materials, { root, element, link }) {
     this.data = data;
     this.materials = materials;
-    this.state = fromFragment(location.hash, data);
+    Object.assign(this, { root, element, link });
+    this.state = fromFragment(link.read(), data);
     this.history = new History(this.state);
-    this.map = new MapView(byId("map"), data);
+    this.map = new MapView(this.byId("map"), data);
     this.spectrum = null;
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
-    this.balls = BallRenderer.create(byId("ball"), data);
+    this.balls = BallRenderer.create(this.byId("ball"), data);
     if (!this.balls) this.problem("This browser has no WebGL2, so balls are not drawn; all else works.");
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
 
   start() {
     const { data } = this;
-    byId("library").textContent = `${data.library}, ${data.names.length} materials`;
+    this.byId("library").textContent = `${data.library}, ${data.names.length} materials`;
     this.fillControls();
     this.listen();
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
@@ -47,8 +51,8 @@ class Explorer {
   }
 
   problem(text) {
-    byId("problem").textContent = text;
-    byId("problem").hidden = !text;
+    this.byId("problem").textContent = text;
+    this.byId("problem").hidden = !text;
   }
 
   // -- state -------------------------------------------------------------------------------------------------
@@ -64,13 +68,20 @@ class Explorer {
 
   commit() {
     this.history.push(this.state);
-    const fragment = `#${toFragment(this.state)}`;
-    if (location.hash !== fragment) history.replaceState(null, "", fragment);
+    this.link.write(toFragment(this.state), this);
+  }
+
+  byId(id) {
+    return this.root.getElementById(id);
+  }
+
+  radios(name) {
+    return [...this.root.querySelectorAll(`input[name="${name}"]`)];
   }
 
   restore(state) {
     this.state = state;
-    history.replaceState(null, "", `#${toFragment(state)}`);
+    this.link.write(toFragment(state), this);
     this.request();
   }
 
@@ -124,16 +135,16 @@ class Explorer {
     this.showFacts();
     this.showControls();
     this.refreshTime = performance.now() - began;
-    document.documentElement.dataset.ready ??= performance.now().toFixed(0);
+    this.element.dataset.ready ??= performance.now().toFixed(0);
   }
 
   refineLater() {
     clearTimeout(this.refining);
-    document.documentElement.dataset.refined = "false";
+    this.element.dataset.refined = "false";
     this.refining = setTimeout(() => {
       for (const k of this.state.pin ? [0, 1] : [0]) this.balls.refine(k);
       this.drawBalls();
-      document.documentElement.dataset.refined = "true";
+      this.element.dataset.refined = "true";
     }, REST);
   }
 
@@ -153,7 +164,7 @@ class Explorer {
 
   drawBalls() {
     if (!this.balls) return;
-    const canvas = byId("ball"), ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const canvas = this.byId("ball"), ratio = Math.min(window.devicePixelRatio || 1, 2);
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     this.balls.draw(this.state.pin ? [0, 1] : [0], this.light);
@@ -162,16 +173,16 @@ class Explorer {
   drawPlots() {
     const { illuminant } = this.state, other = this.pinned.prediction;
     this.slices = this.prediction.slices(illuminant);
-    drawSlices(byId("slices"), this.slices, other?.slices(illuminant));
+    drawSlices(this.byId("slices"), this.slices, other?.slices(illuminant));
     this.reflectance = this.prediction.reflectance();
-    drawReflectance(byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance());
+    drawReflectance(this.byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance());
   }
 
   /** Balls of the materials, one per frame, after the first picture. */
   nextThumbnail() {
     const k = this.pendingThumbnails.shift();
     if (k === undefined) {
-      document.documentElement.dataset.complete = "true";
+      this.element.dataset.complete = "true";
       return;
     }
     const own = this.materials.predict(this.data.X[k]);
@@ -186,9 +197,3 @@ class Explorer {
 }
 
 Object.assign(Explorer.prototype, facts, controls, documents);
-
-const data = JSON.parse(byId("data").textContent);
-const explorer = new Explorer(data, await Materials.load(data));
-explorer.server = serve(explorer, data);
-explorer.start();
-window.explorer = explorer; // for scripts and tests

@@ -1,7 +1,7 @@
 // What is known of a place, in words; methods of the page.
 
 import { deepestValley, fieldAt } from "./numerics.js";
-import { byId, fixed, percent, radios } from "./elements.js";
+import { fixed, percent } from "./elements.js";
 
 const NEAREST = 6;
 const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
@@ -54,16 +54,16 @@ export const facts = {
   showFacts() {
     const { data, state } = this, error = this.error();
     const beyond = data.error ? "beyond the map" : "not known";
-    byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
+    this.byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
     const found = this.diagnostics();
-    byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
+    this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
       const item = document.createElement("li");
       item.textContent = text;
       if (found.length) item.className = "warning";
       return item;
     }));
     const nearest = this.nearest();
-    const rows = byId("nearest");
+    const rows = this.byId("nearest");
     while (rows.children.length < nearest.length) {
       const row = document.createElement("tr"), button = document.createElement("button");
       row.append(...[0, 1, 2].map(() => document.createElement("td")));
@@ -79,14 +79,14 @@ export const facts = {
       share.textContent = percent(weight);
       away.textContent = distance.toFixed(2);
     });
-    byId("caption").textContent = this.words(state);
-    byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
+    this.byId("caption").textContent = this.words(state);
+    this.byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
     const place = `${this.words(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
     const known = error === null ? "" : `${data.error.what} ${error.toFixed(2)}. `;
-    byId("map").setAttribute("aria-label", `Map of ${data.names.length} materials. ${place}`);
-    byId("ball").setAttribute("aria-label", `Ball of the material at ${place}`);
+    this.byId("map").setAttribute("aria-label", `Map of ${data.names.length} materials. ${place}`);
+    this.byId("ball").setAttribute("aria-label", `Ball of the material at ${place}`);
     clearTimeout(this.saying);
-    this.saying = setTimeout(() => (byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
+    this.saying = setTimeout(() => (this.byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
   },
 
   words({ x, at, colour, like, srgb }) {
@@ -97,26 +97,26 @@ export const facts = {
 
   showControls() {
     const { state, history: past } = this;
-    for (const input of radios("light")) input.checked = input.value === state.light;
-    for (const input of radios("colour")) input.checked = input.value === state.colour;
-    byId("like").value = state.like;
-    byId("picked").value = state.srgb;
-    byId("illuminant").value = state.illuminant;
-    byId("exposure").value = state.exposure;
-    byId("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} EV`;
-    byId("undo").disabled = !past.can(-1);
-    byId("redo").disabled = !past.can(1);
-    byId("unpin").disabled = !state.pin;
-    byId("pinned").value = state.pin ? state.pin.at && state.pin.colour === "blend" ? state.pin.at : "\u0000pinned" : "";
-    byId("pinned").options[1].hidden = byId("pinned").options[1].disabled = byId("pinned").value !== "\u0000pinned";
+    for (const input of this.radios("light")) input.checked = input.value === state.light;
+    for (const input of this.radios("colour")) input.checked = input.value === state.colour;
+    this.byId("like").value = state.like;
+    this.byId("picked").value = state.srgb;
+    this.byId("illuminant").value = state.illuminant;
+    this.byId("exposure").value = state.exposure;
+    this.byId("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} EV`;
+    this.byId("undo").disabled = !past.can(-1);
+    this.byId("redo").disabled = !past.can(1);
+    this.byId("unpin").disabled = !state.pin;
+    this.byId("pinned").value = state.pin ? state.pin.at && state.pin.colour === "blend" ? state.pin.at : "\u0000pinned" : "";
+    this.byId("pinned").options[1].hidden = this.byId("pinned").options[1].disabled = this.byId("pinned").value !== "\u0000pinned";
     if (state.path) {
-      byId("path-from").value = state.path.from;
-      byId("path-to").value = state.path.to;
-      byId("path-t").value = state.path.t;
+      this.byId("path-from").value = state.path.from;
+      this.byId("path-to").value = state.path.to;
+      this.byId("path-t").value = state.path.t;
     }
-    byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
-    for (const input of byId("coordinates").querySelectorAll("input")) {
-      if (input !== document.activeElement || input.type === "range") input.value = fixed(state.x[input.dataset.q], 3);
+    this.byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
+    for (const input of this.byId("coordinates").querySelectorAll("input")) {
+      if (input !== this.root.activeElement || input.type === "range") input.value = fixed(state.x[input.dataset.q], 3);
     }
   },
 };

@@ -12,6 +12,7 @@ from typing import Any
 _MODULES = (
     "numerics", "elements", "ball", "map", "plots", "state", "facts", "controls", "documents", "served", "explorer",
 )  # fmt: skip  # a module after what it imports
+_BODY = re.compile(r'<body class="explorer">(.*)</body>', re.DOTALL)
 _IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)
 _EXPORT = re.compile(r"^export (?=(async )?(function|class|const|let) )", re.MULTILINE)
 
@@ -22,7 +23,7 @@ def make_page(document: dict[str, Any]) -> str:
     Args:
         document: of `tables.to_document`, JSON; with `served` where a program answers its requests.
     """
-    script, style = joined_script(), _source("style.css")
+    script, style = page_script(), _source("style.css")
     connect = "'self'" if document.get("served") else "'none'"
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
@@ -32,9 +33,27 @@ def make_page(document: dict[str, Any]) -> str:
     return re.sub(r"@(POLICY|STYLE|DATA|SCRIPT)@", lambda found: parts[found[1]], _source("page.html"))
 
 
-def joined_script() -> str:
+def page_script() -> str:
+    """The script of the page."""
+    return _joined("start")
+
+
+def widget_module() -> str:
+    """The same as an ES module that anywidget takes: it makes the page in an element of a notebook."""
+    body = re.sub(r"<script.*?</script>", "", _body(), flags=re.DOTALL)
+    constants = f"const STYLE = {json.dumps(_source('style.css'))}, BODY = {json.dumps(body)};\n"
+    return constants + _joined("widget")
+
+
+def _body() -> str:
+    found = _BODY.search(_source("page.html"))
+    assert found is not None
+    return found[1]
+
+
+def _joined(last: str) -> str:
     """The modules as one, in the order in which they need each other."""
-    joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in _MODULES]
+    joined = [_EXPORT.sub("", _IMPORT.sub("", _source(f"{name}.js"))) for name in (*_MODULES, last)]
     return "\n".join(joined)
 
 

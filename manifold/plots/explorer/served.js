@@ -38,7 +38,7 @@ class Actions {
     this.explorer = explorer;
     this.token = token;
     this.items = new Map();
-    const byId = (id) => document.getElementById(id);
+    const byId = (id) => explorer.byId(id);
     this.list = byId("jobs");
     byId("actions").hidden = false;
     for (const kind of ["predict", "render", "fit"]) {
@@ -60,7 +60,7 @@ class Actions {
   /** What the commands need to know of the place that is shown. */
   request() {
     const { state, spectrum } = this.explorer;
-    const request = { name: document.getElementById("action-name").value, latent: state.x };
+    const request = { name: this.explorer.byId("action-name").value, latent: state.x };
     if (state.colour === "like") request.like = state.like;
     if (state.colour === "picked") request.srgb = state.srgb;
     if (state.colour === "file" && spectrum) request.spectrum = spectrum.rows;
@@ -142,7 +142,7 @@ class Actions {
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;
-    if (!isOpen) document.getElementById("live").textContent = `${job.title}: ${job.state}`;
+    if (!isOpen) this.explorer.byId("live").textContent = `${job.title}: ${job.state}`;
     if (job.state === "done" && job.picture) this.showPicture(item, job);
     if (job.state === "done" && job.result?.latent) this.showPlace(item, job.result);
   }

@@ -1,0 +1,63 @@
+"""The page of a map as a widget of notebooks, through anywidget (`pip install brdf-manifold[notebook]`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anywidget
+import traitlets
+
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.model.prediction import PredictedBRDF
+from manifold.plots.explorer.page import widget_module
+from manifold.plots.explorer.tables import tabulate, to_document
+from manifold.records import Progress
+from manifold.system import temporary
+
+
+class MapWidget(anywidget.AnyWidget):
+    """A map of blends to drag a point on; Python knows where it is, and can move it.
+
+    Attributes:
+        latent: where the point is, Q numbers; set it to move the point.
+        colour: chosen colour: empty, `like`, `srgb`, or `spectrum`, rows of nm and reflectance.
+        link: all that is shown, as in a link of the page; set it to restore what was shown.
+    """
+
+    _esm = widget_module()
+    data = traitlets.Dict().tag(sync=True)
+    latent = traitlets.List(traitlets.Float()).tag(sync=True)
+    colour = traitlets.Dict().tag(sync=True)
+    link = traitlets.Unicode("").tag(sync=True)
+
+    def __init__(self, model: Manifold, on_progress: Progress | None = None) -> None:
+        """Tabulate the materials of a map, in seconds.
+
+        Raises:
+            UsageError: the map is no map of blends.
+            LibraryError: a material cannot be read.
+        """
+        self.model = model
+        start = model.X.mean(axis=0)
+        super().__init__(data=to_document(model, tabulate(model, on_progress)), latent=start.tolist())
+
+    @traitlets.validate("latent")
+    def _check_latent(self, proposal: Any) -> list[float]:
+        return self.model.require_latent(proposal["value"]).tolist()
+
+    def prediction(self) -> PredictedBRDF:
+        """The material at the point, in the chosen colour.
+
+        Raises:
+            UsageError: the colour cannot be used.
+        """
+        x, colour = self.model.require_latent(list(self.latent)), dict(self.colour)
+        rows = colour.pop("spectrum", None)
+        if rows is None:
+            return self.model.predict(x, choose_colour(self.model, x, ColourChoice(**colour)).colours)
+        with temporary.folder() as folder:
+            path = folder / "reflectance.txt"
+            path.write_text("".join(f"{nm!r} {value!r}\n" for nm, value in rows), encoding="utf-8")
+            chosen = choose_colour(self.model, x, ColourChoice(reflectance=path))
+        return self.model.predict(x, chosen.colours)

@@ -193,8 +193,9 @@ def test_sampled_pdf_is_the_pdf(corpus_file, rng, name, rgb):
     np.testing.assert_allclose(brdf.pdf(wi[kept], wo[kept]), pdf[kept], rtol=2e-3)
 
 
-def test_albedo_is_the_integral_over_the_hemisphere(corpus_file):
-    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
+@pytest.mark.parametrize("name", ["syn_satin_gold", "syn_weave_sari"])
+def test_albedo_is_the_integral_over_the_hemisphere(corpus_file, name):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, False)))
     wi = from_spherical(np.deg2rad([0.0, 30.0, 60.0]), 0.3)
     wo, weights = hemisphere_quadrature(96, 192)
     for k in range(3):

@@ -73,13 +73,14 @@ def test_overlapping_users_limit_blas_once_and_the_last_one_gives_it_back(monkey
     done = []
 
     class Limits:
-        def __init__(self, count: int, user_api: str) -> None:
-            done.append((count, user_api))
+        def limit(self, limits: int, user_api: str) -> Limits:
+            done.append((limits, user_api))
+            return self
 
         def restore_original_limits(self) -> None:
             done.append("restored")
 
-    monkeypatch.setattr(parallel, "threadpool_limits", Limits)
+    monkeypatch.setattr(parallel, "_blas", Limits)
     inside, may_leave = threading.Event(), threading.Event()
 
     def outer() -> None:
@@ -102,3 +103,15 @@ def test_blas_keeps_to_one_thread_and_has_them_back():
     with one_blas_thread, one_blas_thread:
         assert blas_threads() == {1}
     assert blas_threads() == before
+
+
+def test_blas_is_found_once():
+    with one_blas_thread:
+        first = parallel._blas()
+    with one_blas_thread:
+        assert parallel._blas() is first
+    known, loaded = (
+        {library["filepath"] for library in libraries if library["user_api"] == "blas"}
+        for libraries in (first.info(), threadpool_info())
+    )
+    assert known == loaded

@@ -27,9 +27,16 @@ _FASTMATH = {"contract", "reassoc", "nsz"}  # no assumption that values are fini
 @nb.njit(cache=True, fastmath=_FASTMATH)
 def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     """All bands of one located pair above the horizon, into row (B,)."""
-    jacobian, ndf, sigma, data, conditional, marginal, phi_nodes, theta_nodes, spectra = tables
+    _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
     slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
     u, v, _pdf = warp.invert(data, conditional, marginal, slices, weights, ux, uy)
+    _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row)
+
+
+@nb.njit(cache=True, fastmath=_FASTMATH, inline="always")
+def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row):
+    """All bands of one half vector at (ux, uy), which the warp brings to (u, v), into row (B,)."""
+    jacobian, ndf, sigma, _, _, _, _, _, spectra = tables
     scale = 1.0
     if jacobian:
         scale = warp.bilinear(ndf, ux, uy) / (
@@ -130,9 +137,54 @@ def pdf_of_pairs(wi, wo, isotropic, reduction, tables, luminance, out):
         out[k] = vndf_pdf * lum_pdf / _half_vector_jacobian(ux, theta_m, cos_im)
 
 
+@nb.njit(cache=True, inline="always")
+def _half_vector(ux, uy, phi_i, isotropic):
+    """The half vector of a point of the unit square, and its elevation."""
+    theta_m = ux * ux * (0.5 * np.pi)
+    phi_m = (2.0 * uy - 1.0) * np.pi
+    if isotropic:
+        phi_m += phi_i
+    sin_m = np.sin(theta_m)
+    return np.cos(phi_m) * sin_m, np.sin(phi_m) * sin_m, np.cos(theta_m), theta_m
+
+
 @in_turn
 @nb.njit(cache=True, parallel=True)
-def sample_directions(wi, uniforms, use_luminance, isotropic, reduction, tables, luminance, wo, pdf):
+def integrate(wi, isotropic, reduction, tables, out):
+    """Sums of f cos(theta_o) / pdf of the visible normals over n x n points of the unit square.
+
+    Of K incident directions (K, 3), row by row, into out (K, n, B).
+    """
+    _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
+    n = out.shape[1]
+    for r in nb.prange(wi.shape[0] * n):
+        k, i = r // n, r % n
+        sums = out[k, i]
+        sums[:] = 0.0
+        if wi[k, 2] <= 0.0:
+            continue
+        sx, sy = signs(reduction, wi[k, 0], wi[k, 1])
+        ix, iy, iz = wi[k, 0] * sx, wi[k, 1] * sy, wi[k, 2]
+        theta_i, phi_i = elevation(ix, iy, iz), np.arctan2(iy, ix)
+        slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
+        row = np.empty(out.shape[2])
+        for j in range(n):
+            u, v = (j + 0.5) / n, (i + 0.5) / n
+            ux, uy, pdf = warp.sample(data, conditional, marginal, slices, weights, u, v)
+            mx, my, mz, theta_m = _half_vector(ux, uy, phi_i, isotropic)
+            cos_im = ix * mx + iy * my + iz * mz
+            cos_o = 2.0 * cos_im * mz - iz
+            if cos_im <= 0.0 or cos_o <= 0.0 or pdf <= 0.0:
+                continue
+            _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, False, tables, row)
+            inverse = _half_vector_jacobian(ux, theta_m, cos_im) / pdf
+            for b in range(row.shape[0]):
+                sums[b] += inverse * row[b]
+
+
+@in_turn
+@nb.njit(cache=True, parallel=True)
+def sample_directions(wi, uniforms, isotropic, reduction, tables, luminance, wo, pdf):
     """Outgoing directions of wi (K, 3) and uniforms (K, 2) into wo (K, 3), their densities into pdf (K,)."""
     _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
     lum_data, lum_conditional, lum_marginal = luminance
@@ -146,16 +198,11 @@ def sample_directions(wi, uniforms, use_luminance, isotropic, reduction, tables,
         theta_i = elevation(ix, iy, iz)
         phi_i = np.arctan2(iy, ix)
         slices, weights = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
-        x, y, lum_pdf = uniforms[k, 1], uniforms[k, 0], 1.0
-        if use_luminance:
-            x, y, lum_pdf = warp.sample(lum_data, lum_conditional, lum_marginal, slices, weights, x, y)
+        x, y, lum_pdf = warp.sample(
+            lum_data, lum_conditional, lum_marginal, slices, weights, uniforms[k, 1], uniforms[k, 0]
+        )
         ux, uy, vndf_pdf = warp.sample(data, conditional, marginal, slices, weights, x, y)
-        theta_m = ux * ux * (0.5 * np.pi)
-        phi_m = (2.0 * uy - 1.0) * np.pi
-        if isotropic:
-            phi_m += phi_i
-        sin_m = np.sin(theta_m)
-        mx, my, mz = np.cos(phi_m) * sin_m, np.sin(phi_m) * sin_m, np.cos(theta_m)
+        mx, my, mz, theta_m = _half_vector(ux, uy, phi_i, isotropic)
         cos_im = ix * mx + iy * my + iz * mz
         if cos_im <= 0.0:
             continue

@@ -190,15 +190,11 @@ class MeasuredBRDF:
         Raises:
             ShapeError: as in `eval`, or u is not (..., 2) in [0, 1].
         """
-        return self._sample(wi, u, True)
-
-    def _sample(self, wi: Array, u: Array, use_luminance: bool) -> tuple[Array, Array]:
         flat_wi, flat_u, shape = flat_samples(wi, u)
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
         lookup.sample_directions(
-            flat_wi, flat_u, use_luminance, self._isotropic, self._reduction, self._tables, self._luminance.tables,
-            wo, pdf,
+            flat_wi, flat_u, self._isotropic, self._reduction, self._tables, self._luminance.tables, wo, pdf,
         )  # fmt: skip
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
@@ -208,13 +204,7 @@ class MeasuredBRDF:
         There f * cos(theta_o) / pdf of the visible normals is nearly the smooth stored spectrum.
         """
         wi = require_directions(wi, "wi")
-        t = (np.arange(resolution) + 0.5) / resolution
-        u = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
-        flat = wi.reshape(-1, 3)
-        out = np.empty((flat.shape[0], self._bands.count))
-        for k, w in enumerate(flat):
-            wo, pdf = self._sample(w, u, False)
-            keep = pdf > 0
-            weights = 1.0 / pdf[keep] / u.shape[0]
-            out[k] = weights @ self._evaluate(w, wo[keep], False)
-        return out.reshape(*wi.shape[:-1], out.shape[1])
+        flat = np.ascontiguousarray(wi.reshape(-1, 3))
+        sums = np.empty((flat.shape[0], resolution, self._bands.count))
+        lookup.integrate(flat, self._isotropic, self._reduction, self._tables, sums)
+        return (sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2])

@@ -6,9 +6,10 @@ import os
 import threading
 from collections.abc import Callable
 from functools import lru_cache, wraps
+from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,6 +56,16 @@ def in_turn(kernel: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    """The BLAS of this process: to find it reads the memory map, which takes longer than a block of a prediction.
+
+    SciPy's is another than NumPy's, and what is loaded later would not be limited.
+    """
+    import_module("scipy.linalg")
+    return ThreadpoolController()
+
+
 class _OneBlasThread:
     """The limit of several users at once: set by the first, taken back by the last, since it is the process's."""
 
@@ -65,7 +76,7 @@ class _OneBlasThread:
     def __enter__(self) -> None:
         with self._mutex:
             if self._users == 0:
-                self._limit = threadpool_limits(1, user_api="blas")
+                self._limit = _blas().limit(limits=1, user_api="blas")
             self._users += 1
 
     def __exit__(self, *_: object) -> None:

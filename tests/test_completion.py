@@ -27,7 +27,7 @@ from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import posterior
-from manifold.models.next_readings import next_readings
+from manifold.models.next_readings import colours, hypotheses, next_readings
 from manifold.records import Bands
 
 DIRECTIONS = geometry_ma_t12()
@@ -101,27 +101,48 @@ def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     assert np.abs(some[1] @ at - truth[1] @ at).max() < 0.1 * targets[0].max()
 
 
-def test_the_next_reading_is_the_one_that_lowers_the_variance_most(rng):
-    H, D, P = 30, 7, 11
+def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
+    H, M, D, P, K = 30, 12, 7, 11, 5
     everywhere, weights = rng.random((H, P)) + 1.0, rng.random(P)
-    candidates, probability = rng.random((H, D)) + 1.0, np.full(H, 1.0 / H)
-    chosen = next_readings(everywhere, candidates, probability, weights, 3, relative=0.0)
-    joint = np.hstack([everywhere, candidates])
-    covariance = np.cov(joint.T, bias=True)
-    square = np.mean(candidates**2, axis=0)
-    noise = 0.02**2 * (square + 0.1**2 * square.mean())
+    on_ball, candidates, probability = rng.random((H, K)), rng.random((H, D)) + 1.0, np.full(H, 1.0 / H)
+    colour_ball, colour_at = rng.standard_normal((M, K)) / 5.0, rng.standard_normal((M, D + 1)) / 5.0
+    square, taken_square = np.mean(candidates**2, axis=0), np.array([1.3])
+    structure = hypotheses(everywhere, on_ball, candidates, probability, weights)
+    colour = colours(colour_ball, colour_at[:, :D], square, colour_at[:, D:], taken_square)
+    chosen = next_readings((structure, colour), 3)
 
-    def left(read):
-        k = P + np.array(read)
-        K = covariance[np.ix_(k, k)] + np.diag(noise[np.array(read)])
-        posterior = covariance - covariance[:, k] @ np.linalg.solve(K, covariance[k])
-        return np.diag(posterior)[:P] @ weights
+    def left(covariance, wanted, read, noise):
+        k = wanted + np.array(read, dtype=int)
+        K_read = covariance[np.ix_(k, k)] + np.diag(noise[np.array(read, dtype=int)])
+        posterior = covariance - covariance[:, k] @ np.linalg.solve(K_read, covariance[k])
+        return np.diag(posterior)[:wanted]
+
+    of_structure = np.cov(np.hstack([everywhere, on_ball, candidates]).T, bias=True)
+    joint = np.hstack([colour_ball, colour_at])
+    of_colour = joint.T @ joint / M
+    squares = np.append(square, taken_square)
+    noise = 0.02**2 * (square + 0.1**2 * square.mean())
+    colour_noise = 0.05**2 * (squares + 0.1**2 * squares.mean())
+
+    def error(read):
+        variance = left(of_structure, P + K, read, noise)
+        pixels = variance[P:] + left(of_colour, K, [D, *read], colour_noise)
+        return 0.5 * np.log(variance[:P] @ weights) + 2.0 * np.log(np.mean(np.sqrt(pixels) + 1e-4))
 
     read: list[int] = []
     for best in chosen:
-        options = {d: left([*read, d]) for d in range(D) if d not in read}
+        options = {d: error([*read, d]) for d in range(D) if d not in read}
         assert best == min(options, key=options.get)
         read.append(int(best))
+
+
+def test_readings_after_a_mirror_direction_are_told_to_look_at_the_colour(samples):
+    """What the colour of a body is cannot be seen in its highlight: of two readings, one is away from it."""
+    found = suggest(samples, 3)
+    half = found.wi + found.wo
+    away = np.degrees(np.arccos(half[:, 2] / np.linalg.norm(half, axis=1)))
+    assert away.min() < 5.0
+    assert away.max() > 15.0
 
 
 # -- completions ------------------------------------------------------------------------------------------------

@@ -1,57 +1,132 @@
-"""Which readings to take next: those that tell most of what hypotheses about a material still differ in."""
+"""Which readings to take next: those that tell most of what hypotheses about a material still differ in.
+
+Hypotheses and colours are Gaussians, given by samples of zero mean: what they are at the readings that can be taken,
+and what is wanted of them. A reading leaves of every wanted value's variance `v - c^2 / (s + noise)`, s being the
+reading's own variance and c the covariance of both.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from manifold.records import Array
 
-_NOISE = 0.02  # of a reading's cube root, as a share of it
+_NOISE = 0.02  # of a reading's cube root in a hypothesis, as a share of it
+_COLOUR_NOISE = 0.05  # of a band's difference from the mean of all, as a share of the reading's cube root
 _FLOOR = 0.1  # of the root mean square over directions: where values are small, noise is of this
+_BALL = 2.0  # how much the ball counts besides all directions
+_LEAST = 1e-4  # of a pixel's standard deviation
 
 
-def next_readings(
-    everywhere: Array,
-    candidates: Array,
-    probability: Array,
-    weights: Array,
-    count: int,
-    relative: float = 1.0,
-) -> Array:
-    """The readings that lower the expected variance most, one after the other, as in a Gaussian process.
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Samples of zero mean of what is not known, each as likely as the others.
 
-    Variance is that of cube roots over hypotheses, relative to each one's norm: what is known of a dull material counts
-    as much as what is known of a mirror.
+    Attributes:
+        at_candidates: cube roots at the readings that can be taken, shape (H, D).
+        on_ball: of the pixels of a ball, shape (H, K).
+        everywhere: at all directions, times the roots of their weights, shape (H, P); P may be 0.
+        noise: variance of the readings, shape (D,).
+    """
+
+    at_candidates: Array
+    on_ball: Array
+    everywhere: Array
+    noise: Array
+
+    def lowered(self, wanted: Array) -> Array:
+        """By how much each reading lowers the variance of wanted values (H, W), shape (D, W)."""
+        told = np.sum(self.at_candidates**2, axis=0) + self.noise
+        return np.asarray((self.at_candidates.T @ wanted) ** 2 / told[:, None])
+
+    def after(self, reading: Array, noise: float) -> Unknowns:
+        """What a reading, at which the samples are (H,), leaves unknown."""
+        variance = float(reading @ reading)
+        if variance == 0.0:
+            return self
+        # (1 - k c c') C, with k so that the covariance is that after it.
+        k = (1.0 - np.sqrt(noise / (variance + noise))) / variance
+        tables = (self.at_candidates, self.on_ball, self.everywhere)
+        left = [table - k * np.outer(reading, reading @ table) for table in tables]
+        return Unknowns(left[0], left[1], left[2], self.noise)
+
+
+def hypotheses(
+    everywhere: Array, on_ball: Array, candidates: Array, probability: Array, weights: Array
+) -> Unknowns:
+    """What hypotheses differ in.
 
     Args:
         everywhere: cube roots of H hypotheses in all directions, shape (H, P).
-        candidates: the same at the directions to choose from, shape (H, D).
+        on_ball: of pixels of a ball, shape (H, K).
+        candidates: at the readings that can be taken, shape (H, D).
         probability: of the hypotheses, of sum 1, shape (H,).
         weights: of the directions, shape (P,).
+    """
+    root = np.sqrt(probability)[:, None]
+    at_candidates, at_pixels, at_directions = (
+        root * (table - probability @ table) for table in (candidates, on_ball, everywhere * np.sqrt(weights))
+    )
+    return Unknowns(at_candidates, at_pixels, at_directions, _noise(probability @ candidates**2, _NOISE))
+
+
+def colours(on_ball: Array, candidates: Array, square: Array, taken: Array, taken_square: Array) -> Unknowns:
+    """What the bands of a material differ in, where some readings were taken.
+
+    Args:
+        on_ball: cube roots of pixels in single bands of materials, less those of the mean over bands, shape (M, K).
+        candidates: the same at the readings that can be taken, shape (M, D).
+        square: expected squares of cube roots there, shape (D,).
+        taken: the same as `candidates` at readings that were taken, shape (M, T).
+        taken_square: as `square` there, shape (T,).
+    """
+    root = 1.0 / np.sqrt(len(on_ball))
+    read = root * taken
+    left = Unknowns(
+        np.hstack([root * candidates, read]), root * on_ball, np.zeros((len(on_ball), 0)),
+        _noise(np.append(square, taken_square), _COLOUR_NOISE),
+    )  # fmt: skip
+    count = len(square)
+    for d in range(count, left.at_candidates.shape[1]):
+        left = left.after(left.at_candidates[:, d], float(left.noise[d]))
+    return Unknowns(left.at_candidates[:, :count], left.on_ball, left.everywhere, left.noise[:count])
+
+
+def _noise(square: Array, share: float) -> Array:
+    """Variance of readings of cube roots, of which the expected squares are (D,)."""
+    return np.asarray(share**2 * (square + _FLOOR**2 * square.mean()))
+
+
+def next_readings(unknowns: Sequence[Unknowns], count: int) -> Array:
+    """The readings that lower the expected errors most, one after the other.
+
+    The errors are the root mean square over all directions and, twice as important, the mean over the pixels of a ball
+    of their standard deviation. Both are relative, so that the product of the first and the second's square is lowered.
+
+    Args:
+        unknowns: independent of each other, all at the same D candidates.
         count: how many to choose, at most D.
-        relative: exponent of the norm by which variances are divided.
     Returns:
         Indices of candidates in the order in which to read them, each once, shape (count,).
     """
-    norm = np.maximum(everywhere**2 @ weights, np.finfo(float).tiny)
-    likely = probability * norm ** (-0.5 * relative)
-    likely = likely / likely.sum()
-    root = np.sqrt(likely)[:, None]
-    C = root * (candidates - likely @ candidates)  # covariances are products of these, [H, D]
-    F = root * (everywhere - likely @ everywhere) * np.sqrt(weights)
-    square = likely @ candidates**2
-    noise = _NOISE**2 * (square + _FLOOR**2 * square.mean())
+    held = list(unknowns)
     chosen: list[int] = []
-    for _ in range(min(count, candidates.shape[1])):
-        variance = np.sum(C**2, axis=0)
-        gain = np.sum((C.T @ F) ** 2, axis=1) / (variance + noise)
-        gain[chosen] = -1.0
-        best = int(np.argmax(gain))
+    for _ in range(count):
+        cost = _log_errors(held)
+        cost[chosen] = np.inf
+        best = int(np.argmin(cost))
         chosen.append(best)
-        c = C[:, best].copy()
-        # What the reading leaves: (1 - k c c') C, with k so that the covariance is that after it.
-        total = variance[best] + noise[best]
-        k = (1.0 - np.sqrt(noise[best] / total)) / variance[best] if variance[best] > 0.0 else 0.0
-        C = C - k * np.outer(c, c @ C)
-        F = F - k * np.outer(c, c @ F)
-    return np.array(chosen)
+        held = [u.after(u.at_candidates[:, best], float(u.noise[best])) for u in held]
+    return np.array(chosen, dtype=int)
+
+
+def _log_errors(unknowns: Sequence[Unknowns]) -> Array:
+    """Logarithm of the product of both errors after each reading, shape (D,)."""
+    all_variance = sum(np.sum(u.everywhere**2) - u.lowered(u.everywhere).sum(axis=1) for u in unknowns)
+    on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.lowered(u.on_ball) for u in unknowns)
+    deviation = np.sqrt(np.maximum(on_ball, 0.0)) + _LEAST  # [D, K]
+    tiny = np.finfo(float).tiny
+    return np.asarray(0.5 * np.log(np.maximum(all_variance, tiny)) + _BALL * np.log(deviation.mean(axis=1)))

@@ -18,7 +18,7 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.model.completion.complete import complete_at
 from manifold.model.completion.expected import in_sample_bands, sample_axis
 from manifold.model.completion.samples import LibrarySamples, ball_pairs
-from manifold.model.completion.suggest import first_readings
+from manifold.model.completion.suggest import readings_to_take
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
@@ -81,7 +81,7 @@ def _from_weights(samples: LibrarySamples, weights: Array) -> Predicted:
 
 
 def _own_order(task: Task, count: int) -> Array:
-    return first_readings(task.others, task.at, count)
+    return readings_to_take(task.others, task.at, count)
 
 
 def _completed(task: Task, chosen: Array) -> Predicted:

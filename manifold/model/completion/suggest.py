@@ -10,8 +10,8 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats.readings import geometry_ma_t12
 from manifold.model.completion.complete import Completion
-from manifold.model.completion.samples import LibrarySamples
-from manifold.models.next_readings import next_readings
+from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.models.next_readings import colours, hypotheses, next_readings
 from manifold.records import Array
 
 _SAME_DEG = 2.0  # a reading this near in both directions was taken
@@ -58,21 +58,53 @@ def suggest(
         wi, wo = wi[is_new], wo[is_new]
     if not 1 <= count <= len(wi):
         raise UsageError(f"{count} readings to suggest, expected 1 to {len(wi)}, as many as there are left")
-    at = samples.at(wi, wo)
-    if known is None:
-        chosen = first_readings(samples, at, count)
-    else:
-        probability, weights = known.likeliest
-        chosen = next_readings(
-            weights @ samples.directions, weights @ at, probability, samples.weights, count
-        )
+    chosen = readings_to_take(samples, samples.at(wi, wo), count, known)
     return Suggested(wi[chosen], wo[chosen])
 
 
-def first_readings(samples: LibrarySamples, at: Array, count: int) -> Array:
-    """Which candidates, at which samples have cube roots `at` (n + 1, D), to read first; every sample is as likely."""
+def readings_to_take(
+    samples: LibrarySamples, at: Array, count: int, known: Completion | None = None
+) -> Array:
+    """Which candidates, at which samples have cube roots `at` (n + 1, D), to read next, in order, shape (count,).
+
+    Structure is what hypotheses differ in, before anything is read the samples themselves, each as likely. Colour is
+    what the bands of all materials differ in, as far as readings have not said.
+    """
     n = len(at) - 1
-    return next_readings(samples.directions[:n], at[:n], np.full(n, 1.0 / n), samples.weights, count)
+    if known is None:
+        probability, weights, taken = np.full(n, 1.0 / n), np.eye(n, n + 1), np.zeros((n + 1, 0))
+    else:
+        (probability, weights), taken = known.likeliest, known.at_readings
+    structure = hypotheses(
+        weights @ samples.directions[:, : samples.n_grid], _pixels(weights @ samples.ball), weights @ at,
+        probability, samples.weights[: samples.n_grid],
+    )  # fmt: skip
+    of_mean = np.cbrt(_band_means(samples, samples.ball**3))
+    colour = colours(
+        _pixels(samples.ball[:n]) - _pixels(of_mean)[samples.material_of[:n]],
+        _colour(samples, at), probability @ (weights @ at) ** 2,
+        _colour(samples, taken), probability @ (weights @ taken) ** 2,
+    )  # fmt: skip
+    return next_readings((structure, colour), count)
+
+
+def _pixels(roots: Array) -> Array:
+    """Cube roots of the light from every pixel of a ball, as far as a picture shows it, of cube roots of f (h, P_b)."""
+    ball = ball_pairs()
+    light = np.add.reduceat(np.maximum(roots, 0.0) ** 3 * ball.light, ball.starts, axis=1)
+    return np.asarray(np.cbrt(np.minimum(light, 1.0)))
+
+
+def _band_means(samples: LibrarySamples, values: Array) -> Array:
+    """Values (n + 1, P) of samples, averaged over the bands of each material, shape (N, P)."""
+    shape = len(samples.names), samples.per_material, values.shape[1]
+    return np.asarray(values[:-1].reshape(shape).mean(axis=1))
+
+
+def _colour(samples: LibrarySamples, roots: Array) -> Array:
+    """Cube roots of samples (n + 1, P), less those of the mean over the bands of their material, shape (n, P)."""
+    means = np.cbrt(_band_means(samples, roots**3))
+    return np.asarray(roots[:-1] - means[samples.material_of[:-1]])
 
 
 def all_directions() -> tuple[Array, Array]:

@@ -65,6 +65,14 @@ class DenseTable:
         if np.any(np.isinf(self.values)):
             raise ShapeError(f"{self.name}: an infinite value, expected f in 1/sr, or NaN where not measured")
 
+    def require_srgb(self, shape: tuple[int, ...]) -> None:
+        """Raise ShapeError unless the values are linear sRGB at nodes of this shape."""
+        if self.values.shape != (*shape, 3) or not self.bands.is_rgb:
+            expected = (*shape, 3)
+            raise ShapeError(
+                f"{self.name}: values have shape {self.values.shape}, expected {expected} of sRGB"
+            )
+
     @cached_property
     def bands(self) -> Bands:
         """The spectral axis."""

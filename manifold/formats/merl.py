@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.errors import ShapeError
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import Place, read_bytes
 from manifold.records import Array
@@ -71,10 +70,7 @@ def write(path: Path, table: DenseTable) -> None:
         ShapeError: the table has other nodes or bands.
         UsageError: the file cannot be written.
     """
-    if table.values.shape != (*SHAPE, 3) or not table.bands.is_rgb:
-        raise ShapeError(
-            f"{table.name}: values have shape {table.values.shape}, expected (90, 90, 180, 3) of sRGB"
-        )
+    table.require_srgb(SHAPE)
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.errors import ShapeError
 from manifold.formats.dense import DenseTable
 from manifold.formats.text import Place, read_bytes
 from manifold.records import Array
@@ -76,9 +75,6 @@ def write(path: Path, table: DenseTable) -> None:
         ShapeError: the table has other nodes or bands.
         UsageError: the file cannot be written.
     """
-    if table.values.shape != (*SHAPE, 3) or not table.bands.is_rgb:
-        raise ShapeError(
-            f"{table.name}: values have shape {table.values.shape}, expected {(*SHAPE, 3)} of sRGB"
-        )
+    table.require_srgb(SHAPE)
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
     atomic.write_bytes(path, planes.astype("<f8").tobytes())

@@ -62,14 +62,13 @@ def parameters(material: Principled) -> dict[str, Any]:
         "Anisotropic": material.anisotropic,
     }
     if material.metallic == 0.0:  # for metals it is the edge's colour
-        made["Specular Tint"] = np.clip(1.0 + material.spec_tint * (material.tint - 1.0), 0.0, 1.0).tolist()
+        made["Specular Tint"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
     if material.coat_weight > 0.0:
         made["Coat Weight"] = material.coat_weight
-        made["Coat Roughness"] = float(np.sqrt(material.coat_alpha))
+        made["Coat Roughness"] = material.coat_roughness
     if np.any(material.sheen_colour > 0.0):
-        fuzz = openpbr.parameters(material)
-        made["Sheen Weight"], made["Sheen Tint"] = fuzz["fuzz_weight"], fuzz["fuzz_color"]
-        made["Sheen Roughness"] = fuzz["fuzz_roughness"]
+        made["Sheen Weight"], made["Sheen Tint"] = material.scaled_sheen(openpbr.FUZZ_SCALE)
+        made["Sheen Roughness"] = openpbr.FUZZ_ROUGHNESS
     return made
 
 

@@ -67,10 +67,10 @@ def parameters(material: Principled) -> dict[str, Any]:
     if material.metallic < 1.0:
         made["ior"] = material.ior
         made["specularFactor"] = 0.0 if material.is_diffuse else 1.0
-        made["specularColorFactor"] = (1.0 + material.spec_tint * (material.tint - 1.0)).tolist()
+        made["specularColorFactor"] = material.specular_tint.tolist()
     if material.coat_weight > 0.0:
         made["clearcoatFactor"] = material.coat_weight
-        made["clearcoatRoughnessFactor"] = float(np.sqrt(material.coat_alpha))
+        made["clearcoatRoughnessFactor"] = material.coat_roughness
     if np.any(material.sheen_colour > 0.0):
         made["sheenColorFactor"] = np.clip(SHEEN_SCALE * material.sheen_colour, 0.0, 1.0).tolist()
         made["sheenRoughnessFactor"] = SHEEN_ROUGHNESS

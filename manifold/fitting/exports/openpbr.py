@@ -61,7 +61,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         "specular_ior": material.ior,
     }
     if material.metallic == 0.0:  # for metals it is the edge's colour
-        made["specular_color"] = np.clip(1.0 + material.spec_tint * (material.tint - 1.0), 0.0, 1.0).tolist()
+        made["specular_color"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
     if material.anisotropic > 0.0:
         alpha_x, alpha_y = material.alphas
         ratio = alpha_y / alpha_x
@@ -70,15 +70,13 @@ def parameters(material: Principled) -> dict[str, Any]:
     if material.coat_weight > 0.0:
         made |= {
             "coat_weight": material.coat_weight,
-            "coat_roughness": float(np.sqrt(material.coat_alpha)),
+            "coat_roughness": material.coat_roughness,
             "coat_ior": 1.5,
             "coat_darkening": 0.0,  # principled's coat does not darken what is below
         }
         made["specular_roughness"] = _below_coat(made)
     if np.any(material.sheen_colour > 0.0):
-        colour = material.sheen_colour
-        made["fuzz_weight"] = float(min(FUZZ_SCALE * colour.max(), 1.0))
-        made["fuzz_color"] = (colour / colour.max()).tolist()
+        made["fuzz_weight"], made["fuzz_color"] = material.scaled_sheen(FUZZ_SCALE)
         made["fuzz_roughness"] = FUZZ_ROUGHNESS
     return made
 

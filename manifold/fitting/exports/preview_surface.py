@@ -42,7 +42,7 @@ def parameters(material: Principled) -> dict[str, Any]:
     """
     base, m = np.asarray(material.base_color), material.metallic
     f0 = 0.0 if material.is_diffuse else ior_to_f0(material.ior)
-    tinted = f0 * (1.0 + material.spec_tint * (material.tint - 1.0))
+    tinted = f0 * material.specular_tint
     made = DEFAULTS | {
         "useSpecularWorkflow": 1,
         "diffuseColor": ((1.0 - m) * base).tolist(),
@@ -51,7 +51,7 @@ def parameters(material: Principled) -> dict[str, Any]:
     }
     if material.coat_weight > 0.0:
         made["clearcoat"] = material.coat_weight
-        made["clearcoatRoughness"] = float(np.sqrt(material.coat_alpha))
+        made["clearcoatRoughness"] = material.coat_roughness
     return made
 
 

@@ -93,6 +93,16 @@ class Principled:
         return float(np.sqrt(a2 * np.log(1.0 / a2) / (1.0 - a2)))
 
     @property
+    def coat_roughness(self) -> float:
+        """The root of `coat_alpha`, as targets take it."""
+        return float(np.sqrt(self.coat_alpha))
+
+    @property
+    def specular_tint(self) -> Array:
+        """What reflectance at normal incidence is multiplied by, shape (3,), possibly above 1."""
+        return 1.0 + self.spec_tint * (self.tint - 1.0)
+
+    @property
     def sheen_colour(self) -> Array:
         """What `(1 - cos(theta_d))^5` is multiplied by, in 1/sr, shape (3,)."""
         return self.sheen * (1.0 - self.metallic) * (1.0 + self.sheen_tint * (self.tint - 1.0))
@@ -102,6 +112,19 @@ class Principled:
         """GGX alpha along x and y: the square of roughness, stretched by the aspect `sqrt(1 - 0.9 anisotropic)`."""
         aspect = float(np.sqrt(1.0 - 0.9 * self.anisotropic))
         return self.roughness**2 / aspect, self.roughness**2 * aspect
+
+    @property
+    def around_mean(self) -> tuple[float, float]:
+        """Roughness and anisotropy a of targets whose alphas are (1 + a) and (1 - a) times the roughness's square."""
+        if self.anisotropic == 0.0:
+            return self.roughness, 0.0
+        x, y = self.alphas
+        return float(np.sqrt(min(0.5 * (x + y), 1.0))), (x - y) / (x + y)
+
+    def scaled_sheen(self, scale: float) -> tuple[float, list[float]]:
+        """Weight, at most 1, and colour of the sheen of targets that have both; no sheen is white."""
+        most = float(self.sheen_colour.max())
+        return min(scale * most, 1.0), (self.sheen_colour / most).tolist() if most > 0.0 else [1.0, 1.0, 1.0]
 
 
 def _colour(value: Any) -> tuple[float, float, float]:

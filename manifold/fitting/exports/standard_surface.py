@@ -59,15 +59,13 @@ def parameters(material: Principled) -> dict[str, Any]:
         "specular_IOR": material.ior,
     }
     if material.metallic == 0.0:
-        made["specular_color"] = np.clip(1.0 + material.spec_tint * (material.tint - 1.0), 0.0, 1.0).tolist()
+        made["specular_color"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
     if material.anisotropic > 0.0:  # the same aspect: alpha / sqrt(1 - a), alpha * sqrt(1 - a)
         made["specular_anisotropy"] = 0.9 * material.anisotropic
     if material.coat_weight > 0.0:
-        made["coat"], made["coat_roughness"] = material.coat_weight, float(np.sqrt(material.coat_alpha))
+        made["coat"], made["coat_roughness"] = material.coat_weight, material.coat_roughness
     if np.any(material.sheen_colour > 0.0):
-        colour = material.sheen_colour
-        made["sheen"] = float(min(SHEEN_SCALE * colour.max(), 1.0))
-        made["sheen_color"] = (colour / colour.max()).tolist()
+        made["sheen"], made["sheen_color"] = material.scaled_sheen(SHEEN_SCALE)
         made["sheen_roughness"] = SHEEN_ROUGHNESS
     return made
 

@@ -31,15 +31,13 @@ _SMOOTH_COAT = 0.1  # GGX alpha: a rougher coat would turn into a sharp highligh
 
 def parameters(material: Principled) -> dict[str, Any]:
     """Properties of a material, all of `DEFAULTS`; reflectance at normal incidence is Unity's 0.04."""
+    roughness, anisotropy = material.around_mean
     made = DEFAULTS | {
         "_BaseColor": encode_srgb(np.asarray(material.base_color)).tolist(),
         "_Metallic": material.metallic,
-        "_Smoothness": 1.0 - material.roughness,
+        "_Smoothness": 1.0 - roughness,
+        "_Anisotropy": anisotropy,
     }
-    if material.anisotropic > 0.0:
-        alpha_x, alpha_y = material.alphas
-        made["_Anisotropy"] = float((alpha_x - alpha_y) / (alpha_x + alpha_y))
-        made["_Smoothness"] = 1.0 - float(np.sqrt(min(0.5 * (alpha_x + alpha_y), 1.0)))
     if material.coat_weight > 0.0 and material.coat_alpha <= _SMOOTH_COAT:
         made["_CoatMask"] = material.coat_weight
     return made

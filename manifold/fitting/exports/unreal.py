@@ -52,20 +52,17 @@ def shading_model(values: Mapping[str, Any]) -> str:
 
 def parameters(material: Principled) -> dict[str, Any]:
     """Inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
+    roughness, anisotropy = material.around_mean
     made = DEFAULTS | {
         "BaseColor": list(material.base_color),
         "Metallic": material.metallic,
         "Specular": 0.0 if material.is_diffuse else material.specular,
-        "Roughness": material.roughness,
+        "Roughness": roughness,
+        "Anisotropy": anisotropy,
     }
-    if material.anisotropic > 0.0:
-        alpha_x, alpha_y = material.alphas
-        mean = 0.5 * (alpha_x + alpha_y)
-        made["Anisotropy"] = float((alpha_x - alpha_y) / (alpha_x + alpha_y))
-        made["Roughness"] = float(np.sqrt(min(mean, 1.0)))
     if material.coat_weight > 0.0:
         made["ClearCoat"] = material.coat_weight
-        made["ClearCoatRoughness"] = float(np.sqrt(material.coat_alpha))
+        made["ClearCoatRoughness"] = material.coat_roughness
     return made
 
 

@@ -6,7 +6,8 @@
 #
 # PYTHON names the interpreter (3.11 or newer); by default the first suitable one on the PATH.
 # libllvm19 lets Mitsuba run its fast variants. It is installed where it is missing and apt may be used;
-# without it everything works, slower. The tests of pages need Debian's chromium, which `dev` installs likewise.
+# without it everything works, slower. The tests of pages need Debian's chromium, which `dev` installs likewise; those of
+# glTF files by other programs need three.js and Khronos' validator, which `dev` installs into .venv where npm is there.
 set -eu
 cd "$(dirname "$0")/.."
 extra=${1:-}
@@ -64,6 +65,11 @@ fi
 
 if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
     apt_install chromium || echo "setup: chromium is missing and could not be installed; tests of pages are skipped" >&2
+fi
+
+if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
+    npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator@2 >/dev/null 2>&1 ||
+        echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
 fi
 
 target=.

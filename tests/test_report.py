@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import solve
-from small_library import small_library
+from small_library import NAMES, measured, small_library
 
 from manifold import metrics
 from manifold.brdf.plausibility import plausibility
@@ -20,6 +20,8 @@ from manifold.experiments.evaluation.methods import standard_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
 from manifold.experiments.evaluation.report_text import format_report
 from manifold.experiments.evaluation.tabulated import Data
+from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import (
     RusinkiewiczGrid,
@@ -29,6 +31,7 @@ from manifold.metrics import (
     rmse,
 )
 from manifold.model.manifold import Manifold, Settings
+from manifold.model.materials import MaterialCache
 from manifold.plots import figures, plot_latents
 
 KINDS = ("monochrome", "material")
@@ -341,3 +344,19 @@ def test_unknown_picture_formats_are_refused(model, tmp_path, suffix):
 
     with pytest.raises(UsageError, match="picture format"):
         figures.save(plot_latents.latent_map(model), tmp_path / f"map{suffix}")
+
+
+def test_blends_are_judged_by_the_files_with_their_negative_values(tmp_path):
+    """Colours outside of sRGB have some; blends combine materials without them."""
+    for name in NAMES[:4]:
+        file = measured(name)
+        write_bsdf(tmp_path / f"{name}_rgb.bsdf", replace(file, spectra=file.spectra - np.float32(0.02)))
+    import_files(tmp_path / "library.zarr", [tmp_path])
+    library = Library.open(tmp_path / "library.zarr")
+    made = report.make_report(Manifold.fit(library, Settings(kind="blend")))
+    filled = MaterialCache(library, library.names).filled()
+    data = Data.evaluate(filled, RusinkiewiczGrid.named("default"))
+    assert data.f.min() < 0.0
+    errors = [data.relative_error(0, other) for other in data.f[1:]]
+    found = method(made, "nearest").relative_error[0]
+    assert min(abs(found - error) for error in errors) < 1e-12

@@ -36,6 +36,7 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
+from manifold.model.materials import MaterialCache
 from manifold.models.gp_weights import IsolatedLatentsWarning
 from manifold.records import Array, Progress, evenly_spaced
 
@@ -169,7 +170,10 @@ def make_report(
     others = [m for m in gplvm_methods() if m.key not in replaced]
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
     chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
-    materials, load = wall_clock(lambda: model.load_materials(on_progress))
+    as_measured = MaterialCache(
+        model.library, model.names
+    )  # with negative values, whatever the model makes of them
+    materials, load = wall_clock(lambda: as_measured.filled(on_progress=on_progress))
     data, tabulate = wall_clock(lambda: _tabulate(model, materials, on_progress))
     encoded, encode = wall_clock(lambda: _encode(data, chosen, on_progress))
     bands = np.arange(model.bands.count) if all_bands else data.bands

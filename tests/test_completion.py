@@ -26,7 +26,7 @@ from manifold.model.completion.hybrid import combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import posterior
+from manifold.models.mixtures import posteriors
 from manifold.models.next_readings import colours, hypotheses, next_readings
 from manifold.records import Bands
 
@@ -59,7 +59,7 @@ def random_samples(rng, n=5, P=9, Q=40):
 def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(rng):
     at, _, gram = random_samples(rng)
     target, weights = rng.random(9) + 0.2, rng.random(9) + 0.5
-    found = posterior(at, target, weights, gram, noise=0.1)
+    found = posteriors(at, target, weights, gram, (0.1,))[0]
     assert found.probability.sum() == pytest.approx(1.0)
     amplitude = np.sqrt(weights) / (0.1 * np.sqrt(target**2 + 0.09 * np.average(target**2, weights=weights)))
 
@@ -78,7 +78,7 @@ def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(r
 def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     target = 0.5 * at[1] + 0.5 * at[4]
-    found = posterior(at, target, np.ones(9), gram)
+    found = posteriors(at, target, np.ones(9), gram)[0]
     best = found.likeliest(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
     np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
@@ -91,7 +91,7 @@ def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     truth = np.array([[0.5, 0, 0.3, 0, 0, 0, 0.2], [0.2, 0, 0.6, 0, 0, 0, 0.1]])
     targets = truth @ at
     group = np.append(np.repeat(np.arange(3), 2), 3)
-    structure = posterior(at, targets.mean(axis=0), np.ones(9), gram).mean
+    structure = posteriors(at, targets.mean(axis=0), np.ones(9), gram)[0].mean
     found = completion_weights(at, targets, np.ones(9), gram, group, structure)
     assert found.min() >= 0.0
     assert np.abs(found @ at - targets).max() < 0.05 * targets.max()

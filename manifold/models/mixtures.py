@@ -6,7 +6,9 @@ readings: many mixtures meet them. They are all tried, and averaged by how well 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,13 +67,21 @@ class Mixtures:
 
     def likeliest(self, count: int) -> Array:
         """The mixtures of the largest probability, at most `count`, likeliest first."""
-        return np.argsort(-self.probability, kind="stable")[:count]
+        count = min(count, len(self.probability))
+        some = np.sort(np.argpartition(-self.probability, count - 1)[:count])
+        return some[np.argsort(-self.probability[some], kind="stable")]
 
 
-def posterior(
-    samples: Array, target: Array, weights: Array, gram: Array, *, noise: float = SHARP, relative: float = 4.0
-) -> Mixtures:
-    """How likely mixtures of two samples are, given readings of a material.
+def posteriors(
+    samples: Array,
+    target: Array,
+    weights: Array,
+    gram: Array,
+    noises: Sequence[float] = (SHARP,),
+    *,
+    relative: float = 4.0,
+) -> list[Mixtures]:
+    """How likely mixtures of two samples are, given readings of a material, for every noise.
 
     Scale and Lambertian of every mixture are those that meet the readings best, near the level of the samples. The
     likelihood is Gaussian in cube roots. It is divided by `(v gram v)^(relative / 2)`, v being a mixture's weights:
@@ -82,37 +92,56 @@ def posterior(
         target: cube roots of the material there, shape (P,).
         weights: of the readings, shape (P,).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
-        noise: of cube roots, as a share of them.
+        noises: of cube roots, as a share of them.
         relative: exponent of the norm.
     """
     n = len(samples) - 1
-    amplitude = np.sqrt(weights) / (
-        noise * np.sqrt(target**2 + _FLOOR**2 * np.average(target**2, weights=weights) + 1e-12)
-    )
+    amplitude = np.sqrt(weights / (target**2 + _FLOOR**2 * np.average(target**2, weights=weights) + 1e-12))
     X, y = samples * amplitude, target * amplitude
+    with_target = X @ y
     first, second, share = _pairs(n)
-    inner, with_target = X @ X.T, X @ y
-    scale_precision, lambertian_precision = _SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
-    saa = _of_pairs(inner, first, second, share) + scale_precision
-    sal = share * inner[first, n] + (1.0 - share) * inner[second, n]
-    sll = inner[n, n] + lambertian_precision
-    sa = share * with_target[first] + (1.0 - share) * with_target[second] + scale_precision
-    sl = with_target[n]
-    scale, lambertian = _two_nonnegative(saa, sal, sll, sa, sl)
-    misfit = (
-        saa * scale**2 + 2.0 * sal * scale * lambertian + sll * lambertian**2
-        - 2.0 * (sa * scale + sl * lambertian)
-    )  # fmt: skip
-    norm = (
-        scale**2 * _of_pairs(gram, first, second, share)
-        + 2.0 * scale * lambertian * (share * gram[first, n] + (1.0 - share) * gram[second, n])
-        + lambertian**2 * gram[n, n]
-    )
-    log_probability = -0.5 * misfit - 0.5 * relative * np.log(np.maximum(norm, np.finfo(float).tiny))
-    probability = np.exp(log_probability - log_probability.max())
-    return Mixtures(first, second, share, scale, lambertian, probability / probability.sum(), n)
+    at_readings, everywhere = (_Products.of(inner, first, second, share) for inner in (X @ X.T, gram))
+    a_target = share * with_target[first] + (1.0 - share) * with_target[second]
+    found = []
+    for noise in noises:
+        # Misfit times noise^2: what is known of scale and Lambertian beforehand is weighed instead.
+        known_scale, known_lambertian = (noise / _SCALE_SPREAD) ** 2, (noise / _LAMBERTIAN_SPREAD) ** 2
+        told = _Products(at_readings.aa + known_scale, at_readings.al, at_readings.ll + known_lambertian)
+        scale, lambertian = _two_nonnegative(
+            told.aa, told.al, told.ll, a_target + known_scale, float(with_target[n])
+        )
+        misfit = told.norm(scale, lambertian) - 2.0 * (
+            (a_target + known_scale) * scale + with_target[n] * lambertian
+        )
+        norm = np.maximum(everywhere.norm(scale, lambertian), np.finfo(float).tiny)
+        log_probability = -0.5 * misfit / noise**2 - 0.5 * relative * np.log(norm)
+        probability = np.exp(log_probability - log_probability.max())
+        found.append(Mixtures(first, second, share, scale, lambertian, probability / probability.sum(), n))
+    return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,), with the Lambertian (H,), and its own."""
+
+    aa: Array
+    al: Array
+    ll: float
+
+    @classmethod
+    def of(cls, inner: Array, first: Array, second: Array, share: Array) -> _Products:
+        """From inner products of samples and Lambertian, shape (n + 1, n + 1)."""
+        rest = 1.0 - share
+        own = np.diagonal(inner)
+        aa = share**2 * own[first] + 2.0 * share * rest * inner[first, second] + rest**2 * own[second]
+        return cls(aa, share * inner[first, -1] + rest * inner[second, -1], float(inner[-1, -1]))
+
+    def norm(self, scale: Array, lambertian: Array) -> Array:
+        """Squared norms of scaled mixtures with a Lambertian, shape (H,)."""
+        return scale**2 * self.aa + 2.0 * scale * lambertian * self.al + lambertian**2 * self.ll
+
+
+@lru_cache(maxsize=4)
 def _pairs(n: int) -> tuple[Array, Array, Array]:
     """Indices and shares of all mixtures of n samples: each alone, and every pair in every share."""
     i, j = np.triu_indices(n, 1)
@@ -123,16 +152,6 @@ def _pairs(n: int) -> tuple[Array, Array, Array]:
     first = np.concatenate([alone, *([i] * len(_SHARES))])
     second = np.concatenate([alone, *([j] * len(_SHARES))])
     return first, second, np.concatenate([np.ones(n), np.repeat(_SHARES, len(i))])
-
-
-def _of_pairs(inner: Array, first: Array, second: Array, share: Array) -> Array:
-    """Squared norms of mixtures, from inner products of samples."""
-    rest = 1.0 - share
-    return (
-        share**2 * inner[first, first]
-        + 2.0 * share * rest * inner[first, second]
-        + rest**2 * inner[second, second]
-    )
 
 
 def _two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:

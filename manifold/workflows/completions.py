@@ -143,7 +143,7 @@ def complete_files(
     )
     picture = output.with_suffix(".png") if with_picture else None
     if picture is not None:
-        settings = renders.make_settings(size=256, samples=64, seed=0, illuminant="D65", environment=None)
+        settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
         renders.render(renders.file_source(output), picture, settings, on_progress)
     return Completed(
         output, picture, found, hybrid, expected, plausibility, suggested,

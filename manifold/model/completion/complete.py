@@ -14,7 +14,7 @@ from manifold.model.completion.reading_bands import beyond, for_library, in_all_
 from manifold.model.completion.samples import LibrarySamples
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import BROAD, SHARP, Mixtures, posterior
+from manifold.models.mixtures import BROAD, SHARP, Mixtures, posteriors
 from manifold.records import Array
 
 _HYPOTHESES = 200  # mixtures by which the spread is told
@@ -95,8 +95,8 @@ class Completion:
         probability, weights = self.likeliest
         curves = weights @ self.samples.directions
         mean = probability @ curves
-        variance = probability @ (curves - mean) ** 2
-        return float(np.sqrt(variance @ self.samples.weights / (mean**2 @ self.samples.weights)))
+        variance = probability @ ((curves - mean) ** 2 @ self.samples.weights)
+        return float(np.sqrt(variance / (mean**2 @ self.samples.weights)))
 
     def spread_at(self, wi: Array, wo: Array) -> Array:
         """Standard deviation of hypotheses about f at direction pairs (P, 3), relative to their mean, shape (P,)."""
@@ -168,7 +168,7 @@ def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array)
     """`complete`, where cube roots of samples at the readings (n + 1, P) are at hand."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
     structure, gram = _structure(readings), samples.gram
-    sharp, broad = (posterior(at_readings, structure, weights, gram, noise=noise) for noise in (SHARP, BROAD))
+    sharp, broad = posteriors(at_readings, structure, weights, gram, (SHARP, BROAD))
     targets = np.cbrt(np.maximum(readings.values, 0.0)).T
     found = completion_weights(at_readings, targets, weights, gram, samples.material_of, sharp.mean)
     return Completion(

@@ -52,7 +52,7 @@ def predict(library: Path, kind: str) -> dict[str, float]:
     return {"first_seconds": seconds[0], "seconds": float(np.median(seconds[1:]))}
 
 
-def seed_grid(library: Path, kind: str) -> dict[str, float]:
+def published_grid(library: Path, kind: str) -> dict[str, float]:
     """One prediction at all direction pairs of the grid of Hikichi & Iwasaki and all bands, kept as float32."""
     model, x = loaded(library, kind)
     brdf = model.predict(x)
@@ -67,7 +67,7 @@ def seed_grid(library: Path, kind: str) -> dict[str, float]:
 
 
 MEASUREMENTS: dict[str, Callable[[Path, str], dict[str, float]]] = {
-    "embed": embed, "predict": predict, "seed_grid": seed_grid,
+    "embed": embed, "predict": predict, "published_grid": published_grid,
 }  # fmt: skip
 
 
@@ -104,7 +104,7 @@ def measure(library: Path, name: str, kind: str) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure both kinds of manifold on a library: a given one, or the built-in corpus."""
+    """Measure every kind of manifold on a library: a given one, or the built-in corpus."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "library", nargs="?", type=Path, help="a library.zarr; without it, the built-in corpus"
@@ -129,14 +129,14 @@ def main() -> None:
         reference = reference_seconds(library)
         results: dict[str, Any] = {"materials": len(stored.materials), "stored_bytes": stored.bytes}
         print(f"{len(stored.materials)} materials, {stored.bytes / 1e6:.0f} MB; copied in {reference:.3f} s")
-        for kind in ("material", "monochrome"):
+        for kind in ("blend", "material", "monochrome"):
             for name in MEASUREMENTS:
                 found = measure(library, name, kind)
                 found["ratio"] = found["seconds"] / reference
                 results[f"{name}, {kind}"] = found
                 peak = found["peak_bytes"] / 1e9
                 print(
-                    f"{name:10} {kind:11} {found['seconds']:7.2f} s {found['ratio']:7.1f} x {peak:5.2f} GB",
+                    f"{name:14} {kind:11} {found['seconds']:7.2f} s {found['ratio']:7.1f} x {peak:5.2f} GB",
                     flush=True,
                 )
     if options.json:

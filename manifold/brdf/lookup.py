@@ -24,7 +24,7 @@ def _half_vector_jacobian(ux, theta_m, cos_im):
 _FASTMATH = {"contract", "reassoc", "nsz"}  # no assumption that values are finite: a masked cell may be NaN
 
 
-@nb.njit(cache=True, fastmath=_FASTMATH)
+@nb.njit(**warp.UNCOUNTED, fastmath=_FASTMATH)
 def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     """All bands of one located pair above the horizon, into row (B,)."""
     _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
@@ -33,7 +33,7 @@ def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row)
 
 
-@nb.njit(cache=True, fastmath=_FASTMATH, inline="always")
+@nb.njit(**warp.UNCOUNTED, fastmath=_FASTMATH)
 def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row):
     """All bands of one half vector at (ux, uy), which the warp brings to (u, v), into row (B,)."""
     jacobian, ndf, sigma, _, _, _, _, _, spectra = tables

@@ -20,6 +20,9 @@ from manifold.errors import ShapeError
 from manifold.records import Array
 from manifold.system.parallel import in_turn
 
+UNCOUNTED = {"cache": True, "_nrt": False}
+"""For loops over points: counting references to tables that outlive the loop takes longer than a lookup."""
+
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant
 
 
@@ -40,7 +43,7 @@ def _bracket(nodes, value):
     return lo, min(max(t, 0.0), 1.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(**UNCOUNTED)
 def blend(phi_nodes, theta_nodes, phi, theta):
     """The four parameter slices around (phi, theta), and their weights.
 
@@ -57,7 +60,7 @@ def blend(phi_nodes, theta_nodes, phi, theta):
     return slices, weights
 
 
-@nb.njit(cache=True, inline="always")
+@nb.njit(**UNCOUNTED, inline="always")
 def _at2(table, slices, weights, i):
     """Blended entry of a (slices, R) table."""
     v = weights[0] * table[slices[0], i] + weights[1] * table[slices[1], i]
@@ -66,7 +69,7 @@ def _at2(table, slices, weights, i):
     return v
 
 
-@nb.njit(cache=True, inline="always")
+@nb.njit(**UNCOUNTED, inline="always")
 def _at3(table, slices, weights, i, j):
     """Blended entry of a (slices, R, C) table."""
     v = weights[0] * table[slices[0], i, j] + weights[1] * table[slices[1], i, j]
@@ -83,7 +86,7 @@ def cell(coordinate, n):
     return i, scaled - i
 
 
-@nb.njit(cache=True)
+@nb.njit(**UNCOUNTED)
 def bilinear(table, x, y):
     """Value of an (R, C) table at (x, y) in the unit square, clamped to it."""
     j, tx = cell(x, table.shape[1])
@@ -103,7 +106,7 @@ def interpolate(table, points):
     return out
 
 
-@nb.njit(cache=True)
+@nb.njit(**UNCOUNTED)
 def density(data, slices, weights, x, y):
     """Blended density at (x, y); integrates to 1 over the unit square."""
     n_rows, n_cols = data.shape[1], data.shape[2]
@@ -114,7 +117,7 @@ def density(data, slices, weights, x, y):
     return ((1 - tx) * c0 + tx * c1) * (n_rows - 1) * (n_cols - 1)
 
 
-@nb.njit(cache=True)
+@nb.njit(**UNCOUNTED)
 def invert(data, conditional, marginal, slices, weights, x, y):
     """The uniform variates that `sample` maps to (x, y), and the density there."""
     n_rows, n_cols = data.shape[1], data.shape[2]
@@ -145,7 +148,7 @@ def _invert_linear(f0, f1, area):
     return min(max(t, 0.0), 1.0)
 
 
-@nb.njit(cache=True)
+@nb.njit(**UNCOUNTED)
 def sample(data, conditional, marginal, slices, weights, u, v):
     """The point (x, y) of uniform variates (u, v), and the density there."""
     n_rows, n_cols = data.shape[1], data.shape[2]

@@ -164,7 +164,7 @@ def drag_ms(page: Any, steps: int = 100) -> dict[str, dict[str, float]]:
       }
       return times;
     }"""
-    page.add_style_tag(content="#ball { width: 256px !important; height: 256px !important }")
+    page.evaluate("Object.assign(document.getElementById('ball').style, { width: '256px', height: '256px' })")
     times = np.array(page.evaluate(script, steps)).T
     return {
         kind: dict(zip(("least", "median", "p95"), np.percentile(values, [0, 50, 95]).tolist(), strict=True))

@@ -12,6 +12,7 @@ Source: Dupuy & Jakob 2018, section 4; the interpolation is that of Mitsuba's `M
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -20,7 +21,7 @@ from manifold.errors import ShapeError
 from manifold.records import Array
 from manifold.system.parallel import in_turn
 
-UNCOUNTED = {"cache": True, "_nrt": False}
+UNCOUNTED: dict[str, Any] = {"cache": True, "_nrt": False}
 """For loops over points: counting references to tables that outlive the loop takes longer than a lookup."""
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant

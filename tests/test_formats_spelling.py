@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import openpyxl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ FACTORS = np.pi * SPECTRO.values
 def spectro_table(
     separator=",",
     point=".",
+    cell="{}",
     head="{}",
     geometry=str,
     scale=1.0,
@@ -42,7 +44,7 @@ def spectro_table(
     lines = [before] if before else []
     lines.append(separator.join([*first, "Geometry", *(head.format(w) for w in nm)]))
     for name, row in zip(MA_T12_NAMES, scale * FACTORS, strict=True):
-        cells = [f"{value:.7f}".replace(".", point) for value in row[::order]]
+        cells = [cell.format(f"{value:.7f}".replace(".", point)) for value in row[::order]]
         lines.append(separator.join([*(["smooth", "2026"][: len(first)]), geometry(name), *cells]))
     return line_end.join(lines) + line_end
 
@@ -56,6 +58,7 @@ TABLES = {
     "UTF-16 without a mark": spectro_table().encode("utf-16-le"),
     "nm": spectro_table(head="{} nm"),
     "percent in the heads": spectro_table(head="R{} [%]", scale=100.0),
+    "percent in the cells": spectro_table(";", ",", cell="{} %", scale=100.0),
     "percent, not said": spectro_table(scale=100.0),
     "SPECTRAL_NM_400": spectro_table(head="SPECTRAL_NM_{}"),
     "descending": spectro_table(order=-1),
@@ -107,6 +110,20 @@ def test_short_rows_are_named_and_empty_cells_are_not_measured(tmp_path):
     path.write_text(spectro_table().replace(f"{FACTORS[1, 2]:.7f}", ""))
     found = registry.read_readings(path)
     assert np.argwhere(~found.measured).tolist() == [[1, 2]]
+
+
+def test_rows_of_workbooks_end_where_their_cells_do(tmp_path):
+    """Not one value of the second geometry, nor the red end of the third, was measured."""
+    book = openpyxl.Workbook()
+    book.active.append(["Name", "Geometry", *(f"{w:g}" for w in MA_T12_BANDS.wavelengths_nm)])
+    for k, (name, row) in enumerate(zip(MA_T12_NAMES, FACTORS.tolist(), strict=True)):
+        book.active.append(["smooth", name, *row[: {1: 0, 2: 25}.get(k, 31)]])
+    book.save(tmp_path / "gaps.xlsx")
+    found = registry.read_readings(tmp_path / "gaps.xlsx")
+    expected = np.ones((12, 31), bool)
+    expected[1], expected[2, 25:] = False, False
+    np.testing.assert_array_equal(found.measured, expected)
+    np.testing.assert_allclose(found.values[expected], SPECTRO.values[expected], rtol=1e-9)
 
 
 def test_a_sample_without_any_value_is_refused(tmp_path):

@@ -51,7 +51,9 @@ def read(path: Path) -> list[Readings]:
     errors: list[FileFormatError] = []
     for title in candidates:
         try:
-            found = read_table(sheets[title], Place(path, _REMEDY), path.stem, _instrument(sheets))
+            found = read_table(
+                sheets[title], Place(path, _REMEDY), path.stem, _instrument(sheets), is_sheet=True
+            )
         except FileFormatError as error:
             message = str(error).replace(f"{path.name}:", f"{path.name}, sheet '{title}':", 1)
             errors.append(

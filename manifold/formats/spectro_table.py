@@ -47,7 +47,9 @@ class _Header:
     unit: str  # `f`, `percent` or `factor`
 
 
-def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrument: str) -> list[Readings]:
+def read_table(
+    rows: Sequence[Sequence[Cell]], place: Place, name: str, instrument: str, *, is_sheet: bool = False
+) -> list[Readings]:
     """Readings of every sample of a table, in its order.
 
     Args:
@@ -55,6 +57,7 @@ def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrume
         place: of errors.
         name: of the sample where the table has no column of names.
         instrument: for the record.
+        is_sheet: whether rows end at their last cell that is not empty, as those of workbooks do.
     Raises:
         FileFormatError: no header is found, or a cell is not what its column holds.
     """
@@ -75,7 +78,7 @@ def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrume
             "two columns of the same wavelength, expected different ones", f"row {header.row + 1}"
         )
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
-    last = name
+    last, percent = name, header.unit == "percent"
     for index in range(header.row + 1, len(rows)):
         row = rows[index]
         where = f"row {index + 1}"
@@ -88,7 +91,9 @@ def read_table(rows: Sequence[Sequence[Cell]], place: Place, name: str, instrume
             continue  # a footnote, a title
         if header.name is not None and header.name < len(row) and _text(row[header.name]):
             last = _text(row[header.name])
-        values = [_value(row, column, place, f"{where}, column {column + 1}") for column in order]
+        if is_sheet:
+            row = [*row, *[None] * (max(order) + 1 - len(row))]
+        values = [_value(row, column, percent, place, f"{where}, column {column + 1}") for column in order]
         samples.setdefault(last, []).append((*directions, values))
     if not samples:
         raise place.error(
@@ -184,7 +189,9 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
     joined = " ".join(texts).lower()
     if "1/sr" in joined or "sr^-1" in joined or "sr-1" in joined or (has_angles and "brdf" in joined):
         unit = "f"
-    elif "%" in joined or "percent" in joined:
+    elif (
+        "%" in joined or "percent" in joined or any(_text(c).endswith("%") for cells in below for c in cells)
+    ):
         unit = "percent"
     else:
         unit = "f" if has_angles and geometry is None else "unknown"
@@ -238,7 +245,7 @@ def _directions(row: Sequence[Cell], header: _Header, place: Place, where: str) 
     return wi, wo
 
 
-def _value(row: Sequence[Cell], column: int, place: Place, where: str) -> float:
+def _value(row: Sequence[Cell], column: int, percent: bool, place: Place, where: str) -> float:
     if column >= len(row):
         raise place.error(f"the row ends after {len(row)} cells, expected a value", where)
     cell = row[column]
@@ -246,6 +253,8 @@ def _value(row: Sequence[Cell], column: int, place: Place, where: str) -> float:
     if abs(value) < 1e300:
         return value
     text = _text(cell)
+    if percent:
+        text = text.removesuffix("%").rstrip()
     if text.lower() in ("", "-", "n/a", "---"):
         return float("nan")
     return place.number(text, where)

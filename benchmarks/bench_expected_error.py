@@ -50,7 +50,7 @@ def hold_out(library: Library, settings: Settings, held_out: list[str]) -> list[
     model = Manifold(materials, space, settings, statistics)
     model.calibrate()
     found = []
-    for truth in MaterialCache(library, held_out, is_nonnegative=is_nonnegative).filled():
+    for truth in MaterialCache(library, held_out).filled():
         place = model.embed(truth)
         expected = model.expected_error(place.latent, place.colours)
         assert expected is not None

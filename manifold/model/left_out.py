@@ -157,7 +157,7 @@ def leave_out(
     """Leave every material of a space out once, the places of the others kept, and find it again from its data."""
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
-    table = _Table(materials.filled(on_progress=on_progress), bands)
+    table = _Table(materials.with_negative_values(on_progress), bands)
     encode = (
         _blends(space, table) if isinstance(space, BlendSpace) else _processes(space, materials, settings)
     )

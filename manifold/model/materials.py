@@ -35,6 +35,7 @@ class MaterialCache:
         self._filled: dict[str, MeasuredBRDF] = {}
         self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
         self._unmeasured_shares: dict[str, float] = {}
+        self._cut: set[str] = set()  # names of materials whose negative values were taken for 0
 
     def index(self, name: str) -> int:
         """The index of a material.
@@ -63,6 +64,14 @@ class MaterialCache:
     ) -> list[MeasuredBRDF]:
         """Materials with their unmeasured cells filled, as predictions combine them; all by default."""
         return self._read(self._fill, self.names if names is None else tuple(names), on_progress)
+
+    def with_negative_values(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
+        """All materials, unmeasured cells filled, negative values kept: what predictions are judged by."""
+        filled = self.filled(on_progress=on_progress)
+        return [
+            MeasuredBRDF(fill_unmeasured(self.library.read(name))) if name in self._cut else material
+            for name, material in zip(self.names, filled, strict=True)
+        ]
 
     def in_bands(self, bands: Sequence[int], on_progress: Progress | None = None) -> list[MeasuredBRDF]:
         """All materials, unmeasured cells filled, in some of their bands; the others are not kept."""
@@ -102,6 +111,7 @@ class MaterialCache:
         filled = fill_unmeasured(file, cells)
         if self.is_nonnegative and np.any(filled.spectra < 0):
             filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
+            self._cut.add(file.name)
         return filled
 
     def _read(

@@ -36,7 +36,6 @@ from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
-from manifold.model.materials import MaterialCache
 from manifold.models.gp_weights import IsolatedLatentsWarning
 from manifold.records import Array, Progress, evenly_spaced
 
@@ -170,10 +169,7 @@ def make_report(
     others = [m for m in gplvm_methods() if m.key not in replaced]
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
     chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
-    as_measured = MaterialCache(
-        model.library, model.names
-    )  # with negative values, whatever the model makes of them
-    materials, load = wall_clock(lambda: as_measured.filled(on_progress=on_progress))
+    materials, load = wall_clock(lambda: model.materials.with_negative_values(on_progress))
     data, tabulate = wall_clock(lambda: _tabulate(model, materials, on_progress))
     encoded, encode = wall_clock(lambda: _encode(data, chosen, on_progress))
     bands = np.arange(model.bands.count) if all_bands else data.bands

@@ -15,7 +15,7 @@ from manifold.errors import UsageError
 from . import terminal
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption, MovedLibraryOption
 from .outputs import or_default
-from .point_options import PointsOption, replacing, show_points
+from .point_options import PointsOption, folder_or_default, replacing, show_points
 
 if TYPE_CHECKING:
     from manifold.model.predicted_file import Prediction
@@ -280,7 +280,7 @@ def predict(
             point_table,
         )
 
-        table, folder = point_table.read_points(points), output or Path("predictions")
+        table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
             model, table, folder, library=library, physical=physical, force=force, resolution=resolution,
             n_theta_i=n_theta_i, check=replacing("predict", points, force), stage=terminal.progress,

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
 from .outputs import require_replaceable
 
 if TYPE_CHECKING:
     from manifold.workflows.many_points import Check, PointOutcome
+
+_FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
 
 PointsOption = Annotated[
     Path | None,
@@ -24,6 +26,17 @@ PointsOption = Annotated[
         metavar="CSV",
     ),
 ]  # fmt: skip
+
+
+def folder_or_default(output: Path | None, default: str) -> Path:
+    """The folder that was named, or else a default.
+
+    Raises:
+        UsageError: it is named like a file.
+    """
+    if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
+        raise UsageError(f"{output}: named like a file, expected a folder for many files; name another")
+    return output or Path(default)
 
 
 def replacing(command: str, points: Path, force: bool) -> Check | None:

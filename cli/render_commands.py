@@ -20,7 +20,7 @@ from .model_commands import (
     parse_latent,
 )
 from .outputs import Force, or_default
-from .point_options import PointsOption, replacing, show_points
+from .point_options import PointsOption, folder_or_default, replacing, show_points
 
 if TYPE_CHECKING:
     from manifold.rendering.image_metrics import Summary
@@ -124,7 +124,7 @@ def render(
     if points is not None:
         from manifold.workflows import many_points, point_table
 
-        table, folder = point_table.read_points(points), output or Path("renders")
+        table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,
             check=replacing("render", points, force), stage=terminal.progress,

@@ -164,7 +164,9 @@ def test_files_of_others_are_not_replaced(model, tmp_path):
         OutputIndex(folder, "predictions")
 
 
-@pytest.mark.parametrize("words", [(), ("--latent", "0,0"), ("--srgb", "#112233")])
+@pytest.mark.parametrize(
+    "words", [(), ("--latent", "0,0"), ("--srgb", "#112233"), ("-o", "out.bsdf"), ("-o", "out.png")]
+)
 def test_a_place_is_given_once(model, tmp_path, words):
     points = () if not words else ("--from", table(tmp_path, "x,y\n0,0\n"))
     for command in ("predict", "render"):

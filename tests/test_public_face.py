@@ -37,6 +37,14 @@ def test_the_root_can_be_taken_in_at_a_glance():
     assert {"gplvm.py", "gpr.py", "dls.py", "io_rgl.py"} <= set(modules)
 
 
+def test_modules_are_short_and_what_kinds_differ_in_is_in_their_spaces():
+    modules = {file: file.read_text(encoding="utf-8") for file in (REPOSITORY / "manifold").rglob("*.py")}
+    assert [file.name for file, text in modules.items() if text.count("\n") > 400] == []
+    assert modules[REPOSITORY / "manifold" / "model" / "manifold.py"].count("\n") <= 300
+    switched = re.compile(r"isinstance\([^)]*(Space|\bkind)\b")
+    assert [file.name for file, text in modules.items() if switched.search(text)] == []
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_package_lists_its_names_and_has_them(package):
     module = importlib.import_module(package)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.metrics import RusinkiewiczGrid
 from manifold.models.decoder import EncodingPairs
@@ -48,3 +50,8 @@ def appearance_pairs() -> AppearancePairs:
     pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[some]]), np.vstack([grid.wo, ball.wo[some]]))
     amplitude = np.cbrt(np.concatenate([grid.cosines, ball.light[some]]))
     return AppearancePairs(pairs, len(grid.cosines), amplitude)
+
+
+def roots_at(materials: Sequence[MeasuredBRDF], pairs: EncodingPairs) -> Array:
+    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
+    return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])

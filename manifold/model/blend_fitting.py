@@ -12,9 +12,9 @@ from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
+from manifold.model.appearance import roots_at
 from manifold.model.decoding import encoding_pairs, integrating_sphere
 from manifold.models.blending import Layout, blend_layout
-from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Progress, evenly_spaced
 
 _BANDS = 12  # in which materials are compared, evenly spaced
@@ -111,11 +111,6 @@ def _distances(rows: Array) -> Array:
     inner = rows @ rows.T
     squared = np.diag(inner)[:, None] + np.diag(inner)[None] - 2.0 * inner
     return np.sqrt(np.maximum(squared, 0.0))
-
-
-def roots_at(materials: Sequence[MeasuredBRDF], pairs: EncodingPairs) -> Array:
-    """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
-    return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])
 
 
 def albedo_samples(materials: Sequence[MeasuredBRDF]) -> list[tuple[Array, Array]]:

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
 
 from manifold.errors import ShapeError
-from manifold.mapping import Mapping
+from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
-from manifold.model.appearance import appearance_pairs
+from manifold.model.appearance import appearance_pairs, roots_at
 from manifold.model.combination import Combination
-from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
+from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, Samples, require_shape
 from manifold.models.blending import blend_weights
 from manifold.models.colour_paths import ColourPaths
 from manifold.models.decoder import Decoder, EncodingPairs
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
+
+if TYPE_CHECKING:
+    from manifold.model.material_table import MaterialTable
+    from manifold.model.materials import MaterialCache
+    from manifold.model.settings import Settings
 
 _TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's place
 _EVALUATIONS = 150  # of each refinement
@@ -180,6 +185,31 @@ class BlendSpace(LatentSpace):
         predicted = (self.weights(x, colours) @ samples[:, :n_grid]) ** 3
         cosines = encoder.decoder.cosines[:n_grid]
         return Embedded(x, colours, relative_error(f[:, :n_grid].T, predicted.T, cosines))
+
+    def left_out_search(
+        self, table: MaterialTable, materials: MaterialCache, settings: Settings
+    ) -> LeftOutSearch:
+        """What finds each material among the others; paths of colours keep what they took from it."""
+        N, B, pairs = len(self.X), len(self.bands), appearance_pairs().pairs
+        at = np.searchsorted(table.bands, self.bands)
+        roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
+        samples = roots[:, at].reshape(N * B, -1)
+        search = PlaceSearch(self, samples, appearance_pairs().weight(samples))
+
+        def find(i: int) -> tuple[Array, Combination]:
+            x, colours = search.find(roots[i], at, without=i)
+            others = np.delete(np.arange(N), i)
+            u = np.zeros(N)
+            u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
+            every = np.zeros((self.reflectances.shape[1], N * B))
+            every[table.bands] = self.paths.weights(u, colours[0]) * colours[1][:, None]
+            return x, Combination(CubeRoot(), every, self.bands)
+
+        return find
+
+    def require_blends(self) -> BlendSpace:
+        """This space."""
+        return self
 
 
 class PlaceSearch:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
-from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
+from manifold.model.latent_space import Embedded, Samples, require_shape
+from manifold.model.process_space import ProcessSpace
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
 from manifold.models.per_band import join_latents
@@ -18,7 +19,7 @@ from manifold.records import Array
 
 
 @dataclass(frozen=True, eq=False)
-class CurveSpace(LatentSpace):
+class CurveSpace(ProcessSpace):
     """Materials as curves over their bands: structure is shared by the bands, colour is a band's own.
 
     Attributes:

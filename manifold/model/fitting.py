@@ -10,7 +10,8 @@ from manifold.errors import UsageError
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
-from manifold.model.blend_fitting import albedo_samples, looks_of, roots_at
+from manifold.model.appearance import roots_at
+from manifold.model.blend_fitting import albedo_samples, looks_of
 from manifold.model.blend_space import BlendSpace
 from manifold.model.curve_space import CurveSpace
 from manifold.model.decoding import encoder_at, encoding_pairs, integrating_sphere

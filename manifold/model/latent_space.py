@@ -8,13 +8,15 @@ band has weights over the monochrome samples, a few bands of each material. Both
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from manifold.errors import UsageError
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
@@ -24,6 +26,15 @@ from manifold.models.encoder import Encoder
 from manifold.models.gp_weights import GPWeights
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
+
+if TYPE_CHECKING:
+    from manifold.model.blend_space import BlendSpace
+    from manifold.model.material_table import MaterialTable
+    from manifold.model.materials import MaterialCache
+    from manifold.model.settings import Settings
+
+LeftOutSearch = Callable[[int], tuple[Array, Combination]]
+"""Place (Q,) of a left-out material, by its index, and what it is predicted by, weights over all materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +173,22 @@ class LatentSpace(ABC):
     @abstractmethod
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""
+
+    @abstractmethod
+    def left_out_search(
+        self, table: MaterialTable, materials: MaterialCache, settings: Settings
+    ) -> LeftOutSearch:
+        """What finds each material among the others, their places kept."""
+
+    def require_blends(self) -> BlendSpace:
+        """The space of a map of blends.
+
+        Raises:
+            UsageError: the map is of another kind.
+        """
+        raise UsageError(
+            f"a map of kind {self.kind}, expected blend, whose places are blends of materials: embed with --kind blend"
+        )
 
     def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
         """What a prediction at a latent x (Q,) is made of; at a training latent, of that material alone."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,25 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from manifold.brdf.measured import MeasuredBRDF
-from manifold.colour import ball_colours
-from manifold.mapping import CubeRoot, mapping_named
-from manifold.metrics import cube_root_error
-from manifold.model.appearance import appearance_pairs
-from manifold.model.blend_fitting import roots_at
-from manifold.model.blend_space import BlendSpace, PlaceSearch
-from manifold.model.combination import Combination, Values, evaluate
-from manifold.model.curve_space import CurveSpace
-from manifold.model.decoding import decoder_at, encoding_pairs
 from manifold.model.latent_space import LatentSpace, require_shape
-from manifold.model.material_space import MaterialSpace
+from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.blending import blend_weights
-from manifold.models.decoder import Decoder
-from manifold.models.encoder import Encoder
 from manifold.models.expected_error import LEAST_MATERIALS, ExpectedError
-from manifold.records import Array, Bands, Progress, evenly_spaced
+from manifold.records import Array, Progress, evenly_spaced
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 _PREFIX = "left_out_"
@@ -36,9 +22,6 @@ _MOST_BALL = 10.0  # CIEDE2000: another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
 
 __all__ = ["LEAST_MATERIALS", "CalibrationResult", "ExpectedErrors", "LeftOut", "leave_out"]
-
-Encode = Callable[[int], tuple[Array, Combination]]
-"""Place (Q,) of a material among the others, and what it is predicted by, weights over all materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,89 +140,12 @@ def leave_out(
     """Leave every material of a space out once, the places of the others kept, and find it again from its data."""
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
-    table = _Table(materials.with_negative_values(on_progress), bands)
-    encode = (
-        _blends(space, table) if isinstance(space, BlendSpace) else _processes(space, materials, settings)
-    )
+    table = MaterialTable(materials.with_negative_values(on_progress), bands)
+    find = space.left_out_search(table, materials, settings)
     places, ball, cube_root = np.empty_like(space.X), np.empty(len(space.X)), np.empty(len(space.X))
     for i in range(len(space.X)):
-        places[i], combination = encode(i)
+        places[i], combination = find(i)
         ball[i], cube_root[i] = table.errors(i, combination)
         if on_progress is not None:
             on_progress(i + 1, len(space.X), "left-out materials")
     return LeftOut(space, places, ball, cube_root)
-
-
-class _Table:
-    """Values of the materials in some bands, and how far predictions are from them."""
-
-    def __init__(self, materials: list[MeasuredBRDF], bands: Array) -> None:
-        self.bands = bands
-        self.materials = [material.select_bands(bands.tolist()) for material in materials]
-        self._ball, self._pairs = ball_colours.ball(), encoding_pairs()
-
-    @property
-    def _axis(self) -> Bands:
-        return self.materials[0].bands
-
-    @cached_property
-    def _on_ball(self) -> Values:
-        wi, wo = self._ball.wi, self._ball.wo
-        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
-
-    @cached_property
-    def _in_grid(self) -> Values:
-        wi, wo = self._pairs.wi, self._pairs.wo
-        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
-
-    def errors(self, i: int, combination: Combination) -> tuple[float, float]:
-        """Ball CIEDE2000 and cube-root error of a prediction of material i."""
-        here = combination.in_bands(self.bands)
-        on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
-        xyz = [self._ball.xyz(f, self._axis) for f in (self._on_ball.f[i], on_ball)]
-        return (
-            ball_colours.delta_e(*xyz),
-            cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
-        )
-
-
-def _blends(space: BlendSpace, table: _Table) -> Encode:
-    """Places of blends; paths of colours keep what they took from the left-out material."""
-    N, B, pairs = len(space.X), len(space.bands), appearance_pairs().pairs
-    at = np.searchsorted(table.bands, space.bands)
-    roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
-    samples = roots[:, at].reshape(N * B, -1)
-    search = PlaceSearch(space, samples, appearance_pairs().weight(samples))
-
-    def encode(i: int) -> tuple[Array, Combination]:
-        x, colours = search.find(roots[i], at, without=i)
-        others = np.delete(np.arange(N), i)
-        u = np.zeros(N)
-        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
-        every = np.zeros((space.reflectances.shape[1], N * B))
-        every[table.bands] = space.paths.weights(u, colours[0]) * colours[1][:, None]
-        return x, Combination(CubeRoot(), every, space.bands)
-
-    return encode
-
-
-def _processes(space: LatentSpace, materials: MaterialCache, settings: Settings) -> Encode:
-    """Latents of Gaussian processes."""
-    assert isinstance(space, MaterialSpace | CurveSpace)
-    pairs, mapping = space.embedding_pairs(), mapping_named(settings.mapping)
-    whole = decoder_at(pairs, space, materials, settings)
-    brdfs = materials.filled()
-
-    def encode(i: int) -> tuple[Array, Combination]:
-        others = np.delete(np.arange(len(space.X)), i)
-        rows, rest = space.sample_rows(others), space.without(i)
-        decoder = Decoder(rest.gp, whole.mapped[rows], whole.mapping, whole.cosines)
-        group = len(rows) // len(others)
-        encoder = Encoder.of_decoder(decoder, space.X.shape[1], group, settings.prior, settings.criterion)
-        found = rest.embed(encoder, brdfs[i].eval(pairs.wi, pairs.wo).T)
-        part = rest.weights(found.latent, found.colours)
-        every = np.zeros((*part.shape[:-1], len(whole.mapped)))
-        every[..., rows] = part
-        return found.latent, Combination(mapping, every, space.sample_bands)
-
-    return encode

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +15,9 @@ from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
 from manifold.model.decoding import encoder_at
 from manifold.model.fitting import fit_space
+from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.latents import Place, require_latent, require_latents
-from manifold.model.left_out import LEAST_MATERIALS, ExpectedErrors, LeftOut, leave_out
+from manifold.model.left_out import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.materials import MaterialCache
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
@@ -27,10 +26,8 @@ from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.spaces import SPACES
-from manifold.models.gp_weights import GPWeights
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
-EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 _ONE = np.ones(1)
 _DEFAULTS = Settings()
 
@@ -39,16 +36,12 @@ class LibraryChangedWarning(UserWarning):
     """A model was opened with a library that is not the one it was fitted to."""
 
 
-class Manifold:
+class Manifold(LatentMap):
     """Latent coordinates of measured materials, and predictions at any coordinate.
 
-    Attributes:
-        materials: the measured materials; `materials.library` is where they are read from.
-        names: material names in the order of the latents, N of them.
-        space: latents and the Gaussian process on them.
-        settings: how it was fitted.
-        statistics: objective at start and end.
-        left_out: what becomes of materials that are left out, if that was found; see `calibrate`.
+    Attributes: those of `LatentMap`, and
+        statistics: objective at start and end of the fit.
+        notes: diagnostics of all that it predicts, from `load`.
     """
 
     def __init__(
@@ -60,13 +53,9 @@ class Manifold:
         left_out: LeftOut | None = None,
     ) -> None:
         """Use `fit` or `load`."""
-        self.materials = materials
-        self.names = materials.names
-        self.space = space
-        self.settings = settings
+        super().__init__(materials, space, settings, left_out)
         self.statistics = statistics
-        self.left_out = left_out
-        self.notes: tuple[str, ...] = ()  # diagnostics of all that it predicts, from `load`
+        self.notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -111,16 +100,6 @@ class Manifold:
         """The mapping of BRDF values."""
         return mapping_named(self.settings.mapping)
 
-    @property
-    def X(self) -> Array:
-        """Latents of the materials, shape (N, Q); of a monochrome manifold their structure coordinates."""
-        return self.space.X
-
-    @property
-    def gp(self) -> GPWeights:
-        """The Gaussian process on the latents: of the materials, or of the monochrome samples."""
-        return self.space.gp
-
     def material(self, name: str) -> MeasuredBRDF:
         """A measured material as its file has it.
 
@@ -141,38 +120,7 @@ class Manifold:
         else:
             self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
 
-    # -- latents -------------------------------------------------------------------------------------------
-
-    def weights(self, x: Array, colours: Array | None = None) -> Array:
-        """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
-
-        Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
-        given, or in the colours of the materials around.
-        """
-        return self._at(x, lambda X: self.space.material_weights(X, colours))
-
-    def std(self, x: Array, colours: Array | None = None) -> Array:
-        """Posterior over prior standard deviation at latents x (M, Q) or (Q,), in [0, 1].
-
-        Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
-        over the sample bands in the colours of the materials around.
-        """
-        return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
-
-    def is_extrapolation(self, x: Array, colours: Array | None = None) -> Array:
-        """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
-
-        Of a model that is not calibrated: whether the posterior variance is over half of the prior's.
-        """
-
-        def is_unsupported(X: Array) -> Array:
-            if len(X) == 1 and self.space.training_index(X[0], colours) is not None:
-                return np.zeros(1, dtype=bool)
-            if self.left_out is not None:
-                return self.left_out.is_unsupported(X)
-            return self.space.variance_fraction(X, colours) > EXTRAPOLATION
-
-        return self._at(x, is_unsupported)
+    # -- errors to expect ----------------------------------------------------------------------------------
 
     def calibrate(self, on_progress: Progress | None = None) -> None:
         """Leave every material out once, in seconds to minutes: afterwards the model knows what errors to expect.
@@ -181,60 +129,6 @@ class Manifold:
         """
         if len(self.names) >= LEAST_MATERIALS:
             self.left_out = leave_out(self.space, self.materials, self.settings, on_progress)
-
-    def expected_error(self, x: Array, colours: Array | None = None) -> ExpectedErrors | None:
-        """How wrong predictions at latents x (M, Q) or (Q,) are expected to be; None where it is not calibrated.
-
-        0 at a material's own place, where the prediction is its file.
-        """
-        if self.left_out is None:
-            return None
-        x = require_latents(x, self.settings.latent_dim)
-        if x.ndim == 1 and self.space.training_index(x, colours) is not None:
-            return ExpectedErrors(np.zeros(()), np.zeros(()))
-        return self.left_out.expected(x)
-
-    def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
-        """The materials nearest to a latent x (Q,) with their distances, nearest first."""
-        distance = np.linalg.norm(self.X - self.require_latent(x), axis=1)
-        return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
-
-    def largest_weights(self, x: Array, count: int, colours: Array | None = None) -> list[tuple[str, float]]:
-        """The materials with the largest weights at a latent x (Q,), by magnitude; none that is zero."""
-        weights = self.weights(self.require_latent(x), colours)
-        order = np.argsort(-np.abs(weights), kind="stable")[:count]
-        return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
-
-    def unmeasured_share(self, x: Array) -> float:
-        """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight."""
-        weights = np.abs(self.weights(self.require_latent(x)))
-        shares = [self.materials.unmeasured_share(self.names[k]) for k in np.flatnonzero(weights)]
-        return float(weights[weights > 0] @ shares / weights.sum())
-
-    def latent(self, name: str) -> Array:
-        """The latent of a material, shape (Q,).
-
-        Raises:
-            UsageError: the model has no such material.
-        """
-        return self.X[self.materials.index(name)].copy()
-
-    def between(self, a: str, b: str, t: float) -> Array:
-        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
-        return (1.0 - t) * self.latent(a) + t * self.latent(b)
-
-    def require_latent(self, x: Place) -> Array:
-        """A latent as float64 (Q,), also that of a material by its name.
-
-        Raises:
-            LatentError: there are not Q finite coordinates.
-            UsageError: the model has no such material.
-        """
-        return self.latent(x) if isinstance(x, str) else require_latent(x, self.settings.latent_dim)
-
-    def _at(self, x: Array, function: Callable[[Array], Array]) -> Array:
-        x = require_latents(x, self.settings.latent_dim)
-        return function(x[None])[0] if x.ndim == 1 else function(x)
 
     @cached_property
     def colours(self) -> ReflectanceColours:

@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.model.latent_space import Embedded, LatentSpace, Samples, require_shape
+from manifold.model.latent_space import Embedded, Samples, require_shape
+from manifold.model.process_space import ProcessSpace
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
 from manifold.records import Array, evenly_spaced
@@ -18,7 +19,7 @@ _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spac
 
 
 @dataclass(frozen=True, eq=False)
-class MaterialSpace(LatentSpace):
+class MaterialSpace(ProcessSpace):
     """Whole materials as points, the kind of Hikichi & Iwasaki.
 
     Attributes:

@@ -13,7 +13,7 @@ from manifold.model.manifold import Manifold
 from manifold.plots.explorer.actions import Context
 from manifold.plots.explorer.page import make_page
 from manifold.plots.explorer.server import ExplorerServer
-from manifold.plots.explorer.tables import require_blends, tabulate, to_document
+from manifold.plots.explorer.tables import tabulate, to_document
 from manifold.records import Progress
 from manifold.system import atomic
 
@@ -86,7 +86,7 @@ def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], An
 
 def _load(model: Path, library: Path | None) -> Manifold:
     loaded = Manifold.load(model, library)
-    require_blends(loaded)
+    loaded.space.require_blends()
     return loaded
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import CubeRoot
-from manifold.model.appearance import appearance_pairs
-from manifold.model.blend_fitting import Looks, albedo_samples, looks_of, roots_at
+from manifold.model.appearance import appearance_pairs, roots_at
+from manifold.model.blend_fitting import Looks, albedo_samples, looks_of
 from manifold.model.blend_space import BlendSpace, PlaceSearch
 from manifold.model.combination import Combination
 from manifold.model.decoding import integrating_sphere

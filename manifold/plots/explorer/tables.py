@@ -69,7 +69,7 @@ def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
         UsageError: the map is of another kind.
         LibraryError: a material cannot be read.
     """
-    space = require_blends(model)
+    space = model.space.require_blends()
     grid = AngleGrid()
     pairs = tabulated_pairs(grid)
     nodes = _node_bands(model.bands)
@@ -80,20 +80,6 @@ def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
     basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))
     components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
     return Tables(grid, pairs, nodes, basis[at_nodes], basis[at_samples], components)
-
-
-def require_blends(model: Manifold) -> BlendSpace:
-    """The space of a map of blends.
-
-    Raises:
-        UsageError: the map is of another kind.
-    """
-    if not isinstance(model.space, BlendSpace):
-        raise UsageError(
-            f"a map of kind {model.space.kind}, expected blend, whose places are blends of materials: embed with "
-            "--kind blend"
-        )
-    return model.space
 
 
 def packed(tables: Tables) -> dict[str, Any]:
@@ -124,7 +110,7 @@ def unpacked(document: dict[str, Any], shape: tuple[int, ...]) -> Array:
 
 def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     """Everything that a page shows, as JSON."""
-    space = require_blends(model)
+    space = model.space.require_blends()
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
     grid, pairs = tables.grid, tables.pairs

@@ -1,0 +1,53 @@
+"""Values of the materials of a library in a few bands: what predictions of left-out ones are compared with."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import ball_colours
+from manifold.metrics import cube_root_error
+from manifold.model.combination import Combination, Values, evaluate
+from manifold.model.decoding import encoding_pairs
+from manifold.records import Array, Bands
+
+
+class MaterialTable:
+    """Materials in some bands (B,), and how far predictions of them are from what they measure.
+
+    Attributes:
+        bands: indices, increasing, shape (B,).
+        materials: in these bands.
+    """
+
+    def __init__(self, materials: list[MeasuredBRDF], bands: Array) -> None:
+        """Select the bands of all materials."""
+        self.bands = bands
+        self.materials = [material.select_bands(bands.tolist()) for material in materials]
+        self._ball, self._pairs = ball_colours.ball(), encoding_pairs()
+
+    @property
+    def _axis(self) -> Bands:
+        return self.materials[0].bands
+
+    @cached_property
+    def _on_ball(self) -> Values:
+        wi, wo = self._ball.wi, self._ball.wo
+        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
+
+    @cached_property
+    def _in_grid(self) -> Values:
+        wi, wo = self._pairs.wi, self._pairs.wo
+        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
+
+    def errors(self, i: int, combination: Combination) -> tuple[float, float]:
+        """Ball CIEDE2000 and cube-root error of a prediction of material i."""
+        here = combination.in_bands(self.bands)
+        on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
+        xyz = [self._ball.xyz(f, self._axis) for f in (self._on_ball.f[i], on_ball)]
+        return (
+            ball_colours.delta_e(*xyz),
+            cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
+        )

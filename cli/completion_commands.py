@@ -12,6 +12,7 @@ from manifold.errors import UsageError
 from . import terminal
 from .instrument_commands import CorrectionOption
 from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
+from .outputs import or_default, require_replaceable
 
 if TYPE_CHECKING:
     from manifold.model.completion.suggest import Suggested
@@ -94,10 +95,15 @@ def complete(
         return
     if instrument is not None and not suggest:
         raise UsageError("--instrument chooses among directions to read next; say --suggest K, too")
+    taken = completions.read(readings, sample, correction)
+    target = or_default(output, completions.file_name(taken.readings), "complete", force)
+    ball = target.with_suffix(".png") if picture else None
+    if ball is not None and not force:
+        require_replaceable("complete", {"picture": ball})
     with terminal.progress("Completing") as step:
-        made = completions.complete_files(
-            readings, library, output, sample=sample, correction=correction, with_picture=picture, count=suggest,
-            instrument=instrument, force=force, resolution=resolution, n_theta_i=incidences, on_progress=step,
+        made = completions.complete_readings(
+            taken, library, target, picture=ball, count=suggest, instrument=instrument, force=force,
+            resolution=resolution, n_theta_i=incidences, on_progress=step,
         )  # fmt: skip
     found, expected = made.found, made.expected
     results.rows(

@@ -196,6 +196,14 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
     np.testing.assert_allclose(list(expected.values()), want, rtol=1e-6)  # 1e-6 is added to deviations
 
 
+def test_a_completion_says_that_no_reading_sees_mirrors(samples):
+    from_spectro = complete(samples, readings(np.full((12, 3), 0.1)))
+    assert any("no reading within 15 degrees of a mirror direction" in note for note in from_spectro.notes)
+    at = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(28.0), 0.0)
+    both = tuple(np.vstack([w, a]) for w, a in zip(DIRECTIONS, at, strict=True))
+    assert not complete(samples, readings(np.full((13, 3), 0.1), both)).notes
+
+
 def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples):
     first = suggest(samples, 12, instrument="ma-t12")
     assert len({tuple(row) for row in first.angles_deg.round()}) == 12
@@ -233,6 +241,11 @@ def test_spectra_become_rgb_for_an_rgb_library_and_rgb_no_spectrum():
     white = readings(np.full((12, 31), 1.0 / np.pi), nm=nm)
     taken = for_library(white, Bands(None))
     np.testing.assert_allclose(taken.values, 1.0 / np.pi, rtol=0.02)  # the light beyond 400 to 700 nm
+    gaps = np.array(white.values)
+    gaps[3, 5:7], gaps[4, -1] = np.nan, np.nan
+    found = for_library(readings(gaps, nm=nm), Bands(None)).values
+    np.testing.assert_allclose(found[3], taken.values[3])
+    assert np.isnan(found[4]).all()
     narrow = readings(np.tile([0.1, 0.2, 0.3], (12, 1)), nm=np.array([465.0, 525.0, 630.0]))
     np.testing.assert_array_equal(for_library(narrow, Bands(None)).values[0], [0.3, 0.2, 0.1])
     with pytest.raises(BandMismatchError, match="linear sRGB"):
@@ -305,7 +318,7 @@ def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library
     made = found.readings.values[12:]
     assert float(np.median(np.abs(made - truth) / truth.max(axis=1, keepdims=True))) < 0.03
     assert found.readings.bands.count == 31
-    with pytest.raises(BandMismatchError, match="expected the same, or three"):
+    with pytest.raises(BandMismatchError, match="expected three bands, to be corrected"):
         combine(readings(spectra, nm=nm), readings(spectra[:, :5], nm=nm[:5]))
 
 
@@ -338,6 +351,14 @@ def test_options_that_would_be_ignored_are_usage_errors(run, library, tmp_path):
     ):
         status, _, err = run(*arguments, cwd=tmp_path)
         assert (status, what in err) == (2, True)
+
+
+def test_a_file_named_like_the_sample_is_not_replaced(run, library, tmp_path):
+    csv_table.write(tmp_path / "read.csv", readings(np.full((12, 3), 0.1)))
+    (tmp_path / "sample.bsdf").write_bytes(b"tensor_file of somebody")
+    status, _, err = run("complete", "read.csv", "-L", library, cwd=tmp_path)
+    assert (status, "there already" in err) == (2, True)
+    assert (tmp_path / "sample.bsdf").read_bytes() == b"tensor_file of somebody"
 
 
 def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_path, rng):

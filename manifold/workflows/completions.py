@@ -25,7 +25,7 @@ from manifold.model.completion.correction_file import read_correction, write_cor
 from manifold.model.completion.expected import calibrate
 from manifold.model.completion.hybrid import Hybrid, combine, corrected, learn_across
 from manifold.model.completion.samples import LibrarySamples
-from manifold.model.completion.suggest import Suggested, suggest
+from manifold.model.completion.suggest import Suggested, directions_of, suggest
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Progress
@@ -45,18 +45,18 @@ class Completed:
         path: the written file.
         picture: of its ball; None where none was asked for.
         found: the completion.
-        hybrid: how instruments were put together; None where there was one.
+        hybrid: what was read, and how instruments were put together.
         expected: errors to expect: ball CIEDE2000, cube-root and linear error.
         plausibility: of the written file, read back.
         suggested: the next readings to take; None where none were asked for.
         diagnostics: what a user should know before trusting it, in sentences.
-        seconds: in all.
+        seconds: in all, without reading.
     """
 
     path: Path
     picture: Path | None
     found: Completion
-    hybrid: Hybrid | None
+    hybrid: Hybrid
     expected: dict[str, float]
     plausibility: Plausibility
     suggested: Suggested | None
@@ -78,9 +78,7 @@ class Completed:
             "alternatives": [vars(a) for a in found.alternatives],
             "expected": self.expected,
             "uncertainty": uncertainty(found),
-            "correction": None
-            if self.hybrid is None or self.hybrid.correction is None
-            else self.hybrid.correction.to_json(),
+            "correction": None if self.hybrid.correction is None else self.hybrid.correction.to_json(),
             "plausibility": vars(self.plausibility),
             "suggested_deg": None if self.suggested is None else self.suggested.angles_deg.tolist(),
             "diagnostics": list(self.diagnostics),
@@ -88,14 +86,12 @@ class Completed:
         }
 
 
-def complete_files(
-    paths: Sequence[Path],
+def complete_readings(
+    hybrid: Hybrid,
     library: Path,
-    output: Path | None = None,
+    output: Path,
     *,
-    sample: str | None = None,
-    correction: Path | None = None,
-    with_picture: bool = False,
+    picture: Path | None = None,
     count: int = 0,
     instrument: str | None = None,
     force: bool = False,
@@ -106,12 +102,10 @@ def complete_files(
     """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
 
     Args:
-        paths: of one instrument, or of several, whose colours are right first.
+        hybrid: the readings, as `read` gives them.
         library: of measured materials.
-        output: the file to write; its name becomes the material's. The sample's name, .bsdf, if None.
-        sample: which of a file's samples.
-        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
-        with_picture: also render its ball, beside the file.
+        output: the file to write; its name becomes the material's.
+        picture: of the ball, to render.
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
         force: write a file, too, that returns more than 1.05 times its light.
@@ -119,17 +113,15 @@ def complete_files(
         n_theta_i: incident elevations.
         on_progress: called while materials are read.
     Raises:
-        FileFormatError: a file is of no known format, or damaged.
         BandMismatchError: bands of readings and library do not go together.
-        UsageError: the output does not end in `.bsdf`, or nothing was read.
+        UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
     """
     start = time.perf_counter()
-    readings, hybrid = read(paths, sample, correction)
-    output = output or Path(f"{_file_name(readings.name)}.bsdf")
+    directions_of(instrument)
     require_bsdf_output(output, "completed materials")
     opened = Library.open(library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True), on_progress)
-    found = complete(samples, readings)
+    found = complete(samples, hybrid.readings)
     expected = calibrate(samples, found.readings).expected(found)
     suggested = suggest(samples, count, found, instrument) if count else None
     plausibility = write_checked(
@@ -141,7 +133,6 @@ def complete_files(
         resolution=resolution,
         n_theta_i=n_theta_i,
     )
-    picture = output.with_suffix(".png") if with_picture else None
     if picture is not None:
         settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
         renders.render(renders.file_source(output), picture, settings, on_progress)
@@ -151,12 +142,17 @@ def complete_files(
     )  # fmt: skip
 
 
-def read(
-    paths: Sequence[Path], sample: str | None = None, correction: Path | None = None
-) -> tuple[Readings, Hybrid | None]:
+def read(paths: Sequence[Path], sample: str | None = None, correction: Path | None = None) -> Hybrid:
     """Readings of one sample from its files; those of several instruments are put together.
 
-    Raises: as `complete_files`.
+    Args:
+        paths: of one instrument, or of several, whose colours are right first.
+        sample: which of a file's samples.
+        correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
+    Raises:
+        FileFormatError: a file is of no known format, or damaged.
+        BandMismatchError: bands of the files, or of the correction, do not go together.
+        UsageError: a file cannot be read, or has no such sample.
     """
     readings = [
         registry.read_readings(path, sample if k == 0 else None, _MOST_READINGS)
@@ -165,11 +161,10 @@ def read(
     if correction is not None:
         learned = read_correction(correction)
         readings = [corrected(r, learned) if r.values.shape[1] == 3 else r for r in readings]
-    hybrid, first = None, readings[0]
+    found = Hybrid(readings[0], None, 0)
     for other in readings[1:]:
-        hybrid = combine(first, other)
-        first = hybrid.readings
-    return first, hybrid
+        found = combine(found.readings, other)
+    return found
 
 
 def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrection:
@@ -217,6 +212,7 @@ def _describe(found: Completion) -> str:
     )
 
 
-def _file_name(name: str) -> str:
-    """A sample's name as that of a file."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "completed"
+def file_name(readings: Readings) -> str:
+    """What the completed material's file is called by default: as the sample."""
+    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in readings.name).strip(".")
+    return f"{name or 'completed'}.bsdf"

@@ -19,6 +19,7 @@ from manifold.records import Array
 
 _HYPOTHESES = 200  # mixtures by which the spread is told
 _SHOWN_ALTERNATIVES = 5
+_SEES_MIRRORS_DEG = 5.0  # highlights of what is not a mirror are wider
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
 
 
@@ -67,11 +68,20 @@ class Completion:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the file left open, and what the readings do not reach, in sentences."""
+        notes = list(self.readings.notes)
         reach = beyond(self.readings, self.samples.bands)
-        if reach is None:
-            return self.readings.notes
-        note = f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm, as the bands at these ends are"
-        return (*self.readings.notes, note)
+        if reach is not None:
+            notes.append(
+                f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm, as the bands at these ends are"
+            )
+        wi, wo = self.readings.wi, self.readings.wo
+        from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
+        if from_mirror.min() > _SEES_MIRRORS_DEG:
+            notes.append(
+                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, as of "
+                "mirrors and clear coats, are not seen, and expected errors do not know of them"
+            )
+        return tuple(notes)
 
     @cached_property
     def misfits(self) -> Array:

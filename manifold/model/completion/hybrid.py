@@ -62,8 +62,8 @@ def shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
     """
     if other.values.shape[1] != _CAMERA_BANDS:
         raise BandMismatchError(
-            f"{other.name}: {other.values.shape[1]} bands beside the {reference.values.shape[1]} of {reference.name}, "
-            "expected the same, or three to correct; give the spectrophotometer's file first"
+            f"{other.name}: {other.bands}, expected three bands, to be corrected by the {reference.bands} of "
+            f"{reference.name}; give the spectrophotometer's file first"
         )
     at_reference = interpolated(other, reference.wi, reference.wo)
     is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)

@@ -45,10 +45,21 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
             f"{readings.name}: {len(nm)} bands, expected three or a spectrum for an RGB library"
         )
     rgb = np.full((len(readings), 3), np.nan)
-    whole = readings.measured.all(axis=1)
-    rgb[whole] = to_srgb(readings.values[whole], readings.bands)
+    values = _without_gaps(readings.values, nm)
+    whole = np.isfinite(values).all(axis=1)
+    rgb[whole] = to_srgb(values[whole], readings.bands)
     converted = replace(readings, wavelengths_nm=None, values=rgb)
     return converted.with_note("spectra are converted to linear sRGB under D65, as the library is RGB")
+
+
+def _without_gaps(values: Array, nm: Array) -> Array:
+    """Spectra (P, B) with what was not measured between two bands taken from these; ends stay unmeasured."""
+    filled = values.copy()
+    for row in filled:
+        known = np.isfinite(row)
+        if known.any():
+            row[~known] = np.interp(nm[~known], nm[known], row[known], left=np.nan, right=np.nan)
+    return filled
 
 
 def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:

@@ -137,6 +137,8 @@ def _is_own_kind(command: str, name: str, path: Path) -> bool:
         return b'"program": "manifold ' in head and is_fit == (name != "json")
     if name == "markdown":
         return b"manifold stability" in head
+    if command == "explore":
+        return b"<title>Material map</title>" in head
     if path.suffix.lower() == ".bsdf" or command == "export":
         return b" by manifold " in head
     magic = _PICTURES.get(path.suffix.lower())

@@ -67,11 +67,13 @@ def page(widget, tmp_path_factory):
 
 
 def test_what_is_moved_in_a_view_is_in_the_traits(page):
+    page.evaluate("document.addEventListener('keydown', () => (window.pressed = true))")
     before = page.evaluate("model.get('latent')")
     page.locator("#a #map").press("ArrowRight")
     page.wait_for_function("saved > 0")
     after = page.evaluate("model.get('latent')")
     assert after[0] > before[0]
+    assert not page.evaluate("window.pressed")  # notebooks have shortcuts of their own
     page.locator("#a #like").select_option(NAMES[1])
     page.wait_for_function("model.get('colour').like !== undefined")
     assert page.evaluate("model.get('colour')") == {"like": NAMES[1]}

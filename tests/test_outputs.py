@@ -15,6 +15,7 @@ from test_cli import COMMANDS, manifold, one_line
 from manifold.cli.main import app
 from manifold.cli.outputs import require_replaceable
 from manifold.errors import UsageError
+from manifold.plots.explorer.page import make_page
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,7 @@ def test_files_are_replaced_by_their_own_kind_only(tmp_path):
         "fit.json": fit, "info.json": other, "scene.json": '{"type": "scene"}', "empty": "", "a.bsdf": "tensor_file",
         "p.bsdf": "tensor_file ... Predicted (1, 2) from a synthetic corpus by manifold 0.1", "x.svg": "<?xml?><svg>",
         "x.png": "notes", "page.md": "Written by `manifold stability`", "mine.md": "# Mine",
+        "map.html": make_page({}), "site.html": "<title>Mine</title>",
     }.items():  # fmt: skip
         (tmp_path / name).write_text(text)
 
@@ -113,6 +115,7 @@ def test_files_are_replaced_by_their_own_kind_only(tmp_path):
         ("embed", "model", ("old.h5", "empty"), ("data.h5", "a.bsdf")),
         ("predict", "output", ("p.bsdf", "empty"), ("a.bsdf", "x.png")),
         ("map", "output", ("x.svg",), ("x.png", "fit.json")),
+        ("explore", "output", ("map.html",), ("site.html", "fit.json")),
         ("stability", "markdown", ("page.md",), ("mine.md",)),
     ):
         for file in right:

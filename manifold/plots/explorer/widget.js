@@ -29,6 +29,9 @@ function linkTo(model, listening) {
 async function render({ model, el }) {
   const host = document.createElement("div"), listening = [];
   el.append(host);
+  // Keys on the map are not the notebook's: JupyterLab looks for the attribute, others listen further up.
+  host.setAttribute("data-lm-suppress-shortcuts", "true");
+  host.addEventListener("keydown", (event) => event.stopPropagation());
   const root = host.attachShadow({ mode: "open" });
   const style = document.createElement("style"), element = document.createElement("div");
   style.textContent = STYLE;

@@ -42,8 +42,8 @@ def explore(
 ) -> None:
     """Open a page of the map: drag a point, and see the ball, slices, reflectance and neighbours of the prediction.
 
-    Served on the loopback interface only, until Ctrl-C; there the page also writes .bsdf files, renders, fits, and
-    locates files.
+    Served on the loopback interface only, until Ctrl-C; there the page also writes .bsdf files, renders, fits,
+    exports, locates files and completes readings. In notebooks the page is a widget: docs/explorer.md.
     """
     from manifold.workflows import explore
 

@@ -10,8 +10,7 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
-from .library_commands import JsonOption
+from . import options, terminal
 
 if TYPE_CHECKING:
     from manifold.workflows.budgets import Budget
@@ -66,7 +65,7 @@ def budget(
         Path | None,
         typer.Option("--picture", help="Also draw both renders and what every representation costs.", metavar="FILE"),
     ] = None,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that keeps the rendered picture.
 

@@ -10,8 +10,7 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
-from .library_commands import JsonOption
+from . import options, terminal
 
 if TYPE_CHECKING:
     from manifold.experiments.chart.experiment import Chart
@@ -56,7 +55,7 @@ def chart(
         bool,
         typer.Option("--readings", help="Instead: errors of completions against the number of readings."),
     ] = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Leave materials out in ten folds with every setting: errors beside time to predict, bytes, and time to fit.
 

@@ -9,9 +9,8 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
+from . import options, terminal
 from .instrument_commands import CorrectionOption
-from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption
 from .outputs import or_default, require_replaceable
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def complete(
             show_default=False,
         ),
     ] = None,
-    library: LibraryOption = DEFAULT_LIBRARY,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -77,7 +76,7 @@ def complete(
         int, typer.Option(help="Nodes per axis of the outgoing grid.", metavar="N", min=2, max=512)
     ] = 32,
     incidences: Annotated[int, typer.Option(help="Incident elevations.", metavar="N", min=2, max=512)] = 8,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Complete readings of one material to a full BRDF, by what the materials of a library are like.
 

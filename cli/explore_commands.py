@@ -9,9 +9,7 @@ from typing import Annotated
 
 import typer
 
-from . import terminal
-from .library_commands import MovedLibraryOption
-from .model_commands import DEFAULT_MODEL, ModelOption
+from . import options, terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -30,8 +28,8 @@ def explore(
             "--html", help="Write the page as one file that needs no network, and stop.", metavar="FILE"
         ),
     ] = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     folder: Annotated[
         Path, typer.Option(help="Where what the page is asked for is written.", metavar="FOLDER")
     ] = Path(),

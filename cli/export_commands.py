@@ -11,16 +11,7 @@ import typer
 from manifold.errors import UsageError
 from manifold.system import atomic
 
-from . import terminal
-from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import (
-    DEFAULT_MODEL,
-    LikeOption,
-    ModelOption,
-    ReflectanceOption,
-    SrgbOption,
-    parse_latent,
-)
+from . import options, terminal
 from .outputs import Force, or_default
 from .point_options import count_words, raise_failed
 
@@ -59,14 +50,12 @@ def export(
             metavar="[SOURCE]",
         ),
     ] = None,
-    latent: Annotated[
-        str | None, typer.Option(help="Instead of a source: a place on the map.", metavar="X,Y|NAME")
-    ] = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
+    latent: options.PlaceOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -89,7 +78,7 @@ def export(
         ),
     ] = False,
     force: Force = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Write materials as parameters of engines, and say what each engine's own shading model loses.
 
@@ -123,7 +112,7 @@ def export(
             subject = exports.subject_of(source, against)
         else:
             subject = exports.subject_of_prediction(
-                model, parse_latent(latent or ""), library=library, colour=colour, on_progress=step
+                model, options.parse_latent(latent or ""), library=library, colour=colour, on_progress=step
             )
         outcome = exports.export(subject, chosen, path, is_direct=direct)
     _show(results, outcome)

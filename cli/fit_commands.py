@@ -10,16 +10,7 @@ import typer
 
 from manifold.errors import FileFormatError, UsageError
 
-from . import terminal
-from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import (
-    DEFAULT_MODEL,
-    LikeOption,
-    ModelOption,
-    ReflectanceOption,
-    SrgbOption,
-    parse_latent,
-)
+from . import options, terminal
 
 if TYPE_CHECKING:
     from manifold.model.colours import ColourChoice
@@ -56,14 +47,12 @@ def fit(
         list[Path] | None,
         typer.Argument(help="Files: .bsdf, or readings; or folders of .bsdf, at every depth.", metavar="FILE"),
     ] = None,
-    latent: Annotated[
-        str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
-    ] = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    latent: options.PlaceOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -96,7 +85,7 @@ def fit(
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw each fit beside its material, into NAME.fit.png.")
     ] = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Fit measured files, or a predicted material, by a BSDF that Mitsuba renders.
 
@@ -117,7 +106,7 @@ def fit(
         noise=noise, wide_colours=wide_colours,
     )  # fmt: skip
     if latent is not None:
-        coordinates = parse_latent(latent)
+        coordinates = options.parse_latent(latent)
         with terminal.progress("Reading materials") as step:
             outcomes = [
                 fits.fit_prediction(

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from . import terminal
-from .library_commands import JsonOption
+from . import options, terminal
 
 CorrectionOption = Annotated[
     Path | None,
@@ -66,7 +65,7 @@ def convert(
             help="Of RGL files: incident elevations, beside the file's own.", metavar="N", min=2, max=512
         ),
     ] = None,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Convert a BRDF or readings into another format, and show the error that this costs.
 

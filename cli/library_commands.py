@@ -7,21 +7,7 @@ from typing import Annotated
 
 import typer
 
-from . import terminal
-
-LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
-MovedLibraryOption = Annotated[
-    Path | None,
-    typer.Option("--library", "-L", help="Where the model's library is, if it has moved.", metavar="FOLDER"),
-]
-JsonOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", help="Also write the results as JSON; with - stdout holds nothing else.", metavar="FILE"
-    ),
-]
-
-DEFAULT_LIBRARY = Path("library.zarr")
+from . import options, terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -80,7 +66,7 @@ def corpus(
             metavar="NAME",
         ),
     ] = None,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer.
 
@@ -140,7 +126,7 @@ def fetch(
     anisotropic: Annotated[
         bool, typer.Option("--anisotropic", help="With no names: add the 11 anisotropic ones.")
     ] = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Download measured materials of the RGL database: resumed, checksums verified.
 
@@ -176,11 +162,11 @@ def fetch(
 
 def import_(
     sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.", metavar="SOURCE")],
-    library: LibraryOption = DEFAULT_LIBRARY,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
     replace: Annotated[
         bool, typer.Option("--replace", help="Exchange materials whose file has changed.")
     ] = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Import .bsdf files or folders into a library, which is made if missing.
 
@@ -217,15 +203,15 @@ def import_(
 def info(
     path: Annotated[
         Path, typer.Argument(help="A .bsdf or instrument's file, a library, or a model.", metavar="PATH")
-    ] = DEFAULT_LIBRARY,
+    ] = options.DEFAULT_LIBRARY,
     verify: Annotated[
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
     ] = False,
     renderer: Annotated[
         bool, typer.Option("--renderer", help="Show instead what Mitsuba runs on, and try it again.")
     ] = False,
-    library: MovedLibraryOption = None,
-    json: JsonOption = None,
+    library: options.MovedLibraryOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Show what a file, a library, or a model holds.
 

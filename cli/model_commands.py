@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,30 +10,13 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
-from .library_commands import DEFAULT_LIBRARY, JsonOption, LibraryOption, MovedLibraryOption
+from . import options, terminal
 from .outputs import or_default
 from .point_options import PointsOption, folder_or_default, replacing, show_points
 
 if TYPE_CHECKING:
     from manifold.model.predicted_file import Prediction
 
-ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
-
-LikeOption = Annotated[
-    str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
-]
-ReflectanceOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
-    ),
-]
-SrgbOption = Annotated[
-    str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
-]
-
-DEFAULT_MODEL = Path("model.h5")
 AUTO = "auto"
 
 
@@ -84,8 +65,8 @@ def register(app: typer.Typer) -> None:
 
 
 def embed(
-    library: LibraryOption = DEFAULT_LIBRARY,
-    model: ModelOption = DEFAULT_MODEL,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
+    model: options.ModelOption = options.DEFAULT_MODEL,
     kind: Annotated[
         Kind,
         typer.Option(
@@ -140,7 +121,7 @@ def embed(
             "cube-root only."
         ),
     ] = Criterion.cube_root,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
     from manifold.model.manifold import Settings
@@ -223,11 +204,11 @@ def predict(
         ),
     ] = None,
     points: PointsOption = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
     physical: Annotated[
         bool,
         typer.Option(
@@ -260,7 +241,7 @@ def predict(
             "--incidences", help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128
         ),
     ] = 8,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
@@ -289,7 +270,7 @@ def predict(
         return
     if latent is None:
         raise UsageError("found no place; say --latent X,Y or --latent NAME, or --from a table of places")
-    coordinates = parse_latent(latent)
+    coordinates = options.parse_latent(latent)
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
             model,
@@ -322,9 +303,9 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
 
 def locate(
     path: Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")],
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
-    json: JsonOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Embed a new material: its latent on the fitted manifold, and its colours in the JSON."""
     from manifold.model import located
@@ -347,22 +328,3 @@ def locate(
         rows["diagnostics"] = list(found.diagnostics)
     results.rows(f"Located {path}", rows)
     results.document(found.to_json())
-
-
-def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
-    """Numbers separated by commas, or the name of a material.
-
-    Raises:
-        UsageError: it is neither, or a number is not finite.
-    """
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        if re.fullmatch(r"[^\s,]*[^\W\d][^\s,]*", text):
-            return text
-        raise UsageError(
-            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name"
-        ) from None
-    if not all(map(math.isfinite, values)):
-        raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
-    return values

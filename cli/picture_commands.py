@@ -10,16 +10,7 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
-from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import (
-    DEFAULT_MODEL,
-    LikeOption,
-    ModelOption,
-    ReflectanceOption,
-    SrgbOption,
-    parse_latent,
-)
+from . import options, terminal
 
 PictureOption = Annotated[
     Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
@@ -55,13 +46,13 @@ def register(app: typer.Typer) -> None:
 
 def latent_map(
     mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y|NAME")] = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     output: PictureOption = Path("map.png"),
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Draw the first two latent dimensions: every material as a rendered ball, over the expected error.
 
@@ -72,7 +63,7 @@ def latent_map(
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
-    marked = parse_latent(mark, "--mark") if mark is not None else None
+    marked = options.parse_latent(mark, "--mark") if mark is not None else None
     colour = ColourChoice(like, reflectance, srgb)
     if marked is None and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
@@ -97,10 +88,10 @@ def walk(
     start: Annotated[str, typer.Argument(help="The first material.", metavar="FROM")],
     end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
     steps: Annotated[int, typer.Option(help="Balls on the path.", metavar="N", min=2, max=25)] = 7,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     output: PictureOption = Path("walk.png"),
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Draw the path between two materials along the manifold, and below it their linear interpolation."""
     from manifold import __version__
@@ -136,9 +127,9 @@ def slices(
     latent: Annotated[
         list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME")
     ] = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
     kind: Annotated[
         SliceKind,
         typer.Option(help="Plane of incidence; Rusinkiewicz theta_h and theta_d; or spectra."),
@@ -146,10 +137,10 @@ def slices(
     bands: Annotated[
         str | None, typer.Option(help="Wavelengths in nm in place of R, G, B: 450,550,650.", metavar="NM,NM")
     ] = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     output: PictureOption = Path("slices.png"),
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
     from manifold import __version__
@@ -165,7 +156,7 @@ def slices(
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
-    latents = [parse_latent(text) for text in latent or []]
+    latents = [options.parse_latent(text) for text in latent or []]
     drawn = pictures.sources(names or [], latents, model, library, colour)
     pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]

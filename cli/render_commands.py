@@ -9,16 +9,7 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import terminal
-from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import (
-    DEFAULT_MODEL,
-    LikeOption,
-    ModelOption,
-    ReflectanceOption,
-    SrgbOption,
-    parse_latent,
-)
+from . import options, terminal
 from .outputs import Force, or_default
 from .point_options import PointsOption, folder_or_default, replacing, show_points
 
@@ -69,11 +60,11 @@ def render(
         typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y|NAME"),
     ] = None,
     points: PointsOption = None,
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
-    like: LikeOption = None,
-    reflectance: ReflectanceOption = None,
-    srgb: SrgbOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
+    like: options.LikeOption = None,
+    reflectance: options.ReflectanceOption = None,
+    srgb: options.SrgbOption = None,
     direct: Annotated[
         bool,
         typer.Option("--direct", help="Evaluate the measured materials while rendering; needs LLVM."),
@@ -93,7 +84,7 @@ def render(
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
     force: Force = False,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
 
@@ -133,7 +124,7 @@ def render(
         return
     output = or_default(output, "render.png", "render", force)
     images.require_image_path(output)
-    coordinates = None if latent is None else parse_latent(latent)
+    coordinates = None if latent is None else options.parse_latent(latent)
     with terminal.progress("Rendering") as step:
         if file is not None:
             made = renders.render(renders.file_source(file), output, settings, step)
@@ -171,7 +162,7 @@ def compare(
     size: SizeOption = 256,
     samples: SamplesOption = 256,
     seed: SeedOption = 0,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; .bsdf files are rendered alike first.
 

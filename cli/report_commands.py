@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from . import terminal
-from .library_commands import JsonOption, MovedLibraryOption
-from .model_commands import DEFAULT_MODEL, ModelOption, show_prediction
+from . import options, terminal
+from .model_commands import show_prediction
 
 
 class Grid(StrEnum):
@@ -33,13 +32,13 @@ def register(app: typer.Typer) -> None:
 
 
 def report(
-    model: ModelOption = DEFAULT_MODEL,
-    library: MovedLibraryOption = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     grid: Annotated[
         Grid,
         typer.Option(help="12,420 direction pairs, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."),
     ] = Grid.default,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
     compare: Annotated[
         bool,
         typer.Option(

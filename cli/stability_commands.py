@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from . import terminal
-from .library_commands import JsonOption
+from . import options, terminal
 
 
 def register(app: typer.Typer) -> None:
@@ -31,7 +30,7 @@ def stability(
     markdown: Annotated[
         Path | None, typer.Option(help="Write what happened and what to do here.", metavar="FILE.md")
     ] = None,
-    json: JsonOption = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Try a catalogue of failure modes on built-in plastics whose truth is known: minutes in all.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_library import NAMES, small_library
 
-from manifold.cli.model_commands import parse_latent
+from manifold.cli.options import parse_latent
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.library.store import Library

@@ -1,0 +1,63 @@
+"""Options that several commands have, alike in all of them, and what their words mean."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+DEFAULT_LIBRARY = Path("library.zarr")
+DEFAULT_MODEL = Path("model.h5")
+
+LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
+MovedLibraryOption = Annotated[
+    Path | None,
+    typer.Option("--library", "-L", help="Where the model's library is, if it has moved.", metavar="FOLDER"),
+]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", help="Also write the results as JSON; with - stdout holds nothing else.", metavar="FILE"
+    ),
+]
+ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
+
+LikeOption = Annotated[
+    str | None, typer.Option(help="Take the reflectance of this material.", metavar="NAME")
+]
+ReflectanceOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Take a reflectance spectrum: a text file of nm and values from 0 to 1.", metavar="FILE"
+    ),
+]
+SrgbOption = Annotated[
+    str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
+]
+PlaceOption = Annotated[
+    str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
+]
+
+
+def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
+    """Numbers separated by commas, or the name of a material.
+
+    Raises:
+        UsageError: it is neither, or a number is not finite.
+    """
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        if re.fullmatch(r"[^\s,]*[^\W\d][^\s,]*", text):
+            return text
+        raise UsageError(
+            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name"
+        ) from None
+    if not all(map(math.isfinite, values)):
+        raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
+    return values

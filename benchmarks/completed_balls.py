@@ -1,0 +1,80 @@
+"""Balls of materials: measured, completed from the 12 geometries of an MA-T12, and from three suggested ones more.
+
+    python benchmarks/completed_balls.py library.zarr balls.png NAME ...
+
+Each material is completed from the others of the library. Shown in docs/design/completion.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.io_rgl import write_bsdf
+from manifold.library.store import Library
+from manifold.model.checked_file import write_checked
+from manifold.model.completion import LibrarySamples, complete, suggest
+from manifold.model.completion.complete import Completion
+from manifold.model.materials import MaterialCache
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Array
+from manifold.rendering import images
+from manifold.workflows import renders
+
+SUGGESTED = 3
+
+
+def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
+    """What an instrument without noise reads of a material."""
+    nm = brdf.bands.wavelengths_nm
+    return Readings(name, "", wi, wo, None if nm is None else np.array(nm), brdf.eval(wi, wo))
+
+
+def completions(brdf: BRDF, name: str, others: LibrarySamples) -> tuple[Completion, Completion]:
+    """From the MA-T12's geometries, and after further readings, each suggested by those before."""
+    wi, wo = geometry_ma_t12()
+    first = found = complete(others, readings_of(brdf, name, wi, wo))
+    for _ in range(SUGGESTED):
+        following = suggest(others, 1, found)
+        wi, wo = np.vstack([wi, following.wi]), np.vstack([wo, following.wo])
+        found = complete(others, readings_of(brdf, name, wi, wo))
+    return first, found
+
+
+def main() -> None:
+    """Render the balls."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("library", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("names", nargs="+", metavar="NAME")
+    given = parser.parse_args()
+    library = Library.open(given.library)
+    cache = MaterialCache(library, library.names, is_nonnegative=True)
+    samples = LibrarySamples.of(cache)
+    settings = renders.make_settings(size=192, samples=72, seed=0, illuminant="D65", environment=None)
+    columns = []
+    with tempfile.TemporaryDirectory() as folder:
+        file, picture = Path(folder) / "ball_spec.bsdf", Path(folder) / "ball.png"
+        for name in given.names:
+            others = samples.without(library.names.index(name))
+            balls = []
+            for found in (None, *completions(cache.measured(name), name, others)):
+                if found is None:
+                    write_bsdf(file, library.read(name))
+                else:
+                    write_checked(file, ClippedBRDF(found.brdf), description="", remedy="", force=True)
+                renders.render(renders.file_source(file), picture, settings)
+                balls.append(images.read_image(picture))
+            columns.append(np.vstack(balls))
+    images.write_image(given.output, np.hstack(columns))
+
+
+if __name__ == "__main__":
+    main()

@@ -68,7 +68,7 @@ if [ "$extra" = dev ] && ! command -v chromium >/dev/null 2>&1; then
 fi
 
 if [ "$extra" = dev ] && command -v npm >/dev/null 2>&1 && [ ! -d .venv/node_modules/three ]; then
-    npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator@2 >/dev/null 2>&1 ||
+    npm install --silent --no-fund --no-audit --prefix .venv three@0 gltf-validator >/dev/null 2>&1 ||
         echo "setup: three and gltf-validator could not be installed; tests of glTF files by them are skipped" >&2
 fi
 

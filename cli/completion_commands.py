@@ -160,7 +160,10 @@ def calibrate(
     results.text("\nRelative error on what was left out:\n")
     results.table(
         ("form", "error", "chosen"),
-        [(form, f"{error:.4f}", "*" * (form == learned.form)) for form, error in learned.errors.items()],
+        [
+            (form, "not measured" if error != error else f"{error:.4f}", "*" * (form == learned.form))
+            for form, error in learned.errors.items()
+        ],
     )
 
 

@@ -20,9 +20,9 @@ from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
-from manifold.model.completion.correction_file import read_correction
+from manifold.model.completion.correction_file import read_correction, write_correction
 from manifold.model.completion.expected import Calibration, completion_errors, leave_out, signs_of
-from manifold.model.completion.hybrid import combine, corrected
+from manifold.model.completion.hybrid import InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
@@ -284,6 +284,19 @@ def test_overfitting_forms_lose_on_values_left_out(rng):
     assert found.form in ("linear", "root polynomial of degree 2")
     with pytest.raises(UsageError, match="four or more"):
         learn_correction(x[:3], y[:3])
+
+
+def test_a_correction_from_few_directions_is_read_as_it_was_written(rng, tmp_path):
+    x = rng.random((4, 3)) + 0.1
+    learned = InstrumentCorrection(
+        learn_correction(x, x @ rng.random((3, 2))), Bands((465.0, 525.0, 630.0)), Bands((450.0, 650.0))
+    )
+    assert np.isnan(learned.colours.errors["linear"])  # three terms of four values: none can be left out
+    write_correction(tmp_path / "c.json", learned)
+    found = read_correction(tmp_path / "c.json")
+    assert (found.source, found.target) == (learned.source, learned.target)
+    assert np.isnan(found.colours.errors["linear"])
+    np.testing.assert_array_equal(found.colours.apply(x), learned.colours.apply(x))
 
 
 def test_samples_are_left_out_whole(rng):

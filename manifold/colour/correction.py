@@ -48,7 +48,7 @@ class ColourCorrection:
         matrix: of the terms, shape (T, B).
         scale: by which values are divided before terms are made of them.
         largest: norm of the largest of these that it was learned at.
-        errors: relative, left out one by one, of every form that was tried.
+        errors: relative, left out one by one, of every form that was tried; NaN where there are too few values.
 
     Source: Cheung, Westland, Connah & Ripamonti 2004; Finlayson, Mackiewicz & Hurlbert 2015.
     """
@@ -76,10 +76,11 @@ class ColourCorrection:
         return np.linalg.norm(np.asarray(x) / self.scale, axis=1) > self.largest
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Plain values; None for an error that could not be measured."""
+        errors = {form: None if np.isnan(error) else error for form, error in self.errors.items()}
         return {
             "form": self.form, "matrix": self.matrix.tolist(), "scale": self.scale, "largest": self.largest,
-            "errors": self.errors,
+            "errors": errors,
         }  # fmt: skip
 
 

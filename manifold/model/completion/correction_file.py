@@ -40,7 +40,7 @@ def read_correction(path: Path) -> InstrumentCorrection:
     content = read_json(path, "a colour correction of `manifold calibrate`")
     try:
         return _checked(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise FileFormatError(
             f"{path}: not a colour correction ({error}), expected one of `manifold calibrate`"
         ) from error
@@ -57,7 +57,8 @@ def _checked(content: Any) -> InstrumentCorrection:
         raise ValueError(f"its matrix has shape {matrix.shape}, expected {shape} of finite numbers")
     if not (0.0 < scale < np.inf and 0.0 < largest < np.inf):
         raise ValueError("its scale or largest value is not positive")
-    colours = ColourCorrection(content["form"], matrix, scale, largest, dict(content["errors"]))
+    errors = {str(form): np.nan if e is None else float(e) for form, e in content["errors"].items()}
+    colours = ColourCorrection(content["form"], matrix, scale, largest, errors)
     return InstrumentCorrection(colours, source, target)
 
 

@@ -181,14 +181,22 @@ def test_readings_need_a_plain_name(served, context, name):
     assert files(context) == []
 
 
+@pytest.mark.parametrize("sample", ["a%0Ab", "%00", "x" * 201])
+def test_samples_are_names(served, sample):
+    headers = {"X_Name": "fine", "X_Sample": sample}
+    assert request(served, "POST", "/do/complete", b"Geometry,400\n", **headers)[0] == 400
+    assert served.queue.jobs() == []
+
+
 def test_dropped_readings_are_completed_under_their_name_and_thrown_away(served, context):
     (context.folder / "sample_rgb.png").write_bytes(b"of somebody")
-    status, content = request(served, "POST", "/do/complete", b"Geometry,400\n", X_Name="sample")
+    headers = {"X_Name": "sample", "X_Sample": "r%C3%A9d%20--force"}
+    status, content = request(served, "POST", "/do/complete", b"Geometry,400\n", **headers)
     assert status == 202
     job = finished(served, json.loads(content)["number"])
     assert job.state == "done"
     assert files(context) == ["sample-2_rgb.bsdf", "sample_rgb.png"]
-    assert "--picture" in job.action.arguments
+    assert {"--picture", "--sample=réd --force"} < set(job.action.arguments)
     assert not Path(job.action.arguments[1]).exists()
 
 

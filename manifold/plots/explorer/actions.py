@@ -21,6 +21,7 @@ _COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
 _ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".json", "export": ""}
 _MOST_ROWS = 5000  # of a spectrum
 _MOST_COPIES = 1000
+_MOST_SAMPLE = 200  # characters of a sample's name
 
 
 @dataclass(frozen=True)
@@ -114,16 +115,26 @@ def action(
     return Action(f"{kind} {output.name}", arguments, output, picture, spectrum)
 
 
-def complete(path: Path, name: Any, context: Context, is_taken: Callable[[Path], bool]) -> Action:
+def complete(
+    path: Path, name: Any, sample: str, context: Context, is_taken: Callable[[Path], bool]
+) -> Action:
     """Complete the readings of a file that was dropped, and render the ball of what is found.
 
+    Args:
+        path: the file.
+        name: of what is written, without its ending.
+        sample: which of a file's samples; may be empty.
+        context, is_taken: as of `action`.
     Raises:
-        UsageError: the name is none.
+        UsageError: a name is none.
     """
+    if len(sample) > _MOST_SAMPLE or not sample.isprintable():
+        raise UsageError(f"sample: expected at most {_MOST_SAMPLE} printable characters")
     ending = f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
     output = _output(name, ending, context, lambda p: is_taken(p) or is_taken(p.with_suffix(".png")))
     arguments = (
         "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
+        *([f"--sample={sample}"] if sample else []),
     )  # fmt: skip
     return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"))
 

@@ -94,7 +94,8 @@ class Actions {
   /** The completed file is called like the readings, as far as its name is plain. */
   async complete(file) {
     const plain = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed" };
+    const sample = encodeURIComponent(this.explorer.byId("sample").value.trim());
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed", "X-Sample": sample };
     await this.post("/do/complete", { body: file, headers });
   }
 

@@ -19,7 +19,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, cast
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 from manifold.errors import UsageError
 from manifold.plots.explorer.actions import Action, Context, action, complete, locate
@@ -152,7 +152,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._take_file(lambda dropped: locate(dropped, "the dropped file", self._explorer.context))
         elif path == "/do/complete":
             name, context = self.headers.get("X-Name"), self._explorer.context
-            self._take_file(lambda dropped: complete(dropped, name, context, self._is_taken))
+            sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
+            self._take_file(lambda dropped: complete(dropped, name, sample, context, self._is_taken))
         elif path == "/do/cancel":
             number = self._json_body().get("number")
             found = isinstance(number, int) and self._explorer.queue.cancel(number)

@@ -1,16 +1,18 @@
 """How believable the inside of a map is: the table of docs/design/blends.md.
 
-    python benchmarks/bench_interior.py LIBRARY [--latent-dim Q] [--kind KIND] [--count N] [--seeds 0,1,2]
+    python benchmarks/bench_interior.py LIBRARY [--latent-dim Q] [--kind KIND] [--count N] [--seeds 0,1,2] [--written N]
 
 A model of the library; places at random inside the convex hull of its materials, none that the data do not support, in
 their default colours. A row per seed: how many have a hole in the highlight, negative values before they are cut, an
 albedo above 1.02; how far the ball moves (mean CIEDE2000) in a step of 0.01, and where a material's own coordinates are
-rounded to three decimals; how many of the places drawn were not supported.
+rounded to three decimals; how many of the places drawn were not supported. With --written, that many predictions at
+other random places are also written as files, plain and --physical, and their albedo and reciprocity are measured.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +20,12 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from manifold.brdf.measured import BRDF
-from manifold.brdf.plausibility import plausibility
+from manifold.brdf.plausibility import Plausibility, plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
+from manifold.model.predicted_file import predict
 from manifold.model.settings import KINDS, Settings
 from manifold.records import Array
 
@@ -78,6 +81,13 @@ class Interior:
             for name in model.names
         ]
 
+    def written(self, count: int, folder: Path, *, physical: bool) -> list[Plausibility]:
+        """What is measured on files of predictions at random places: albedo at 0, 5, ... 85 degrees."""
+        return [
+            predict(self._model, self.draw(), folder / "x.bsdf", physical=physical, force=True).plausibility
+            for _ in range(count)
+        ]
+
     def apart(self, a: BRDF, b: BRDF) -> float:
         """Mean CIEDE2000 between two balls."""
         ball = self._ball
@@ -95,6 +105,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=KINDS, default="blend")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seeds", default="0,1,2")
+    parser.add_argument("--written", type=int, default=0)
     given = parser.parse_args()
     model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
     model.calibrate()
@@ -109,6 +120,14 @@ def main() -> None:
         print(f"| {seed} | {np.mean(hole > 0.1):.1%} | {np.mean(negative > 0.005):.1%} | {np.mean(albedo > 1.02):.1%} "
               f"({albedo.max():.2f}) | {np.median(step):.2f}, {np.quantile(step, 0.95):.2f}, {step.max():.2f} | "
               f"{max(interior.rounded()):.2f} | {1.0 - given.count / interior.drawn:.0%} |", flush=True)  # fmt: skip
+    for physical in (False, True) if given.written else ():
+        with tempfile.TemporaryDirectory() as folder:
+            files = Interior(model, 3).written(given.written, Path(folder), physical=physical)
+        albedo, reciprocity = (
+            np.array([getattr(f, n) for f in files]) for n in ("max_albedo", "reciprocity_error")
+        )
+        print(f"{given.written} files{', --physical' * physical}: albedo at most {albedo.max():.3f}, above 1.05 in "
+              f"{np.sum(albedo > 1.05)}; reciprocity error at most {reciprocity.max():.3f}")  # fmt: skip
 
 
 if __name__ == "__main__":

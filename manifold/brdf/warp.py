@@ -16,12 +16,14 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+from numba.core import options
 
 from manifold.errors import ShapeError
 from manifold.records import Array
 from manifold.system.parallel import in_turn
 
-UNCOUNTED: dict[str, Any] = {"cache": True, "_nrt": False}
+_CAN_BE_UNCOUNTED = hasattr(getattr(options, "DefaultOptions", None), "_nrt")  # not documented: it may go
+UNCOUNTED: dict[str, Any] = {"cache": True} | ({"_nrt": False} if _CAN_BE_UNCOUNTED else {})
 """For loops over points: counting references to tables that outlive the loop takes longer than a lookup."""
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant

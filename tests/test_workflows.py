@@ -15,6 +15,9 @@ from manifold.brdf.synthetic import corpus
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes
+from manifold.experiments.chart.fits import METHODS
+from manifold.experiments.chart.registry import settings
+from manifold.experiments.stability.catalogue import MODES
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -24,6 +27,7 @@ from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 
 FEW = {"syn_satin_gold", "syn_metallic_gold", "syn_paper_white", "syn_gloss_red", "syn_felt_yellow"}
+CHARTED_AND_TRIED = demo_module.CHARTED, demo_module.TRIED  # tests below have less
 SCENE = {"felt": example_scenes.EXAMPLES["felt"]}
 
 
@@ -44,6 +48,13 @@ def few_materials():
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory, few_materials):
     return demo_module.run(tmp_path_factory.mktemp("demo"))
+
+
+def test_what_the_demo_charts_and_tries_is_in_the_registries():
+    charted, tried = CHARTED_AND_TRIED
+    known = {setting.key for setting in settings(195)} | {f"fit_{method}" for method in METHODS}
+    assert set(charted) <= known
+    assert set(tried) <= {mode.key for mode in MODES}
 
 
 @pytest.mark.slow

@@ -282,6 +282,14 @@ def test_the_report_names_synthetic_materials_and_every_method(reports, kind):
         assert name in text
 
 
+def test_methods_without_errors_of_their_own_have_no_table_of_them(made):
+    assert "rms z" in format_report(made)
+    unknown = [replace(m, rms_standardised_error=None) for m in made.methods]
+    text = format_report(replace(made, methods=tuple(unknown)))
+    assert "rms z" not in text
+    assert "\n\n\n" not in text
+
+
 def test_reports_of_many_bands_fit_80_columns_too(made):
     """Three illuminants, long names, large numbers."""
     colour = made.methods[0].colour[0]

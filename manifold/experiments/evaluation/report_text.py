@@ -43,7 +43,6 @@ def format_report(report: Report) -> str:
         *_costs(report.methods),
         "",
         *_calibration(report.methods),
-        "",
         *_expected_errors(report),
         "",
         *_materials(report),
@@ -173,7 +172,10 @@ def _costs(methods: Sequence[MethodResult]) -> list[str]:
 
 
 def _calibration(methods: Sequence[MethodResult]) -> list[str]:
+    """Of methods that expect errors of their own; blends have none."""
     known = [m for m in methods if m.rms_standardised_error is not None and m.standardised_error is not None]
+    if not known:
+        return []
     rows = []
     for m in known:
         rms = m.rms_standardised_error or 0.0
@@ -184,6 +186,7 @@ def _calibration(methods: Sequence[MethodResult]) -> list[str]:
         "",
         "z: error of the mapped values in the standard deviations the method expected;",
         f"calibrated: root mean square from {_LOWEST_RMS} to {_HIGHEST_RMS:g}.",
+        "",
     ]
 
 

@@ -25,11 +25,14 @@ from manifold.errors import (
     ShapeError,
     UsageError,
 )
+from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
 from manifold.model import gram, model_file
 from manifold.model.decoding import encoding_pairs
+from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
@@ -436,3 +439,14 @@ def test_latents_of_another_shape_are_one_error(model, x):
     for function in (model.std, model.weights, model.is_extrapolation):
         with pytest.raises(LatentError, match="expected"):
             function(x)
+
+
+def test_a_material_that_is_too_bright_to_be_one_is_named(tmp_path):
+    files = [measured(name) for name in NAMES[:3]]
+    bright = replace(files[0], name="bright", spectra=files[0].spectra * np.float32(30.0))
+    for file in (*files, bright):
+        write_bsdf(tmp_path / f"{file.name}_rgb.bsdf", file)
+    import_files(tmp_path / "library.zarr", [tmp_path])
+    with pytest.warns(BrightMaterialWarning, match=r"^bright returns [0-9.]+ times its light") as caught:
+        Manifold.fit(Library.open(tmp_path / "library.zarr"), Settings(latent_dim=1))
+    assert len(caught) == 1

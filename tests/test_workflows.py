@@ -161,6 +161,6 @@ def test_the_main_job_runs_on_real_files(tmp_path, share):
     assert not any(report.is_synthetic)
     if share > 1:
         return  # too few to learn from
-    refitted = next(m for m in report.methods if m.key == "gp_refitted")
+    refitted = next(m for m in report.methods if m.key == "blend_refitted")
     nearest = next(m for m in report.methods if m.key == "nearest")
     assert refitted.median_relative_error < nearest.median_relative_error

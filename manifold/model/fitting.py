@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 
+from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
@@ -23,6 +25,11 @@ from manifold.models.colour_paths import fit_paths
 from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
+
+_LIT_DEG = np.array([0.0, 45.0])
+_MOST_ALBEDO = (
+    1.5  # measured materials reach a little above 1; reflectance factors taken for f are pi times too bright
+)
 
 Statistics = dict[str, float]
 """Objective at start and end of a fit."""
@@ -48,7 +55,26 @@ def fit_space(
             f"{settings.latent_dim} latent dimensions for {count} materials, "
             f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
         )
+    _warn_of_bright(materials)
     return _FITS[settings.kind](materials, settings, on_progress)
+
+
+class BrightMaterialWarning(UserWarning):
+    """A measured material returns far more light than it gets: its unit is wrong, or its measurement."""
+
+
+def _warn_of_bright(materials: MaterialCache) -> None:
+    wi = from_spherical(np.deg2rad(_LIT_DEG), 0.0)
+    some = evenly_spaced(materials.library.bands.count, 3).tolist()
+    albedo = np.array([material.select_bands(some).albedo(wi).max() for material in materials.filled()])
+    for name, most in zip(materials.names, albedo.tolist(), strict=True):
+        if most > _MOST_ALBEDO:
+            warnings.warn(
+                f"{name} returns {most:.3g} times its light, expected at most 1: mind its unit, 1/sr, or leave it out; "
+                "the map is fitted to it as it is",
+                BrightMaterialWarning,
+                stacklevel=4,
+            )
 
 
 def _fit_materials(

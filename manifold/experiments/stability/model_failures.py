@@ -166,7 +166,7 @@ MODES: tuple[Mode, ...] = (
         "Nothing needs doing: measurements that hardly differ come to lie next to each other.",
     ),
     Mode(
-        "outlier", "one material of the library, many times too bright", "factor", (10.0, 1000.0),
+        "outlier", "one material of the library, many times too bright", "factor", (1.0, 10.0, 1000.0),
         HALF_OF_NEAREST, _fitted(_with_outlier),
         "Look for a material far from all others on `manifold map`, and import the library without it.",
     ),

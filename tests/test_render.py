@@ -320,9 +320,9 @@ def test_scalar_variants_make_the_same_picture(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("render",), "neither a file nor --latent"),
+        (("render",), "found nothing to render"),
         (("render", "syn_gloss_red_rgb.bsdf", "--latent", "0,0"), "found a file and --latent"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "go with --latent"),
+        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "goes with --latent and --from"),
         (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "written as .exr"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "nowhere/a.png"), "cannot write"),

@@ -158,9 +158,10 @@ def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outsi
 # -- files and libraries: a guard taken away -----------------------------------------------------------------
 
 
-def test_without_the_diagnostic_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
+def test_without_diagnostics_of_them_and_of_dark_holes_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
     assert tried(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WARNED
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
+    monkeypatch.setattr("manifold.model.diagnostics.MOST_VALLEY", 1.0)
     assert tried(bed, "exact_zeros", "prediction at a material", 0.1).outcome == WRONG
 
 

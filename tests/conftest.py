@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,11 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what runs in its background
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # or programs that tests interrupt would ignore it, too
 
 SLOW_LEFT = pytest.StashKey[int]()
 

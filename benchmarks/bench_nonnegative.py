@@ -10,6 +10,7 @@ docs/design/nonnegative.md.
 from __future__ import annotations
 
 import argparse
+import random
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -76,9 +77,14 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", default=DEFAULT, help="keys of the registry of methods")
     parser.add_argument("--anchors", nargs="*", default=[], help="principled, or a source of neural fits")
     parser.add_argument("--every", type=int, default=1, help="leave out every so manieth material only")
+    parser.add_argument("--draw", type=int, help="take so many materials at random")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--materials", action="store_true", help="also print the errors of every material")
     arguments = parser.parse_args()
     materials = load(arguments.source)
+    if arguments.draw:
+        drawn = random.Random(arguments.seed).sample(range(len(materials)), arguments.draw)
+        materials = [materials[i] for i in sorted(drawn)]
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     balls = BallErrors(materials, data.bands)
     print(f"{len(materials)} materials; median / 90th percentile")

@@ -128,11 +128,13 @@ def make_chart(
         # Settings that keep files alike stand together: only one set of kept files is in memory.
         for setting in sorted(held_out, key=lambda s: s.storage.key):
             add(setting.key, setting.title, setting.family, held.measure(setting))
-    for method in (s for s in chosen if isinstance(s, str)):
-        key = method if method == fits.NEURAL else f"fit_{method}"
+    for key in only or known:
+        method = known[key]
+        if isinstance(method, Setting):
+            continue
         try:
-            if method == fits.NEURAL:
-                measured = fits.measure_neural(str(neural), files, held.target, held.watch)
+            if neural is not None and method == fits.NEURAL:
+                measured = fits.measure_neural(neural, files, held.target, held.watch)
             else:
                 measured = fits.measure(method, files, fitted, held.target, held.watch)
         except (RendererError, UsageError) as error:

@@ -30,7 +30,7 @@ _MAPPINGS = ("identity", "cube-root", "log-relative")
 _FEW_BANDS = (3, 6, 12)
 _SAMPLES = 3  # bands per material that are samples, where nothing else is said
 _THRESHOLDS = (0.03, 0.1)
-_COARSE = ((2, 1), (2, 2), (4, 1))  # share of outgoing nodes per axis, and of incidences, that is dropped
+_COARSE = ((2, 1), (2, 2), (4, 1))  # of outgoing rows and columns, and of incidences, one in so many is kept
 _WHOLE = storage_forms.whole()
 
 

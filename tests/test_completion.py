@@ -24,9 +24,11 @@ from manifold.model.completion.correction_file import read_correction, write_cor
 from manifold.model.completion.expected import Calibration, completion_errors, leave_out, signs_of
 from manifold.model.completion.hybrid import InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
+from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import posteriors
+from manifold.models.nearby import nearby_factors, places
 from manifold.models.next_readings import colours, hypotheses, next_readings
 from manifold.records import Bands
 
@@ -86,6 +88,15 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     np.testing.assert_allclose(found.probability @ weights, found.mean)
 
 
+def test_no_mixture_is_certain_where_none_meets_the_readings(rng):
+    at, _, gram = random_samples(rng, n=6, P=9)
+    near, far = at[1] * 1.02, at[1] * np.where(np.arange(9) % 2, 1.6, 0.6)
+    certain, open_ = (posteriors(at, target, np.ones(9), gram)[0].probability for target in (near, far))
+    assert np.exp(-np.sum(open_ * np.log(open_ + 1e-300))) > 3.0 * np.exp(
+        -np.sum(certain * np.log(certain + 1e-300))
+    )
+
+
 def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     truth = np.array([[0.5, 0, 0.3, 0, 0, 0, 0.2], [0.2, 0, 0.6, 0, 0, 0, 0.1]])
@@ -99,6 +110,44 @@ def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     some = completion_weights(at, targets, np.ones(9), gram, group, structure)
     assert np.isfinite(some).all()
     assert np.abs(some[1] @ at - truth[1] @ at).max() < 0.1 * targets[0].max()
+
+
+def test_what_is_missed_at_readings_is_carried_to_their_neighbourhood(rng):
+    wi, wo = DIRECTIONS
+    where = places(wi, wo)
+    predicted = rng.random((2, 12)) + 0.5
+    targets = predicted * np.array([[1.2], [0.9]])
+    found = nearby_factors(targets, predicted, where, np.ones(12))
+    # Between nothing and all: of readings 15 degrees apart some agree.
+    assert np.all((found.at(where) - 1.0) / np.array([[0.2], [-0.1]]) > 0.6)
+    assert np.all((found.at(where) - 1.0) / np.array([[0.2], [-0.1]]) < 1.2)
+    grazing = from_spherical(np.deg2rad(85.0), np.pi), from_spherical(np.deg2rad(85.0), np.pi / 2)
+    np.testing.assert_allclose(found.at(places(*(w[None] for w in grazing))), 1.0, atol=0.01)
+    np.testing.assert_allclose(found.at(places(wo, wi)), found.at(where))  # reciprocal
+    mirrored = np.array([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(found.at(places(wi * mirrored, wo * mirrored)), found.at(where))
+    targets[1, :5] = np.nan
+    some = nearby_factors(targets, predicted, where, np.ones(12))
+    np.testing.assert_allclose(some.at(where)[0], found.at(where)[0])
+    of_measured = nearby_factors(targets[1:, 5:], predicted[1:, 5:], where[5:], np.ones(7))
+    np.testing.assert_allclose(some.at(where)[1], of_measured.at(where)[0], rtol=1e-6)
+
+
+def test_thousands_of_readings_are_averaged_where_they_are_near_each_other(rng):
+    wi, wo = (
+        from_spherical(np.arccos(rng.uniform(0.1, 1.0, 3000)), rng.uniform(-np.pi, np.pi, 3000)) for _ in "io"
+    )
+    where = places(wi, wo)
+    predicted = np.ones((1, 3000))
+    found = nearby_factors(
+        1.0 + 0.2 * wo[:, 2] * wi[:, 2] + 0.2 * rng.standard_normal((1, 3000)),
+        predicted,
+        where,
+        np.ones(3000),
+    )
+    assert found.strength.shape[1] <= 256
+    wrong = found.at(where)[0] - 1.0 - 0.2 * wo[:, 2] * wi[:, 2]
+    assert np.sqrt(np.mean(wrong**2)) < 0.05  # a quarter of the noise
 
 
 def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
@@ -169,6 +218,9 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(samples, library):
     assert made.misfits.max() < 0.05
     grid = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(10.0), 0.7)
     np.testing.assert_allclose(made.brdf.eval(*grid), brdf.eval(*grid), rtol=0.1)
+    np.testing.assert_allclose(made.brdf.eval(wi, wo), made.predicted, rtol=1e-6)
+    pairs = grid_pairs()
+    np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
     assert len(made.spread_at(wi, wo)) == 12
 

@@ -22,6 +22,9 @@ SHARP = 0.02
 BROAD = 0.1
 """Noise by which what they differ in tells how wrong completions are."""
 
+_FREEDOM = (
+    8.0  # degrees of freedom of the noise: where no mixture meets the readings, it was larger than thought
+)
 _FLOOR = 0.3  # of the root mean square: where values are small, the noise is of this
 _SCALE_SPREAD = 0.5  # samples are met at their own level, give or take this
 _LAMBERTIAN_SPREAD = 0.5
@@ -79,13 +82,14 @@ def posteriors(
     gram: Array,
     noises: Sequence[float] = (SHARP,),
     *,
-    relative: float = 4.0,
+    relative: float = 6.0,
 ) -> list[Mixtures]:
     """How likely mixtures of two samples are, given readings of a material, for every noise.
 
     Scale and Lambertian of every mixture are those that meet the readings best, near the level of the samples. The
-    likelihood is Gaussian in cube roots. It is divided by `(v gram v)^(relative / 2)`, v being a mixture's weights:
-    errors are relative, and a highlight that is not there costs more than one that is missed.
+    likelihood is Student's t in cube roots, of noise that is not quite known: where no mixture meets the readings, none
+    is certain. It is divided by `(v gram v)^(relative / 2)`, v being a mixture's weights: errors are relative, and a
+    highlight that is not there costs more than one that is missed.
 
     Args:
         samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
@@ -113,8 +117,10 @@ def posteriors(
         misfit = told.norm(scale, lambertian) - 2.0 * (
             (a_target + known_scale) * scale + with_target[n] * lambertian
         )
+        misfit = np.maximum(misfit + y @ y + known_scale, 0.0)
         norm = np.maximum(everywhere.norm(scale, lambertian), np.finfo(float).tiny)
-        log_probability = -0.5 * misfit / noise**2 - 0.5 * relative * np.log(norm)
+        log_likelihood = -0.5 * (_FREEDOM + len(y)) * np.log1p(misfit / (_FREEDOM * noise**2))
+        log_probability = log_likelihood - 0.5 * relative * np.log(norm)
         probability = np.exp(log_probability - log_probability.max())
         found.append(Mixtures(first, second, share, scale, lambertian, probability / probability.sum(), n))
     return found

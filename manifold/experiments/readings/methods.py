@@ -14,12 +14,11 @@ from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.formats.readings import Readings
-from manifold.metrics import RusinkiewiczGrid, cosine_weight
+from manifold.metrics import cosine_weight
 from manifold.model.completion.complete import complete_at
 from manifold.model.completion.expected import in_sample_bands, sample_axis
-from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.model.completion.samples import LibrarySamples, ball_pairs, grid_pairs
 from manifold.model.completion.suggest import readings_to_take
-from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
 _RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
@@ -86,7 +85,8 @@ def _own_order(task: Task, count: int) -> Array:
 
 def _completed(task: Task, chosen: Array) -> Predicted:
     held = in_sample_bands(task.others)
-    return _from_weights(held, complete_at(held, task.readings(chosen), task.at[:, chosen]).weights)
+    found = complete_at(held, task.readings(chosen), task.at[:, chosen])
+    return found.on_grid, found.on_ball
 
 
 def _amplitude(task: Task) -> Array:
@@ -129,7 +129,7 @@ def _nearest(task: Task, chosen: Array) -> Predicted:
 
 def _principled(task: Task, chosen: Array) -> Predicted:
     """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
-    grid, ball = EncodingPairs.of_grid(RusinkiewiczGrid.named("default")), ball_pairs()
+    grid, ball = grid_pairs(), ball_pairs()
     read = task.readings(chosen)
     try:
         fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))

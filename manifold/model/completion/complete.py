@@ -10,11 +10,12 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
+from manifold.model.completion.corrected import CorrectedBRDF
 from manifold.model.completion.reading_bands import beyond, for_library, in_all_bands
-from manifold.model.completion.samples import LibrarySamples
-from manifold.model.prediction import PredictedBRDF
+from manifold.model.completion.samples import LibrarySamples, ball_places, grid_places
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import BROAD, SHARP, Mixtures, posteriors
+from manifold.models.nearby import NearbyFactors, nearby_factors, places
 from manifold.records import Array
 
 _HYPOTHESES = 200  # mixtures by which the spread is told
@@ -50,6 +51,7 @@ class Completion:
         at_readings: cube roots of samples there, shape (n + 1, P).
         hypotheses: mixtures that may be its structure, and how likely they are, by readings that may be wrong a little.
         weights: of samples in the bands of the library, shape (B, n + 1).
+        nearby: what the readings say of directions near them beyond that, in the bands of the library.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
     """
 
@@ -58,12 +60,27 @@ class Completion:
     at_readings: Array
     hypotheses: Mixtures
     weights: Array
+    nearby: NearbyFactors
     predicted: Array
 
     @cached_property
-    def brdf(self) -> PredictedBRDF:
+    def brdf(self) -> CorrectedBRDF:
         """The completed BRDF, never negative."""
-        return self.samples.predicted(self.weights)
+        return CorrectedBRDF(self.samples.predicted(self.weights), self.nearby)
+
+    @cached_property
+    def on_grid(self) -> Array:
+        """f at the encoding grid, shape (P_g, B)."""
+        return self._at(self.samples.directions[:, : self.samples.n_grid], grid_places())
+
+    @cached_property
+    def on_ball(self) -> Array:
+        """f at all pairs that light a ball, shape (P_b, B)."""
+        return self._at(self.samples.ball, ball_places())
+
+    def _at(self, roots: Array, where: Array) -> Array:
+        """f where samples have cube roots (n + 1, P), at places (P, 3)."""
+        return np.asarray((self.weights @ roots * self.nearby.at(where)).T ** 3)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -181,9 +198,12 @@ def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array)
     sharp, broad = posteriors(at_readings, structure, weights, gram, (SHARP, BROAD))
     targets = np.cbrt(np.maximum(readings.values, 0.0)).T
     found = completion_weights(at_readings, targets, weights, gram, samples.material_of, sharp.mean)
+    mixed, where = found @ at_readings, places(readings.wi, readings.wo)
+    nearby = nearby_factors(targets, mixed, where, readings.weights)
+    whole = nearby.with_strength(in_all_bands(nearby.strength, readings, samples.bands))
     return Completion(
-        samples, readings, at_readings, broad, in_all_bands(found, readings, samples.bands),
-        (found @ at_readings).T ** 3,
+        samples, readings, at_readings, broad, in_all_bands(found, readings, samples.bands), whole,
+        (mixed * nearby.at(where)).T ** 3,
     )  # fmt: skip
 
 

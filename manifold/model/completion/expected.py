@@ -89,8 +89,7 @@ def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Rea
 
 def completion_errors(samples: LibrarySamples, m: int, found: Completion) -> tuple[float, float, float]:
     """Ball CIEDE2000, cube-root and linear error of what was found for material m, in the sample bands."""
-    on_grid = (found.weights @ found.samples.directions[:, : samples.n_grid]).T ** 3
-    return errors_of(samples, m, on_grid, (found.weights @ found.samples.ball).T ** 3)
+    return errors_of(samples, m, found.on_grid, found.on_ball)
 
 
 def errors_of(samples: LibrarySamples, m: int, on_grid: Array, on_ball: Array) -> tuple[float, float, float]:

@@ -20,6 +20,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
 from manifold.models.dictionary import Dictionary
 from manifold.models.lobes import Lobes
+from manifold.models.nearby import places
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
 SAMPLE_BANDS = 5  # of a spectral material; more gain nothing (docs/design/completion.md)
@@ -28,6 +29,12 @@ LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 
 ball_pairs = cache(ball_colours.ball)
 """The pairs that light a ball; the same for every material."""
+
+grid_pairs = cache(lambda: EncodingPairs.of_grid(RusinkiewiczGrid.named("default")))
+"""All directions, in which materials are compared; the same for every material."""
+
+ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))
+grid_places = cache(lambda: places(grid_pairs().wi, grid_pairs().wo))
 
 _BALL_STRIDE = 7  # of a ball's direction pairs, one in so many stands for them
 
@@ -72,7 +79,7 @@ class LibrarySamples:
         bands = cache.library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
         materials = cache.in_bands(chosen.tolist(), on_progress)
-        grid, ball = EncodingPairs.of_grid(RusinkiewiczGrid.named("default")), ball_pairs()
+        grid, ball = grid_pairs(), ball_pairs()
         on_grid, on_ball = (
             with_lambertian(roots_at(materials, wi, wo), wi, wo)
             for wi, wo in ((grid.wi, grid.wo), (ball.wi, ball.wo))

@@ -1,0 +1,110 @@
+"""What weights of samples miss at some readings, carried to the directions nearby by a Gaussian process.
+
+Weights that are never negative reach only what lies between samples: with many readings something is left that
+neighbouring readings agree on. It is a factor of the cube roots, so that what it is applied to stays non-negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from manifold.directions import half_vector
+from manifold.records import Array
+
+_LENGTHS = np.array([0.12, 0.3, 0.3])  # of what `places` are
+_NOISE = 0.3  # of a reading, as a share of the variance of what is missed
+_FLOOR = 0.1  # of the mean cube root over readings: less is not divided by
+_MOST = 0.5  # more than that is a wrong mixture, which says nothing of its neighbourhood
+_CELL = 0.5  # in lengths: readings in one cell are averaged
+_MOST_CELLS = 256
+_BLOCK = 4096  # of places at a time
+
+
+@dataclass(frozen=True, eq=False)
+class NearbyFactors:
+    """Factors of cube roots at any direction pair.
+
+    Attributes:
+        readings: places of C readings, or of averages of some, shape (C, 3).
+        strength: of each in every band, shape (B, C).
+    """
+
+    readings: Array
+    strength: Array
+
+    def at(self, where: Array) -> Array:
+        """Factors, from 1/2 to 2, at places (M, 3); shape (B, M)."""
+        found = np.empty((len(self.strength), len(where)))
+        for start in range(0, len(where), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            found[:, rows] = self.strength @ _covariance(self.readings, where[rows])
+        return np.clip(1.0 + found, 0.5, 2.0)
+
+    def with_strength(self, strength: Array) -> NearbyFactors:
+        """The same readings with other strengths, shape (B', C)."""
+        return replace(self, strength=strength)
+
+
+def places(wi: Array, wo: Array) -> Array:
+    """Where direction pairs (P, 3) stand to each other, in lengths of correlation, shape (P, 3).
+
+    The root of the half vector's elevation, the difference angle, and how much one direction is lower than the other:
+    pairs that isotropic, reciprocal, bilaterally symmetric materials cannot tell apart are one place.
+    """
+    half = half_vector(wi, wo)
+    elevation, difference = (
+        np.arccos(np.clip(c, -1.0, 1.0)) for c in (half[..., 2], np.sum(wi * half, axis=-1))
+    )
+    lower = np.abs(wi[..., 2] - wo[..., 2])
+    return np.asarray(np.stack([np.sqrt(elevation), difference, lower], axis=-1) / _LENGTHS)
+
+
+def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Array) -> NearbyFactors:
+    """What readings say of their neighbourhood, beyond what is predicted.
+
+    Args:
+        targets: cube roots read, NaN where not measured, shape (B, P).
+        predicted: cube roots predicted there, shape (B, P).
+        where: places of the readings, shape (P, 3).
+        weights: of the readings, shape (P,).
+    Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
+    """
+    cell = _cells(where)
+    count = int(cell.max()) + 1
+    missed = (targets - predicted) / np.maximum(predicted, _FLOOR * predicted.mean(axis=1, keepdims=True))
+    missed = np.clip(
+        missed, -_MOST, _MOST
+    )  # 0 / 0 is NaN: a band that is black in the prediction is not told
+    is_told = np.isfinite(missed) & (weights > 0.0)
+    totals, sums = (
+        np.array([np.bincount(cell, row, count) for row in rows])
+        for rows in (is_told * weights, np.where(is_told, missed, 0.0) * weights)
+    )
+    shares = weights + np.finfo(float).tiny
+    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
+    centres /= np.bincount(cell, shares, count)[:, None]
+    covariance = _covariance(centres, centres)
+    strength = np.zeros((len(targets), count))
+    for mask in np.unique(totals, axis=0):
+        used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
+        K = covariance[np.ix_(used, used)] + np.diag(_NOISE / mask[used])
+        strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
+    return NearbyFactors(centres, strength)
+
+
+def _covariance(a: Array, b: Array) -> Array:
+    """Of places (C, 3) and (M, 3), shape (C, M)."""
+    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
+    return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
+
+
+def _cells(where: Array) -> Array:
+    """Which cell each place (P, 3) is in, shape (P,): half a length wide, or as wide as leaves few of them."""
+    width = _CELL
+    while True:
+        _, cell = np.unique(np.floor(where / width), axis=0, return_inverse=True)
+        if cell.max() < _MOST_CELLS:
+            return np.asarray(cell).ravel()
+        width *= 2.0

@@ -17,6 +17,7 @@ from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.plots.explorer.actions import Context
+from manifold.plots.explorer.direction_grid import AngleGrid, tabulated_pairs
 from manifold.plots.explorer.jobs import Queue
 from manifold.plots.explorer.page import make_page
 from manifold.plots.explorer.server import ExplorerServer
@@ -94,6 +95,45 @@ def test_weights_are_those_of_python(visited, model, rng):
     script = "(places) => places.map((x) => window.explorer.materials.weights(x))"
     found = np.array(visited.page.evaluate(script, places.tolist()))
     assert np.allclose(found, model.weights(places), rtol=0, atol=1e-5)
+
+
+def table_of_page(page, x, *, refine=True):
+    """Cube roots of colours that the shader has summed on the grid at a place, at rest or moving, (P, 3)."""
+    script = """([x, refine]) => {
+      const { balls } = window.explorer, { gl } = balls;
+      window.explorer.change({ x });
+      window.explorer.refresh();
+      if (refine) balls.refine(0);
+      const { target, width, height } = balls.surfaces[0].table, values = new Float32Array(4 * width * height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+      gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, values);
+      return [...values];
+    }"""
+    return np.array(page.evaluate(script, [list(x), refine])).reshape(-1, 4)[:, :3]
+
+
+def test_the_shader_sums_the_prediction_of_python(visited, model, document, rng):
+    pairs = tabulated_pairs(AngleGrid())
+    wi, wo = pairs.wi[: pairs.n_grid], pairs.wo[: pairs.n_grid]
+    is_beside_the_plane = np.abs(wo[:, 1]) < 1e-9  # elsewhere the page has the mean of both sides
+    for shares in rng.dirichlet(np.ones(len(NAMES)), 3):
+        x = shares @ model.X
+        f = model.predict(x).eval(wi, wo) * pairs.amplitude[: pairs.n_grid, None] ** 3
+        expected = np.cbrt(f @ np.array(document["toSrgb"]["D65"]))[is_beside_the_plane]
+        found = table_of_page(visited.page, x)[is_beside_the_plane]
+        # Components past the first are bytes relative to it, and texels are half floats.
+        assert np.median(np.abs(found - expected)) < 2e-3 * np.median(expected)
+        assert np.mean(np.abs(found - expected)) < 0.01 * np.mean(expected)
+
+
+def test_a_moving_ball_makes_up_for_the_materials_that_it_leaves_out(visited, model):
+    x = model.X[0] + [0.05, 0.0]
+    at_rest = table_of_page(visited.page, x)
+    moving = table_of_page(visited.page, x, refine=False)
+    assert not np.array_equal(moving, at_rest)
+    assert np.mean(np.abs(moving - at_rest)) < 0.005 * np.mean(
+        at_rest
+    )  # five shares of less than a thousandth
 
 
 def test_the_ball_of_the_page_is_that_of_the_package(visited, model, rng):

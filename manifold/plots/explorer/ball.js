@@ -1,18 +1,17 @@
 // A ball under the studio's light or under a lamp, in WebGL2, from one table of cube roots per prediction.
 
+import { BlendRenderer } from "./blend.js";
+import { bindTexture, drawInto, makeProgram, makeTarget, makeTexture } from "./webgl.js";
+
 const AZIMUTHS = 96, ELEVATIONS = 48; // of the picture in polar coordinates, which the studio lights first
 // Rings and spokes of half vectors: as in manifold/colour/ball_colours.py while moving, finer at rest.
-const MOVING = [18, 12], RESTING = [36, 24];
-const ACROSS = 16; // half vectors beside each other in the texture of their light
+const MOVING = [18, 12], RESTING = [36, 24]; // products of four
+const ACROSS = 8; // fours of half vectors beside each other in the texture of their light
 const SCALE = 256; // of what a half vector contributes, so that half floats hold it
-
-const QUAD = `#version 300 es
-void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 
 const COMMON = `#version 300 es
 precision highp float;
-precision highp sampler3D;
-uniform sampler3D table; // cube roots of f cos(theta_i) cos(theta_o) over phi_d, theta_d, theta_h
+uniform highp sampler2D table; // cube roots of f cos(theta_i) cos(theta_o): phi_d across, theta_d within theta_h down
 uniform vec3 nodes, view;
 uniform float thetaHMax, thetaHPower, thetaDShare;
 const float PI = 3.14159265358979;
@@ -22,8 +21,11 @@ vec3 fCosines(float thetaH, float cosD, float phiD) {
   float largest = atan(1.0, tan(thetaH) * abs(cos(phiD)));
   float h = pow(clamp(thetaH / thetaHMax, 0.0, 1.0), 1.0 / thetaHPower);
   float d = clamp(acos(clamp(cosD, -1.0, 1.0)) / largest / thetaDShare, 0.0, 1.0);
-  vec3 at = vec3(abs(phiD) / PI, d, h);
-  vec3 root = texture(table, (at * (nodes - 1.0) + 0.5) / nodes).rgb;
+  float layer = h * (nodes.z - 1.0), below = min(floor(layer), nodes.z - 2.0);
+  vec2 at = vec2(abs(phiD) / PI, d) * (nodes.xy - 1.0) + 0.5 + vec2(0.0, below * nodes.y);
+  vec2 size = vec2(nodes.x, nodes.y * nodes.z);
+  vec3 root = mix(textureLod(table, at / size, 0.0).rgb,
+    textureLod(table, (at + vec2(0.0, nodes.y)) / size, 0.0).rgb, layer - below);
   return root * root * root;
 }
 
@@ -62,18 +64,15 @@ Half halfVector(int index, float row) {
 }
 `;
 
-// The light that arrives along each half vector at each place: once, whatever the material.
+// The light that arrives along each half vector at each place, four to a texel: once, whatever the material.
 const LIGHT = `${COMMON}${HALF_VECTORS}
 uniform sampler2D environment;
 uniform vec2 cells;
 
-void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy), place = ivec2(at.x % ${AZIMUTHS}, at.y % ${ELEVATIONS});
-  int index = at.x / ${AZIMUTHS} + ${ACROSS} * (at.y / ${ELEVATIONS});
-  Half h = halfVector(index, float(place.y));
-  result = vec4(0.0);
-  if (index >= rings * spokes || h.cosine <= 0.0 || h.wo.z <= 0.0) return;
-  float azimuth = (float(place.x) + 0.5) / ${AZIMUTHS}.0 * 2.0 * PI;
+float lightAlong(int index, vec2 place) {
+  Half h = halfVector(index, place.y);
+  if (h.cosine <= 0.0 || h.wo.z <= 0.0) return 0.0;
+  float azimuth = (place.x + 0.5) / ${AZIMUTHS}.0 * 2.0 * PI;
   vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
   vec3 outwards = cos(azimuth) * right + sin(azimuth) * up;
   vec3 normal = h.wi.x * outwards + h.wi.z * view, tangent = h.wi.x * view - h.wi.z * outwards;
@@ -82,7 +81,15 @@ void main() {
   // Averaged over half the width of what a half vector stands for, else lamps leave the pattern of half vectors.
   float texel = 2.0 * PI * PI / cells.x / cells.y * max(length(world.xy), 0.1);
   float wide = 0.5 * log2(max(4.0 * h.cosine * h.area / texel, 4.0)) - 1.0;
-  result = vec4(textureLod(environment, look, wide).r);
+  return textureLod(environment, look, wide).r;
+}
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy), place = ivec2(at.x % ${AZIMUTHS}, at.y % ${ELEVATIONS});
+  int four = at.x / ${AZIMUTHS} + ${ACROSS} * (at.y / ${ELEVATIONS});
+  vec4 here = vec4(0.0);
+  for (int r = 0; r < 4 && four < rings * spokes / 4; r++) here[r] = lightAlong(4 * four + r, vec2(place));
+  result = here;
 }`;
 
 // What each half vector contributes per light, at each elevation.
@@ -95,18 +102,31 @@ void main() {
   result = vec4(clamp(f * (${SCALE}.0 * 4.0 * h.cosine * h.area), -6e4, 6e4), 0.0);
 }`;
 
+// The same, channel by channel, four half vectors to a texel.
+const TURN = `#version 300 es
+precision highp float;
+uniform highp sampler2D contribution;
+out vec4 result;
+
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 four;
+  for (int r = 0; r < 4; r++) four[r] = texelFetch(contribution, ivec2(at.x / 3 * 4 + r, at.y), 0)[at.x % 3];
+  result = four;
+}`;
+
 const SUM = `#version 300 es
 precision highp float;
-uniform highp sampler2D contribution, light;
-uniform int count;
+uniform highp sampler2D channels, light;
+uniform int fours;
 out vec4 result;
 
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec3 sum = vec3(0.0);
-  for (int m = 0; m < count; m++) {
-    ivec2 cell = at + ivec2(m % ${ACROSS} * ${AZIMUTHS}, m / ${ACROSS} * ${ELEVATIONS});
-    sum += texelFetch(contribution, ivec2(m, at.y), 0).rgb * texelFetch(light, cell, 0).r;
+  for (int m = 0; m < fours; m++) {
+    vec4 here = texelFetch(light, at + ivec2(m % ${ACROSS} * ${AZIMUTHS}, m / ${ACROSS} * ${ELEVATIONS}), 0);
+    for (int c = 0; c < 3; c++) sum[c] += dot(texelFetch(channels, ivec2(3 * m + c, at.y), 0), here);
   }
   result = vec4(sum / ${SCALE}.0, 1.0);
 }`;
@@ -150,23 +170,26 @@ void main() {
 
 /** Draws predictions as balls into the canvas it is given; `null` of `create` where there is no WebGL2. */
 export class BallRenderer {
-  static create(canvas, data) {
+  static create(canvas, materials) {
     const gl = canvas.getContext("webgl2", { alpha: true, antialias: false });
     if (!gl || !(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"))) {
       return null;
     }
-    return new BallRenderer(gl, data);
+    return BlendRenderer.fits(gl, materials) ? new BallRenderer(gl, materials) : null;
   }
 
-  constructor(gl, data) {
+  constructor(gl, materials) {
+    const { data } = materials;
     this.gl = gl;
     this.data = data;
+    this.blends = new BlendRenderer(gl, materials);
     const { light } = data;
-    this.programs = { light: this._program(LIGHT), material: this._program(MATERIAL), sum: this._program(SUM) };
-    this.show = this._program(SHOW);
+    this.programs = Object.fromEntries(Object.entries({ light: LIGHT, material: MATERIAL, turn: TURN, sum: SUM })
+      .map(([name, fragment]) => [name, makeProgram(gl, fragment)]));
+    this.show = makeProgram(gl, SHOW);
     const radiance = new Float32Array(light.radiance.length * 4);
     light.radiance.forEach((v, k) => radiance.fill(v, 4 * k, 4 * k + 4));
-    this.environment = this._texture2d(light.columns, light.rows, radiance);
+    this.environment = makeTexture(gl, light.columns, light.rows, radiance);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.generateMipmap(gl.TEXTURE_2D);
     this.lights = new Map(); // by the number of rings
@@ -174,64 +197,55 @@ export class BallRenderer {
     this.thumbnail = null;
   }
 
-  /** Take a prediction, as surface 0, 1, ..., from its table (nGrid, 4), and light it by the studio. */
-  setSurface(k, table) {
-    const { gl } = this;
-    const [h, d, p] = this.data.grid.shape;
-    if (!this.surfaces[k]) {
-      const texture = gl.createTexture();
-      gl.bindTexture(gl.TEXTURE_3D, texture);
-      gl.texStorage3D(gl.TEXTURE_3D, 1, gl.RGBA16F, p, d, h);
-      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
-        gl.texParameteri(gl.TEXTURE_3D, name, gl.LINEAR);
-      }
-      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
-        gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
-      }
-      this.surfaces[k] = { texture, ...this._target(AZIMUTHS, ELEVATIONS) };
-    }
-    const surface = this.surfaces[k];
-    gl.bindTexture(gl.TEXTURE_3D, surface.texture);
-    gl.texSubImage3D(gl.TEXTURE_3D, 0, 0, 0, 0, p, d, h, gl.RGBA, gl.FLOAT, table);
-    this._lightByStudio(surface, MOVING);
+  /** Take a prediction under an illuminant as surface 0, 1, ..., and light it by the studio, both coarsely. */
+  setSurface(k, prediction, illuminant) {
+    const { gl, blends } = this;
+    this.surfaces[k] ??= { table: blends.table(), ...makeTarget(gl, AZIMUTHS, ELEVATIONS) };
+    Object.assign(this.surfaces[k], { prediction, illuminant });
+    blends.draw(this.surfaces[k].table, prediction, illuminant, true);
+    this._lightByStudio(this.surfaces[k], MOVING);
   }
 
-  /** Light a surface by the studio again, as finely as befits a still picture. */
+  /** Blend and light a surface again, as finely as befits a still picture. */
   refine(k) {
-    if (this.surfaces[k]) this._lightByStudio(this.surfaces[k], RESTING);
+    const surface = this.surfaces[k];
+    if (!surface) return;
+    this.blends.draw(surface.table, surface.prediction, surface.illuminant, false);
+    this._lightByStudio(surface, RESTING);
   }
 
   _lightByStudio(surface, [rings, spokes]) {
-    const { gl } = this, { material, sum } = this.programs;
-    const light = this._light(rings, spokes);
-    this._into(light.contribution, rings * spokes, ELEVATIONS);
+    const { gl } = this, { material, turn, sum } = this.programs;
+    const { light, contribution, channels } = this._light(rings, spokes);
     this._use(material, surface);
     gl.uniform1i(material.at("rings"), rings);
     gl.uniform1i(material.at("spokes"), spokes);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    this._into(surface, AZIMUTHS, ELEVATIONS);
+    drawInto(gl, contribution);
+    gl.useProgram(turn.handle);
+    bindTexture(gl, turn, "contribution", 0, contribution.picture);
+    drawInto(gl, channels);
     gl.useProgram(sum.handle);
-    this._bind(sum, "contribution", 0, light.contribution.picture);
-    this._bind(sum, "light", 1, light.picture);
-    gl.uniform1i(sum.at("count"), rings * spokes);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    bindTexture(gl, sum, "channels", 0, channels.picture);
+    bindTexture(gl, sum, "light", 1, light.picture);
+    gl.uniform1i(sum.at("fours"), (rings * spokes) / 4);
+    drawInto(gl, surface);
   }
 
-  /** The light along half vectors at all places, made when first asked for. */
+  /** The light along half vectors at all places, made when first asked for, and room for what a material makes of it. */
   _light(rings, spokes) {
     if (this.lights.has(rings)) return this.lights.get(rings);
     const { gl, data } = this, { light: program } = this.programs, count = rings * spokes;
-    const width = AZIMUTHS * ACROSS, height = ELEVATIONS * Math.ceil(count / ACROSS);
-    const made = { ...this._target(width, height, gl.R16F), contribution: this._target(count, ELEVATIONS) };
-    this._into(made, width, height);
+    const made = {
+      light: makeTarget(gl, AZIMUTHS * ACROSS, ELEVATIONS * Math.ceil(count / 4 / ACROSS)),
+      contribution: makeTarget(gl, count, ELEVATIONS), channels: makeTarget(gl, (3 * count) / 4, ELEVATIONS),
+    };
     gl.useProgram(program.handle);
-    this._bind(program, "environment", 0, this.environment);
-    gl.uniform1i(program.at("table"), 2); // not read; no two kinds of texture share a unit
+    bindTexture(gl, program, "environment", 0, this.environment);
     gl.uniform1i(program.at("rings"), rings);
     gl.uniform1i(program.at("spokes"), spokes);
     gl.uniform3f(program.at("view"), ...data.light.view);
     gl.uniform2f(program.at("cells"), data.light.columns, data.light.rows);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    drawInto(gl, made.light);
     this.lights.set(rings, made);
     return made;
   }
@@ -280,7 +294,7 @@ export class BallRenderer {
     const { gl } = this;
     this._use(this.show, surface);
     gl.viewport(...corner.map(Math.round), Math.round(side), Math.round(side));
-    this._bind(this.show, "lit", 1, surface.picture);
+    bindTexture(gl, this.show, "lit", 1, surface.picture);
     gl.uniform2f(this.show.at("corner"), ...corner.map(Math.round));
     gl.uniform1f(this.show.at("side"), Math.round(side));
     gl.uniform1f(this.show.at("exposure"), light.exposure);
@@ -293,69 +307,11 @@ export class BallRenderer {
   _use(program, surface) {
     const { gl, data } = this, [h, d, p] = data.grid.shape;
     gl.useProgram(program.handle);
-    gl.activeTexture(gl.TEXTURE2);
-    gl.bindTexture(gl.TEXTURE_3D, surface.texture);
-    gl.uniform1i(program.at("table"), 2);
+    bindTexture(gl, program, "table", 0, surface.table.picture);
     gl.uniform3f(program.at("nodes"), p, d, h);
     gl.uniform3f(program.at("view"), ...data.light.view);
     gl.uniform1f(program.at("thetaHMax"), data.grid.thetaHMax);
     gl.uniform1f(program.at("thetaHPower"), data.grid.thetaHPower);
     gl.uniform1f(program.at("thetaDShare"), data.grid.thetaDShare);
-  }
-
-  _bind(program, name, unit, texture) {
-    const { gl } = this;
-    gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.uniform1i(program.at(name), unit);
-  }
-
-  _into({ target }, width, height) {
-    const { gl } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.viewport(0, 0, width, height);
-  }
-
-  /** A texture that can be drawn into. */
-  _target(width, height, format = this.gl.RGBA16F) {
-    const { gl } = this, target = gl.createFramebuffer();
-    const picture = this._texture2d(width, height, null, format);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
-    return { picture, target };
-  }
-
-  _texture2d(width, height, values, format = this.gl.RGBA16F) {
-    const { gl } = this, texture = gl.createTexture();
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    const channels = format === gl.R16F ? gl.RED : gl.RGBA;
-    gl.texImage2D(gl.TEXTURE_2D, 0, format, width, height, 0, channels, gl.FLOAT, values);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-    return texture;
-  }
-
-  _program(fragment) {
-    const { gl } = this, handle = gl.createProgram();
-    for (const [type, source] of [[gl.VERTEX_SHADER, QUAD], [gl.FRAGMENT_SHADER, fragment]]) {
-      const shader = gl.createShader(type);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(handle, shader);
-    }
-    gl.linkProgram(handle);
-    if (!gl.getProgramParameter(handle, gl.LINK_STATUS)) {
-      const logs = gl.getAttachedShaders(handle).map((shader) => gl.getShaderInfoLog(shader));
-      throw new Error(`a shader does not compile: ${logs.join(" ")} ${gl.getProgramInfoLog(handle)}`);
-    }
-    const places = new Map();
-    const at = (name) => {
-      if (!places.has(name)) places.set(name, gl.getUniformLocation(handle, name));
-      return places.get(name);
-    };
-    return { handle, at };
   }
 }

@@ -34,8 +34,8 @@ export class Explorer {
     this.spectrum = null;
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
-    this.balls = BallRenderer.create(this.byId("ball"), data);
-    if (!this.balls) this.problem("This browser has no WebGL2, so balls are not drawn; all else works.");
+    this.balls = BallRenderer.create(this.byId("ball"), materials);
+    if (!this.balls) this.problem("This browser has no WebGL2 that holds these materials, so balls are not drawn; all else works.");
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
 
@@ -126,7 +126,7 @@ export class Explorer {
     this.prediction = this.materials.predict(state.x, this.asked(state));
     this.refreshPin();
     if (this.balls) {
-      this.balls.setSurface(0, this.prediction.gridTexture(state.illuminant));
+      this.balls.setSurface(0, this.prediction, state.illuminant);
       this.drawBalls();
       this.refineLater();
     }
@@ -153,7 +153,7 @@ export class Explorer {
     const key = pin ? JSON.stringify([pin, illuminant]) : null;
     if (this.pinned.key === key) return;
     this.pinned = { key, prediction: pin ? this.materials.predict(pin.x, this.asked(pin)) : null };
-    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction.gridTexture(illuminant));
+    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant);
   }
 
   get light() {
@@ -185,8 +185,7 @@ export class Explorer {
       this.element.dataset.complete = "true";
       return;
     }
-    const own = this.materials.predict(this.data.X[k]);
-    this.balls.setSurface(2, own.gridTexture("D65"));
+    this.balls.setSurface(2, this.materials.predict(this.data.X[k]), "D65");
     const image = document.createElement("canvas");
     Object.assign(image, { width: THUMBNAIL, height: THUMBNAIL });
     image.getContext("2d").putImageData(this.balls.image(2, THUMBNAIL), 0, 0);

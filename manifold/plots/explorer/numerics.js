@@ -3,7 +3,7 @@
 const NEGLIGIBLE = 1e-6; // as in manifold/models/blending.py
 const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/models/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
-const PATH_NODES = 16; // coordinates at which a spectral blend's colour path is followed
+const PATH_NODES = 8; // coordinates at which a spectral blend's colour path is followed: 0.1 CIEDE2000 beside all 32
 
 /** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
 export function blendWeights(x, X, lengthScale) {
@@ -73,20 +73,34 @@ export class Materials {
     this.nGrid = data.pairs.grid;
     this.nNodes = data.basis.length;
     this.nComponents = data.basis[0].length;
-    const P = this.nPairs, R = this.nComponents, float = halfToFloat();
-    this.components = new Float32Array(this.count * R * P); // [N, R, P]
-    for (let i = 0; i < this.count; i++) {
-      for (let p = 0; p < P; p++) {
-        const lightness = float[halves[i * P + p]];
-        this.components[i * R * P + p] = lightness;
-        for (let r = 1; r < R; r++) {
-          const step = steps[(i * (R - 1) + r - 1) * P + p];
-          this.components[(i * R + r) * P + p] = (lightness * step * scales[i][r - 1]) / 127;
-        }
-      }
+    this.packed = { halves, steps, scales, float: halfToFloat() };
+    const R = this.nComponents, beside = this.nPairs - this.nGrid;
+    this.components = new Float32Array(this.count * R * beside); // [N, R, pairs beside the grid]
+    for (let k = 0; k < this.count * R; k++) {
+      const row = this.components.subarray(k * beside, (k + 1) * beside);
+      this._unpack(Math.floor(k / R), k % R, this.nGrid, this.nPairs, row, 0, 1);
     }
     const { slices } = data.pairs;
-    this.sphereStart = this.nGrid + slices.reduce((sum, slice) => sum + slice.angles.length, 0);
+    this.sphereStart = slices.reduce((sum, slice) => sum + slice.angles.length, 0); // of the pairs beside the grid
+    this.nBeside = beside;
+  }
+
+  /** Write component r of material i at the pairs from start to stop into out, at first, first + stride, ... */
+  _unpack(i, r, start, stop, out, first, stride) {
+    const { halves, steps, scales, float } = this.packed, P = this.nPairs;
+    const scale = r === 0 ? 1 : scales[i][r - 1] / 127, row = (i * (this.nComponents - 1) + r - 1) * P;
+    for (let p = start, k = first; p < stop; p++, k += stride) {
+      out[k] = float[halves[i * P + p]] * (r === 0 ? 1 : steps[row + p] * scale);
+    }
+  }
+
+  /** Components first to first + 3 of a material on the grid, (nGrid, 4); 0 beyond the last. */
+  gridComponents(i, first) {
+    const out = new Float32Array(4 * this.nGrid);
+    for (let r = first; r < Math.min(first + 4, this.nComponents); r++) {
+      this._unpack(i, r, 0, this.nGrid, out, r - first, 4);
+    }
+    return out;
   }
 
   weights(x) {
@@ -132,14 +146,14 @@ export class Materials {
     return total;
   }
 
-  /** Sum of components by sparse weights at the pairs from start to stop, a cube root of f times cosines. */
-  combine(weights, start, stop) {
-    const out = new Float32Array(stop - start), P = this.nPairs;
+  /** Sum of components by sparse weights at the pairs beside the grid, from start on: a cube root of f times cosines. */
+  combine(weights, start = 0) {
+    const P = this.nBeside, out = new Float32Array(P - start);
     const rows = [...weights].filter(([, w]) => w !== 0);
     while (rows.length % 4) rows.push([0, 0]); // four rows at a time, which takes half as long as one by one
     for (let k = 0; k < rows.length; k += 4) {
       const [[a, wa], [b, wb], [c, wc], [d, wd]] = rows.slice(k, k + 4)
-        .map(([row, w]) => [this.components.subarray(row * P + start, row * P + stop), w]);
+        .map(([row, w]) => [this.components.subarray(row * P + start, (row + 1) * P), w]);
       for (let p = 0; p < out.length; p++) out[p] += wa * a[p] + wb * b[p] + wc * c[p] + wd * d[p];
     }
     return out;
@@ -148,10 +162,9 @@ export class Materials {
   /** Reflectance that one set of weights, seen through one spectral row (R), has in the integrating sphere. */
   sphereReflectance(roots) {
     const { sphereMeasure, amplitude } = this.data.pairs;
-    const offset = this.sphereStart - this.nGrid;
     let sum = 0;
     for (let p = 0; p < sphereMeasure.length; p++) {
-      const root = Math.max(roots[p] / amplitude[offset + p], 0);
+      const root = Math.max(roots[p] / amplitude[this.sphereStart + p], 0);
       sum += root ** 3 * sphereMeasure[p];
     }
     return sum;
@@ -160,7 +173,7 @@ export class Materials {
   /** Cube roots at the sphere's pairs of every vertex of every path, made when first asked for. */
   verticesInSphere() {
     this.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) =>
-      this.combine(this.asComponents(new Map(vertex)), this.sphereStart, this.nPairs)));
+      this.combine(this.asComponents(new Map(vertex)), this.sphereStart)));
     return this.inside;
   }
 
@@ -169,7 +182,7 @@ export class Materials {
     const { last, vertices } = this.data.paths;
     const used = u.flatMap((share, i) => (share > 0 ? [i] : []));
     const inside = this.verticesInSphere();
-    const roots = new Float32Array(this.nPairs - this.sphereStart);
+    const roots = new Float32Array(this.nBeside - this.sphereStart);
     const reached = (t) => {
       roots.fill(0);
       for (const i of used) {
@@ -197,19 +210,10 @@ export class Materials {
 
   /**
    * What a place is made of: outputs as sparse weights over components, and the matrix (J, M) from outputs to nodes.
-   * Without a colour (J reflectances) materials are blended whole.
+   * Without a colour (J reflectances) materials are blended whole: the outputs are null, and stand for the components.
    */
   combination(u, reflectance) {
-    const R = this.nComponents;
-    if (!reflectance) {
-      const outputs = [];
-      for (let r = 0; r < R; r++) {
-        const weights = new Map();
-        u.forEach((share, i) => share > 0 && weights.set(i * R + r, share));
-        outputs.push(weights);
-      }
-      return { outputs, toNodes: this.data.basis, coordinates: null, missed: 0 };
-    }
+    if (!reflectance) return { outputs: null, toNodes: this.data.basis, coordinates: null, missed: 0 };
     const { coordinates, reached } = this.coordinatesOf(u, reflectance);
     const missed = Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j])));
     const low = Math.min(...coordinates), high = Math.max(...coordinates);
@@ -226,76 +230,55 @@ export class Materials {
     return { outputs, toNodes, coordinates, missed };
   }
 
-  /** A prediction at all pairs; see `Prediction`. */
+  /** The prediction of a place, in a reflectance (J) or as materials blend. */
   predict(x, reflectance = null) {
     const u = this.weights(x);
     const isOwn = reflectance && this.materialAt(x) >= 0 && reflectance === this.data.reflectances[this.materialAt(x)];
-    const { outputs, toNodes, coordinates, missed } = this.combination(u, isOwn ? null : reflectance);
-    const values = outputs.map((weights) => this.combine(weights, 0, this.nPairs));
-    return new Prediction(this, x, u, values, toNodes, coordinates, missed);
+    return new Prediction(this, u, this.combination(u, isOwn ? null : reflectance));
+  }
+
+  /** Weights u of whole materials as sparse weights of components, per component. */
+  wholeComponents(u) {
+    const R = this.nComponents;
+    return Array.from({ length: R }, (_, r) => new Map(u.flatMap((share, i) => (share > 0 ? [[i * R + r, share]] : []))));
   }
 }
 
-/** Values of a place: colours in linear sRGB under an illuminant, slices, reflectance. */
+/** A place's weights u and what it is made of, as of `Materials.combination`; its slices and reflectance. */
 export class Prediction {
-  constructor(materials, x, u, values, toNodes, coordinates, missed) {
-    Object.assign(this, { materials, x, u, values, toNodes, coordinates, missed });
+  constructor(materials, u, { outputs, toNodes, coordinates, missed }) {
+    Object.assign(this, { materials, u, outputs, toNodes, coordinates, missed });
+    this.values = (outputs ?? materials.wholeComponents(u)).map((weights) => materials.combine(weights));
   }
 
-  /** Linear sRGB of f times cosines at the pairs from start to stop, (3, K). */
-  colours(illuminant, start, stop) {
-    const toSrgb = this.materials.data.toSrgb[illuminant];
-    const out = [new Float32Array(stop - start), new Float32Array(stop - start), new Float32Array(stop - start)];
-    const M = this.values.length, J = this.toNodes.length;
-    const matrix = Float64Array.from(this.toNodes.flat()), rgb = Float64Array.from(toSrgb.flat());
-    for (let p = start; p < stop; p++) {
-      let red = 0, green = 0, blue = 0;
-      for (let j = 0; j < J; j++) {
-        let root = 0;
-        for (let m = 0; m < M; m++) root += matrix[j * M + m] * this.values[m][p];
-        if (root <= 0) continue;
-        const f = root * root * root;
-        red += f * rgb[3 * j];
-        green += f * rgb[3 * j + 1];
-        blue += f * rgb[3 * j + 2];
+  /** Luminance of f times cosines under an illuminant at the pairs of the slices. */
+  luminance(illuminant) {
+    const rows = this.materials.data.toSrgb[illuminant].map(([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b);
+    const out = new Float32Array(this.materials.sphereStart);
+    this.toNodes.forEach((row, j) => {
+      for (let p = 0; p < out.length; p++) {
+        const root = row.reduce((sum, weight, m) => sum + weight * this.values[m][p], 0);
+        out[p] += rows[j] * Math.max(root, 0) ** 3;
       }
-      out[0][p - start] = red;
-      out[1][p - start] = green;
-      out[2][p - start] = blue;
-    }
-    return out;
-  }
-
-  /** Cube roots of those on the grid, RGBA for a texture, (nGrid, 4). */
-  gridTexture(illuminant) {
-    const { nGrid } = this.materials;
-    const colours = this.colours(illuminant, 0, nGrid);
-    const out = new Float32Array(4 * nGrid);
-    for (let p = 0; p < nGrid; p++) {
-      for (let c = 0; c < 3; c++) out[4 * p + c] = Math.cbrt(colours[c][p]);
-      out[4 * p + 3] = 1;
-    }
+    });
     return out;
   }
 
   /** Luminance of f over the angles of each slice. */
   slices(illuminant) {
-    const { slices, amplitude } = this.materials.data.pairs, { nGrid } = this.materials;
-    let start = nGrid;
+    const { slices, amplitude } = this.materials.data.pairs, luminance = this.luminance(illuminant);
+    let start = 0;
     return slices.map(({ incidence, angles }) => {
-      const [red, green, blue] = this.colours(illuminant, start, start + angles.length);
-      const offset = start - nGrid;
+      const offset = start;
       start += angles.length;
-      const f = angles.map((_, k) =>
-        (0.2126 * red[k] + 0.7152 * green[k] + 0.0722 * blue[k]) / amplitude[offset + k] ** 3);
+      const f = angles.map((_, k) => luminance[offset + k] / amplitude[offset + k] ** 3);
       return { incidence, angles, f };
     });
   }
 
   /** Reflectance at 8 degrees, specular included, at the nodes (J). */
   reflectance() {
-    const { sphereStart, nPairs } = this.materials;
-    const count = nPairs - sphereStart;
+    const { sphereStart, nBeside } = this.materials, count = nBeside - sphereStart;
     return this.toNodes.map((row) => {
       const roots = new Float32Array(count);
       row.forEach((w, m) => {

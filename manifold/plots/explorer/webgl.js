@@ -1,0 +1,61 @@
+// Programs, textures and targets of WebGL2 that cover their whole target with one triangle.
+
+const QUAD = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+
+/** A program of a fragment shader: its handle, and `at(name)`, the place of a uniform. */
+export function makeProgram(gl, fragment) {
+  const handle = gl.createProgram();
+  for (const [type, source] of [[gl.VERTEX_SHADER, QUAD], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(type);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(handle, shader);
+  }
+  gl.linkProgram(handle);
+  if (!gl.getProgramParameter(handle, gl.LINK_STATUS)) {
+    const logs = gl.getAttachedShaders(handle).map((shader) => gl.getShaderInfoLog(shader));
+    throw new Error(`a shader does not compile: ${logs.join(" ")} ${gl.getProgramInfoLog(handle)}`);
+  }
+  const places = new Map();
+  const at = (name) => {
+    if (!places.has(name)) places.set(name, gl.getUniformLocation(handle, name));
+    return places.get(name);
+  };
+  return { handle, at };
+}
+
+/** A texture of half floats, linear between its texels, around in the first direction; filled later where values are null. */
+export function makeTexture(gl, width, height, values, { filter = gl.LINEAR, wrap = gl.REPEAT } = {}) {
+  const texture = gl.createTexture();
+  gl.activeTexture(gl.TEXTURE0);
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, width, height, 0, gl.RGBA, gl.FLOAT, values);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, filter);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, wrap);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  return texture;
+}
+
+/** A texture that can be drawn into; options as of `makeTexture`. */
+export function makeTarget(gl, width, height, options) {
+  const target = gl.createFramebuffer(), picture = makeTexture(gl, width, height, null, options);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
+  return { picture, target, width, height };
+}
+
+/** Let a program read a texture by a unit. */
+export function bindTexture(gl, program, name, unit, texture) {
+  gl.activeTexture(gl.TEXTURE0 + unit);
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.uniform1i(program.at(name), unit);
+}
+
+/** Draw with the program in use into all of a target, or its first columns and rows. */
+export function drawInto(gl, { target, width, height }, columns = width, rows = height) {
+  gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+  gl.viewport(0, 0, columns, rows);
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+}

@@ -87,6 +87,7 @@ def export(
     """
     from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.model.colours import NEAREST, ColourChoice
+    from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
 
     results = terminal.Results(json)
@@ -108,12 +109,18 @@ def export(
     chosen = target_of(None if target is None else target.value, path)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
+        stages = Stages(step, {"": 8, "evaluating the target's model": 2})
         if source is not None:
             subject = exports.subject_of(source, against)
         else:
             subject = exports.subject_of_prediction(
-                model, options.parse_latent(latent or ""), library=library, colour=colour, on_progress=step
+                model,
+                options.parse_latent(latent or ""),
+                library=library,
+                colour=colour,
+                on_progress=stages.begin(""),
             )
+        stages.begin("evaluating the target's model")
         outcome = exports.export(subject, chosen, path, is_direct=direct)
     _show(results, outcome)
 

@@ -92,6 +92,7 @@ def render(
     """
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.rendering import images
+    from manifold.system.stages import Stages
     from manifold.workflows import renders
 
     results = terminal.Results(json)
@@ -126,13 +127,19 @@ def render(
     images.require_image_path(output)
     coordinates = None if latent is None else options.parse_latent(latent)
     with terminal.progress("Rendering") as step:
+        stages = Stages(step, {"": 1, "rendering": 1})
         if file is not None:
             made = renders.render(renders.file_source(file), output, settings, step)
         elif coordinates is not None:
             with renders.latent_source(
-                model, coordinates, library=library, colour=colour, direct=direct, on_progress=step
+                model,
+                coordinates,
+                library=library,
+                colour=colour,
+                direct=direct,
+                on_progress=stages.begin(""),
             ) as source:
-                made = renders.render(source, output, settings, step)
+                made = renders.render(source, output, settings, stages.begin("rendering"))
     _show(results, made)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import textwrap
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from rich.progress import (
 
 from manifold import __version__
 from manifold.system import atomic
+from manifold.system.stages import PROGRESS_VARIABLE
 
 Step = Callable[[int, int, str], None]
 """Called by long work with (done, total, what)."""
@@ -35,7 +37,11 @@ _WIDTH = 80  # columns that lists are broken to; a line with a single long word 
 
 @contextmanager
 def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
-    """A progress bar on stderr, or None where stderr is no terminal."""
+    """A progress bar on stderr, or None where stderr is no terminal; or lines for the program that asked for them."""
+    listening = os.environ.get(PROGRESS_VARIABLE, "")
+    if listening.isdecimal():
+        yield _told_to(int(listening))
+        return
     if not sys.stderr.isatty():
         yield None
         return
@@ -53,6 +59,16 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
             bar.update(task, completed=done, total=total, what=printable(what))
 
         yield step
+
+
+def _told_to(descriptor: int) -> Step:
+    """Steps as JSON lines into an open file; where nobody reads any more, nothing."""
+
+    def step(done: int, total: int, what: str) -> None:
+        with suppress(OSError):
+            os.write(descriptor, f"{json.dumps([done, total, what])}\n".encode())
+
+    return step
 
 
 class Results:

@@ -25,6 +25,13 @@ WRITES = (
     sys.executable, "-c",
     "import sys; out = [a for a in sys.argv if a.startswith('--output=')][0][9:]; open(out, 'wb').write(b'made')",
 )  # fmt: skip
+TELLS = (
+    sys.executable, "-c",
+    "import json, os, time\n"
+    "told = int(os.environ['MANIFOLD_PROGRESS'])\n"
+    "os.write(told, b'[1, 4, \"reading\"]\\nno progress\\n[]\\n')\n"
+    "time.sleep(60)",
+)  # fmt: skip
 HERE = {"name": "here", "latent": [0.1, -0.2]}
 
 
@@ -90,6 +97,22 @@ def test_a_name_that_is_taken_gets_a_number(served, context):
     finished(served, json.loads(content)["number"])
     assert files(context) == ["here-2.png", "here-3.png", "here.png"]
     assert request(served, "GET", "/picture/1")[1] == b"made"
+
+
+def test_a_job_tells_how_much_of_it_is_done_and_can_be_cancelled_then(context):
+    queue = Queue(context.folder, TELLS)
+    job = queue.add(action("predict", HERE, context))
+    end = time.monotonic() + 20
+    while job.share is None and time.monotonic() < end:
+        time.sleep(0.02)
+    told = job.to_json()
+    assert (told["state"], told["share"], told["stage"]) == ("running", 0.25, "reading")
+    assert queue.cancel(job.number)
+    while job.ended is None and time.monotonic() < end:
+        time.sleep(0.02)
+    assert job.state == "cancelled"
+    assert job.seconds < 15
+    queue.close()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ from manifold.fitting.bsdf_evaluation import Evaluator
 from manifold.fitting.bsdf_parameters import Layout
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
-from manifold.records import Array
+from manifold.records import Array, Progress
+from manifold.system.stages import Stages, told
 
 _VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
 
@@ -224,7 +225,7 @@ def listed(minima: list[Minimum], is_as_good: Callable[[float, float], bool]) ->
 
 def find_minima(
     evaluator: Evaluator, samples: FitSamples, metric: Metric, options: GaussNewton,
-    coarse: Evaluator,
+    coarse: Evaluator, on_progress: Progress | None = None,
 ) -> list[Minimum]:  # fmt: skip
     """All distinct minima found, best first; of few samples followed by rivals, see `listed`.
 
@@ -234,7 +235,10 @@ def find_minima(
         metric: measure of the residuals.
         options: hyperparameters.
         coarse: evaluator of `coarse_rows(samples, options)`.
+        on_progress: called after each refinement.
     """
+    stages = Stages(on_progress, {"coarse search": 4, "refinement": 3, "valleys": 3})
+    at_start = stages.begin("coarse search")
     layout = evaluator.layout
     scale = layout.maximum - layout.minimum
     points, _ = search(evaluator, samples, metric, options)
@@ -244,19 +248,22 @@ def find_minima(
     if len(few) == len(samples):  # few samples leave room for rivals
         parts = _outer_quarters(points, layout)
         rivals = [
-            minimize(first, start, options.iterations, options.tolerance, part) for start, part in parts
+            minimize(first, start, options.iterations, options.tolerance, part)
+            for start, part in told(parts, at_start)
         ]
         starts += [start for start, _ in parts] + [min(rivals, key=_cost).p for _ in parts[:1]]
-        ends = [minimize(first, start, options.iterations, options.tolerance) for start in starts]
+        in_starts = told(starts, stages.begin("refinement"))
+        ends = [minimize(first, start, options.iterations, options.tolerance) for start in in_starts]
         return [*distinct(scale, ends, 0.02), *sorted(rivals, key=_cost)]
-    rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in starts]
+    rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in told(starts, at_start)]
     candidates = distinct(scale, rough, 0.05)
     best = candidates[0].cost
     chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
     full = Residuals(evaluator, samples, metric)
-    ends = [minimize(full, one.p, options.iterations, options.tolerance) for one in chosen]
+    in_chosen = told(chosen, stages.begin("refinement"))
+    ends = [minimize(full, one.p, options.iterations, options.tolerance) for one in in_chosen]
     best_end = min(ends, key=_cost)
-    for _ in range(options.n_walks):
+    for _ in told(range(options.n_walks), stages.begin("valleys")):
         starts = _along_the_valley(full, samples, best_end, options)
         beside = [minimize(full, start, options.iterations, options.tolerance) for start in starts]
         ends += beside

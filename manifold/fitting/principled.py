@@ -28,7 +28,7 @@ from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fitting.identifiability import ParameterIdentifiability
 from manifold.fitting.undetermined import TriedDefaults
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.rendering import backend
 
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
@@ -108,6 +108,7 @@ def fit_bsdf(
     noise: float = 0.01,
     options: GaussNewton | AdamOptions | SwarmOptions | None = None,
     wide_colours: bool = False,
+    on_progress: Progress | None = None,
 ) -> FitResult:
     """Fit the free parameters of a Mitsuba BSDF.
 
@@ -123,6 +124,7 @@ def fit_bsdf(
         noise: relative standard deviation of the samples that the statements assume at least.
         options: hyperparameters of the method.
         wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
+        on_progress: called with how much of the stages of method gauss-newton is done.
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         ShapeError: the samples have wrong shapes or values that are no numbers.
@@ -132,8 +134,8 @@ def fit_bsdf(
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
     samples = _samples_of(target)
     if family is not None:
-        return _fit(samples, family, method, metric, noise, options)
-    found = _fit(samples, principled(wide_colours=wide_colours), method, metric, noise, options)
+        return _fit(samples, family, method, metric, noise, options, on_progress)
+    found = _fit(samples, principled(wide_colours=wide_colours), method, metric, noise, options, on_progress)
     is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
     if method != "gauss-newton" or not is_worse:
         return found
@@ -145,8 +147,9 @@ def fit_bsdf(
 
 
 def _fit(
-    samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any
-) -> FitResult:
+    samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any,
+    on_progress: Progress | None = None,
+) -> FitResult:  # fmt: skip
     if not samples.bands.is_rgb:
         _require_independent_bands(family)
     rgb = samples.as_rgb()
@@ -158,7 +161,7 @@ def _fit(
         if isinstance(options, GaussNewton):
             rows = gauss_newton.coarse_rows(rgb, options)
             coarse = evaluator(family, rgb.wi[rows], rgb.wo[rows], 3)
-            minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse)
+            minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse, on_progress)
             judged = _judge(whole, rgb, measure, minima, noise, tried)
             best, tried = undetermined.keep_undetermined(
                 Residuals(whole, rgb, measure), minima[0], judged.statements, judged.is_as_good, options

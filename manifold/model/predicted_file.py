@@ -17,6 +17,7 @@ from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
+from manifold.system.stages import Stages
 
 PREDICTED = "Predicted at latent"
 """How the descriptions of predicted files begin."""
@@ -90,7 +91,7 @@ def predict(
         force: write a file, too, that returns more than 1.05 times its light.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
         n_theta_i: incident elevations; with `physical`, at least.
-        on_progress: called while measured materials are read.
+        on_progress: called with how much is done.
     Raises:
         UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or it would return
             more than 1.05 times its light.
@@ -100,10 +101,12 @@ def predict(
     if isinstance(model, Path):
         model = Manifold.load(model, library)
     x = model.require_latent(latent)
-    model.prepare(on_progress)
+    stages = Stages(on_progress, {"reading materials": 4, "writing": 1})
+    model.prepare(stages.begin("reading materials"))
     start = time.perf_counter()
     chosen = choose_colour(model, x, colour)
     clipped = ClippedBRDF(model.predict(x, chosen.colours))
+    stages.begin("writing")
     found = write_checked(
         output,
         clipped,

@@ -30,6 +30,7 @@ from manifold.model.materials import MaterialCache
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Progress
 from manifold.system import atomic
+from manifold.system.stages import Stages
 from manifold.workflows import renders
 
 _MOST_READINGS = 2000
@@ -111,7 +112,7 @@ def complete_readings(
         force: write a file, too, that returns more than 1.05 times its light.
         resolution: nodes per axis of the outgoing grid.
         n_theta_i: incident elevations.
-        on_progress: called while materials are read.
+        on_progress: called with how much is done.
     Raises:
         BandMismatchError: bands of readings and library do not go together.
         UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
@@ -119,11 +120,17 @@ def complete_readings(
     start = time.perf_counter()
     directions_of(instrument)
     require_bsdf_output(output, "completed materials")
+    shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
+    stages = Stages(on_progress, shares)
     opened = Library.open(library)
-    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True), on_progress)
+    cache = MaterialCache(opened, opened.names, is_nonnegative=True)
+    samples = LibrarySamples.of(cache, stages.begin("reading materials"))
+    stages.begin("completing")
     found = complete(samples, hybrid.readings)
+    stages.begin("expected error")
     expected = calibrate(samples, found.readings).expected(found)
     suggested = suggest(samples, count, found, instrument) if count else None
+    stages.begin("writing")
     plausibility = write_checked(
         output,
         ClippedBRDF(found.brdf),
@@ -135,7 +142,7 @@ def complete_readings(
     )
     if picture is not None:
         settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
-        renders.render(renders.file_source(output), picture, settings, on_progress)
+        renders.render(renders.file_source(output), picture, settings, stages.begin("rendering"))
     return Completed(
         output, picture, found, hybrid, expected, plausibility, suggested,
         (*found.notes, *diagnostics.of_prediction(False, plausibility)), time.perf_counter() - start,

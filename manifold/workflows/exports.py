@@ -24,6 +24,7 @@ from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
 from manifold.system import atomic
+from manifold.system.stages import Stages
 from manifold.workflows.output_index import file_sha256
 
 
@@ -99,9 +100,10 @@ def subject_of_prediction(
     Raises:
         UsageError, LatentError, ModelError: the model or the latent cannot be used.
     """
+    stages = Stages(on_progress, {"reading materials": 3, "fitting": 7})
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
-    loaded.prepare(on_progress)
+    loaded.prepare(stages.begin("reading materials"))
     chosen = choose_colour(loaded, x, colour)
     brdf = loaded.predict(x, chosen.colours)
     name = latent if isinstance(latent, str) else "predicted"
@@ -111,7 +113,7 @@ def subject_of_prediction(
         "latent": [float(v) for v in x],
         "colour": chosen.words,
     }
-    return _fitted(name, source, fit_samples.from_brdf(brdf), brdf, "prediction")
+    return _fitted(name, source, fit_samples.from_brdf(brdf), brdf, "prediction", stages.begin("fitting"))
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
@@ -119,8 +121,11 @@ def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     return _fitted(file.name, source, fit_samples.from_file(file), MeasuredBRDF(file), "measured file")
 
 
-def _fitted(name: str, source: dict[str, Any], samples: FitSamples, material: BRDF, against: str) -> Subject:
-    content = fit_json.document(fit_bsdf(samples), fit_json.Source(name))
+def _fitted(
+    name: str, source: dict[str, Any], samples: FitSamples, material: BRDF, against: str,
+    on_progress: Progress | None = None,
+) -> Subject:  # fmt: skip
+    content = fit_json.document(fit_bsdf(samples, on_progress=on_progress), fit_json.Source(name))
     return Subject(name, source, content, material, against, samples)
 
 

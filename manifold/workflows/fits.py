@@ -31,6 +31,7 @@ from manifold.records import Progress
 from manifold.rendering import backend
 from manifold.rendering.plugin_names import require_plugins, types_of
 from manifold.system import atomic, small_files
+from manifold.system.stages import Stages
 
 _KILLED = (
     "not fitted, since a process was killed (out of memory?); use fewer --jobs, and run again for the rest"
@@ -217,11 +218,13 @@ def fit_prediction(
     """
     path = Path("predicted.fit.json") if output is None else output
     atomic.require_writable(path)
+    stages = Stages(on_progress, {"reading materials": 3, "sampling": 1, "fitting": 6})
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
-    loaded.prepare(on_progress)
+    loaded.prepare(stages.begin("reading materials"))
     chosen = choose_colour(loaded, x, colour)
     brdf = loaded.predict(x, chosen.colours)
+    stages.begin("sampling")
     samples = fit_samples.from_brdf(brdf)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
@@ -230,7 +233,7 @@ def fit_prediction(
         model_sha256=_sha256(model),
         colour=chosen.words,
     )
-    content = fit_json.document(_fit(samples, settings), source)
+    content = fit_json.document(_fit(samples, settings, stages.begin("fitting")), source)
     fit_json.write_document(path, content)
     diagnosis = diagnostics.of_brdf(loaded, x, brdf, chosen)
     return FitOutcome(source.name, path, content, diagnosis=diagnosis)
@@ -307,10 +310,12 @@ def _samples(path: Path) -> fit_samples.FitSamples:
     return fit_samples.from_readings(registry.read_readings(path, limit=fit_samples.MAX_PAIRS))
 
 
-def _fit(samples: fit_samples.FitSamples, settings: FitSettings) -> FitResult:
+def _fit(
+    samples: fit_samples.FitSamples, settings: FitSettings, on_progress: Progress | None = None
+) -> FitResult:
     return fit_bsdf(
         samples, settings.family, method=settings.method, metric=settings.metric, noise=settings.noise,
-        wide_colours=settings.wide_colours,
+        wide_colours=settings.wide_colours, on_progress=on_progress,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,9 +20,11 @@ from typing import Any
 from manifold.errors import UsageError
 from manifold.plots.explorer.actions import SPECTRUM, Action
 from manifold.system import temporary
+from manifold.system.stages import PROGRESS_VARIABLE
 
 MOST_WAITING = 50
 _MOST_KEPT = 200  # jobs that are remembered
+_MOST_STAGE = 100  # characters of what a command says it is at
 _MOST_WORDS = 4000  # characters of a command's output that are passed on
 _GRACE_S = 3.0  # between asking a process to end and ending it
 
@@ -37,6 +39,8 @@ class Job:
         state: `waiting`, `running`, `done`, `failed` or `cancelled`.
         words: its output, or why it failed.
         result: its JSON, where it prints one.
+        share: of the work that is done, where the command tells.
+        stage: what it is at.
         seconds: it took, or has taken so far.
     """
 
@@ -46,6 +50,8 @@ class Job:
     state: str = "waiting"
     words: str = ""
     result: dict[str, Any] | None = None
+    share: float | None = None
+    stage: str = ""
     started: float | None = None
     ended: float | None = None
     process: subprocess.Popen[str] | None = field(default=None, repr=False)
@@ -68,7 +74,7 @@ class Job:
         return {
             "number": self.number, "title": self.action.title, "state": self.state, "words": self.words,
             "result": self.result, "seconds": round(self.seconds, 1),
-            "picture": self.has_picture,
+            "share": self.share, "stage": self.stage, "picture": self.has_picture,
         }  # fmt: skip
 
 
@@ -166,13 +172,26 @@ class Queue:
             path = folder / "reflectance.txt"
             path.write_text(job.action.spectrum, encoding="utf-8")
             arguments[arguments.index(SPECTRUM)] = f"--reflectance={path}"
-        with self._changed:
-            if job.state == "cancelled":
-                return
-            job.process = subprocess.Popen(
-                [*self._command, *arguments], cwd=self._folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace", start_new_session=True,
-            )  # fmt: skip
+        told, tells = os.pipe()
+        with open(told, encoding="utf-8", errors="replace") as lines:
+            try:
+                with self._changed:
+                    if job.state == "cancelled":
+                        return
+                    job.process = subprocess.Popen(
+                        [*self._command, *arguments], cwd=self._folder, stdin=subprocess.DEVNULL,
+                        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace",
+                        start_new_session=True, pass_fds=[tells], env=os.environ | {PROGRESS_VARIABLE: str(tells)},
+                    )  # fmt: skip
+            finally:
+                os.close(tells)
+            listener = threading.Thread(target=_listen, args=(job, lines), daemon=True)
+            listener.start()
+            self._wait(job, arguments)
+            listener.join(_GRACE_S)
+
+    def _wait(self, job: Job, arguments: Sequence[str]) -> None:
+        assert job.process is not None
         said, complained = job.process.communicate()
         if job.state == "cancelled":
             return
@@ -185,6 +204,14 @@ class Queue:
     def _end(self, job: Job) -> None:
         job.ended = time.monotonic()
         job.clean_up()
+
+
+def _listen(job: Job, lines: Iterable[str]) -> None:
+    """Keep what a command tells of its progress, until it ends."""
+    for line in lines:
+        with suppress(ValueError, TypeError):
+            done, total, stage = json.loads(line)
+            job.share, job.stage = min(max(done / max(total, 1), 0.0), 1.0), str(stage)[:_MOST_STAGE]
 
 
 def _stop(process: subprocess.Popen[str]) -> None:

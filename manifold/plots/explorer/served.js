@@ -1,5 +1,7 @@
 // What only a served page can do: commands, asked of the program that serves it. A page that is a file has none.
 
+import { percent } from "./elements.js";
+
 const POLL = 600; // ms between looks at what is being done
 
 /** Connect the controls of actions; null where the page is a file. */
@@ -139,7 +141,12 @@ class Actions {
     const isOpen = job.state === "waiting" || job.state === "running";
     const [words, bar, cancel] = item.children;
     const said = job.state === "failed" ? `: ${job.words}` : job.state === "done" ? inWords(job.result) : "";
-    words.textContent = `${job.title}: ${job.state}${job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`}${said}`;
+    const isKnown = job.state === "running" && job.share !== null;
+    const share = isKnown ? `, ${percent(job.share)}${job.stage && `, ${job.stage}`}` : "";
+    const seconds = job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`;
+    words.textContent = `${job.title}: ${job.state}${share}${seconds}${said}`;
+    if (isKnown) bar.value = job.share;
+    else bar.removeAttribute("value");
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;

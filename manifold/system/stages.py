@@ -1,0 +1,59 @@
+"""Progress of work that has stages, as that of the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TypeVar
+
+Progress = Callable[[int, int, str], None]
+
+PROGRESS_VARIABLE = "MANIFOLD_PROGRESS"
+"""Names the file descriptor into which a program that runs a command wants its progress, as JSON lines."""
+
+T = TypeVar("T")
+
+
+class Stages:
+    """Tells how much of the whole is done, in hundredths, from how much of a stage is done.
+
+    Args:
+        on_progress: told (hundredths, 100, stage); None tells nobody.
+        shares: of each stage in the time of the whole, in the order in which they follow each other; one called "" has
+            stages of its own.
+    """
+
+    def __init__(self, on_progress: Progress | None, shares: Mapping[str, float]) -> None:
+        self._tell = on_progress
+        self._shares = dict(shares)
+
+    def begin(self, stage: str) -> Progress | None:
+        """Say that a stage begins; what takes its own progress.
+
+        Raises:
+            KeyError: there is no such stage.
+        """
+        names = list(self._shares)
+        total = sum(self._shares.values())
+        before = sum(self._shares[name] for name in names[: names.index(stage)]) if stage in names else 0.0
+        share, tell = self._shares[stage], self._tell
+        if tell is None:
+            return None
+
+        def within(done: int, of: int, what: str) -> None:
+            tell(
+                round(100 * (before + share * done / max(of, 1)) / total),
+                100,
+                ": ".join(filter(None, (stage, what))),
+            )
+
+        within(0, 1, "")
+        return within
+
+
+def told(items: Iterable[T], on_progress: Progress | None) -> Iterator[T]:
+    """The items, one after the other; tells how many are done with."""
+    known = list(items)
+    for done, item in enumerate(known, start=1):
+        yield item
+        if on_progress is not None:
+            on_progress(done, len(known), "")

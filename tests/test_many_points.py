@@ -193,3 +193,39 @@ def test_an_interrupted_run_keeps_what_it_made(model, tmp_path):
     assert {path.name for path in out.iterdir()} - {"predictions.json"} <= {
         f"point-{k:04d}_rgb.bsdf" for k in range(401)
     }
+
+
+def test_a_killed_run_is_known_from_its_journal(tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"made")
+    first = OutputIndex(tmp_path, "exports")
+    first.add(path, {"of": 1}, {"lost": 0.5})
+    with (tmp_path / "exports.journal").open("ab") as journal:
+        journal.write(b'["b.glb", {"made_o')  # a line that was torn when the process was killed
+    assert not (tmp_path / "exports.json").exists()
+    with OutputIndex(tmp_path, "exports") as second:
+        assert second.result(path, {"of": 1}) == {"lost": 0.5}
+        assert second.result(path, {"of": 2}) is None
+        second.add(path, {"of": 2}, {"lost": 0.25})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.glb", "exports.json"]
+    assert OutputIndex(tmp_path, "exports").result(path, {"of": 2}) == {"lost": 0.25}
+
+
+def test_what_is_written_per_file_does_not_grow_with_the_files(tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"made")
+    with OutputIndex(tmp_path, "exports") as index:
+        sizes = [0]
+        for k in range(50):
+            index.add(path, {"of": k + 100}, {"lost": 0.5})
+            sizes.append((tmp_path / "exports.journal").stat().st_size)
+            assert not (tmp_path / "exports.json").exists()
+    assert len(set(np.diff(sizes))) == 1
+
+
+def test_an_index_of_many_thousand_files_can_be_read_again(tmp_path):
+    made = {
+        f"{k}.glb": {"made_of": {}, "file_sha256": "", "result": {"words": "w" * 1000}} for k in range(17_000)
+    }
+    (tmp_path / "exports.json").write_text(json.dumps({"format": "manifold exports", "exports": made}))
+    assert OutputIndex(tmp_path, "exports").result(tmp_path / "1.glb", {}) is None  # 17 MB

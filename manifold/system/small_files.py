@@ -51,18 +51,19 @@ def read_text(path: Path, *, advice: str, most: int = MOST_TEXT) -> str:
         raise _cannot_read(path, "no text in UTF-8", advice) from error
 
 
-def read_json(path: Path, expected: str) -> Any:
+def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
     """The content of a JSON file.
 
     Args:
         path: the file.
         expected: what it should be, in words.
+        most: bytes.
     Raises:
         UsageError: as `read_bytes`.
         FileFormatError: it is no JSON.
     """
     try:
-        text = read_bytes(path, advice=f"name {expected}", most=MOST_TEXT).decode()
+        text = read_bytes(path, advice=f"name {expected}", most=most).decode()
         return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError as error:
         raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error

@@ -36,7 +36,7 @@ def export_all(
     Args:
         source: the library or the folder; of the folder, at every depth.
         target: for all.
-        folder: where to; made if missing. Its `exports.json` names what is done, after each material.
+        folder: where to; made if missing. Its `exports.json` names what is done; until the end, `exports.journal` does.
         on_progress: called after each material.
         is_direct: as in `exports.export`.
     Returns:
@@ -51,21 +51,21 @@ def export_all(
         )
     if folder.suffix.lower() == target.suffix and not folder.is_dir():
         raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
-    index = OutputIndex(folder, "exports")
     outcomes = []
-    for name, (identity, read) in subjects.items():
-        path = folder / f"{name}{target.suffix}"
-        made_of = {"material": identity, "target": target.name, "direct": is_direct}
-        known = index.result(path, made_of)
-        if known is not None:
-            outcomes.append(ExportOutcome(name, path, known, was_there=True))
-        else:
-            outcomes.append(_export_one(name, read, target, path, is_direct))
-            made = outcomes[-1].export
-            if made is not None:
-                index.add(path, made_of, made)
-        if on_progress is not None:
-            on_progress(len(outcomes), len(subjects), name)
+    with OutputIndex(folder, "exports") as index:
+        for name, (identity, read) in subjects.items():
+            path = folder / f"{name}{target.suffix}"
+            made_of = {"material": identity, "target": target.name, "direct": is_direct}
+            known = index.result(path, made_of)
+            if known is not None:
+                outcomes.append(ExportOutcome(name, path, known, was_there=True))
+            else:
+                outcomes.append(_export_one(name, read, target, path, is_direct))
+                made = outcomes[-1].export
+                if made is not None:
+                    index.add(path, made_of, made)
+            if on_progress is not None:
+                on_progress(len(outcomes), len(subjects), name)
     return outcomes
 
 

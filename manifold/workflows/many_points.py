@@ -73,8 +73,9 @@ def predict_all(
         ).to_json()  # fmt: skip
 
     made_of = _MadeOf(model, loaded, how)
-    run = _Run(OutputIndex(folder, "predictions"), made_of, make, check, stage)
-    return run.all(table.points, paths, loaded.prepare)
+    with OutputIndex(folder, "predictions") as index:
+        run = _Run(index, made_of, make, check, stage)
+        return run.all(table.points, paths, loaded.prepare)
 
 
 def render_all(
@@ -112,8 +113,9 @@ def render_all(
 
     made_of = _MadeOf(model, loaded, how)
     paths = [_path(folder, point, ".png", images.SUFFIXES) for point in table.points]
-    run = _Run(OutputIndex(folder, "renders"), made_of, make, check, stage)
-    return run.all(table.points, paths, loaded.prepare)
+    with OutputIndex(folder, "renders") as index:
+        run = _Run(index, made_of, make, check, stage)
+        return run.all(table.points, paths, loaded.prepare)
 
 
 class _MadeOf:

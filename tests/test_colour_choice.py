@@ -7,7 +7,7 @@ import pytest
 from small_library import small_library
 
 from manifold.colour.conversion import encode_srgb, to_srgb
-from manifold.colour.reflectances import read_reflectance, srgb_reflectance
+from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import FileFormatError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.library.store import Library
@@ -48,6 +48,31 @@ def test_srgb_and_the_same_reflectance_give_the_same_colours(model, tmp_path):
     by_srgb = choose_colour(model, x, ColourChoice(srgb="0.5,0.5,0.5"))
     by_file = choose_colour(model, x, ColourChoice(reflectance=tmp_path / "grey.csv"))
     np.testing.assert_allclose(by_srgb.colours, by_file.colours, atol=1e-3)
+
+
+def test_a_spectrum_and_the_same_file_give_the_same_colours(model, tmp_path):
+    nm, values = np.linspace(400, 700, 7), np.linspace(0.1, 0.7, 7)
+    np.savetxt(tmp_path / "red.txt", np.stack([nm, values], axis=1))
+    x = model.between("syn_felt_green", "syn_paper_white", 0.5)
+    spectrum = ReflectanceSpectrum(nm, values, "red")
+    by_spectrum = choose_colour(model, x, ColourChoice(reflectance=spectrum))
+    by_file = choose_colour(model, x, ColourChoice(reflectance=tmp_path / "red.txt"))
+    np.testing.assert_array_equal(by_spectrum.colours, by_file.colours)
+    assert by_spectrum.words == "by red"
+    assert spectrum == ReflectanceSpectrum(tuple(nm), list(values), "red")
+
+
+@pytest.mark.parametrize(
+    ("nm", "values", "message"),
+    [
+        ([400], [0.5], "at least 2"), ([400, 700], [0.5], "expected as many"), ([700, 400], [0.1, 0.1], "increase"),
+        ([400, 700], [0.1, np.nan], "expected 0 to 1"), ([400, np.inf], [0.1, 0.1], "increase"),
+        ([400, 450], [0.1, 0.1], "covers 400 to 450 nm"),
+    ],
+)  # fmt: skip
+def test_what_is_no_reflectance_spectrum_is_refused(nm, values, message):
+    with pytest.raises(UsageError, match=message):
+        ReflectanceSpectrum(nm, values)
 
 
 def test_two_colours_are_refused():

@@ -115,6 +115,31 @@ def test_a_job_tells_how_much_of_it_is_done_and_can_be_cancelled_then(context):
     queue.close()
 
 
+def test_a_file_is_replaced_only_where_that_was_asked_for(served, context):
+    out = context.folder / "here.png"
+    out.write_bytes(b"old")
+    request(served, "POST", "/do/render", HERE | {"replace": False})
+    status, content = request(served, "POST", "/do/render", HERE | {"replace": True})
+    assert status == 202
+    finished(served, json.loads(content)["number"])
+    assert files(context) == ["here-2.png", "here.png"]
+    assert out.read_bytes() == b"made"
+    assert request(served, "POST", "/do/render", HERE | {"replace": "yes"})[0] == 400
+    out.unlink()
+    out.symlink_to(context.folder.parent / "elsewhere.png")
+    assert request(served, "POST", "/do/render", HERE | {"replace": True})[0] == 400
+
+
+def test_completed_readings_are_replaced_only_where_that_was_asked_for(served, context):
+    headers = {"X_Name": "here", "Content_Type": "application/octet-stream"}
+    for replace in ("false", "false", "true"):
+        content = request(served, "POST", "/do/complete", b"readings", X_Replace=replace, **headers)[1]
+        finished(served, json.loads(content)["number"])
+    assert files(context) == ["here-2_rgb.bsdf", "here_rgb.bsdf"]
+    (context.folder / "here_rgb.png").symlink_to(context.folder.parent / "elsewhere.png")
+    assert request(served, "POST", "/do/complete", b"readings", X_Replace="true", **headers)[0] == 400
+
+
 @pytest.mark.parametrize(
     ("headers", "expected"),
     [

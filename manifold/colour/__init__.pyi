@@ -2,10 +2,17 @@ from .conversion import decode_srgb, encode_srgb, luminance, srgb_to_xyz, to_srg
 from .difference import colour_differences, delta_e_2000, to_lab
 from .illuminants import Illuminant, illuminant_names
 from .metals import metal_ior, metal_names
-from .reflectances import diffuse_reflectance, diffuse_reflectance_names, read_reflectance, srgb_reflectance
+from .reflectances import (
+    ReflectanceSpectrum,
+    diffuse_reflectance,
+    diffuse_reflectance_names,
+    read_reflectance,
+    srgb_reflectance,
+)
 
 __all__ = [
     "Illuminant",
+    "ReflectanceSpectrum",
     "colour_differences",
     "decode_srgb",
     "delta_e_2000",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -82,6 +83,51 @@ def srgb_spectra(bands: Bands) -> Array:
     return frozen(np.stack([np.interp(at, nm, values) for nm, values in primaries]))
 
 
+@dataclass(frozen=True)
+class ReflectanceSpectrum:
+    """A reflectance over wavelengths, linear between them, its ends held.
+
+    Attributes:
+        wavelengths_nm: increasing, at least two.
+        values: from 0 to 1, as many.
+        name: what it is called.
+    Raises:
+        UsageError: it is anything else, or covers less than half of what is visible.
+    """
+
+    wavelengths_nm: tuple[float, ...]
+    values: tuple[float, ...]
+    name: str = "spectrum"
+
+    def __post_init__(self) -> None:
+        nm, values = (np.asarray(a, dtype=np.float64) for a in (self.wavelengths_nm, self.values))
+        if nm.ndim != 1 or nm.shape != values.shape or len(nm) < 2:
+            raise UsageError(
+                f"{self.name}: wavelengths {nm.shape} and reflectances {values.shape}, expected as many, at least 2"
+            )
+        if not np.all(np.diff(nm) > 0) or not np.isfinite(nm[-1]):
+            raise UsageError(f"{self.name}: wavelengths do not increase, expected different ones in nm")
+        if not np.all((values >= 0) & (values <= 1)):
+            raise UsageError(
+                f"{self.name}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; "
+                "divide percent by 100"
+            )
+        low, high = _VISIBLE_NM
+        if min(nm[-1], high) - max(nm[0], low) < 0.5 * (high - low):
+            raise UsageError(
+                f"{self.name}: covers {nm[0]:g} to {nm[-1]:g} nm, expected most of {low:g} to {high:g} nm"
+            )
+        object.__setattr__(self, "wavelengths_nm", tuple(nm.tolist()))
+        object.__setattr__(self, "values", tuple(values.tolist()))
+
+    def in_bands(self, bands: Bands) -> Array:
+        """The reflectance in bands, shape (B,); of RGB bands its linear sRGB colour under D65."""
+        nm, values = np.array(self.wavelengths_nm), np.array(self.values)
+        if bands.is_rgb:
+            return np.clip(to_srgb(values, Bands(self.wavelengths_nm)), 0.0, 1.0)
+        return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+
+
 def read_reflectance(path: Path, bands: Bands) -> Array:
     """A reflectance spectrum from a text file, interpolated to the bands, shape (B,).
 
@@ -95,18 +141,11 @@ def read_reflectance(path: Path, bands: Bands) -> Array:
         UsageError: the file cannot be read.
     """
     nm, values = read_columns(path, "reflectance")
-    if values.min() < 0 or values.max() > 1:
-        raise FileFormatError(
-            f"{path}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; divide percent by 100"
-        )
-    low, high = _VISIBLE_NM
-    if min(nm[-1], high) - max(nm[0], low) < 0.5 * (high - low):
-        raise FileFormatError(
-            f"{path}: covers {nm[0]:g} to {nm[-1]:g} nm, expected most of {low:g} to {high:g} nm"
-        )
-    if bands.is_rgb:
-        return np.clip(to_srgb(values, Bands(tuple(nm.tolist()))), 0.0, 1.0)
-    return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+    try:
+        spectrum = ReflectanceSpectrum(tuple(nm.tolist()), tuple(values.tolist()), str(path))
+    except UsageError as error:
+        raise FileFormatError(str(error)) from error
+    return spectrum.in_bands(bands)
 
 
 @lru_cache(maxsize=1)

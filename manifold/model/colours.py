@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.colour.reflectances import read_reflectance, srgb_reflectance
+from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
 from manifold.model.manifold import Manifold
 from manifold.records import Array
@@ -20,12 +20,12 @@ class ColourChoice:
 
     Attributes:
         like: name of a material of the model.
-        reflectance: text file of wavelengths in nm and reflectances.
+        reflectance: a spectrum, or a text file of wavelengths in nm and reflectances.
         srgb: `#rrggbb`, or three display values from 0 to 1 with commas between.
     """
 
     like: str | None = None
-    reflectance: Path | None = None
+    reflectance: Path | ReflectanceSpectrum | None = None
     srgb: str | None = None
 
     def __post_init__(self) -> None:
@@ -82,10 +82,13 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
         reached = model.colours.reached(x, colours)
         return ChosenColour(colours, words, float(np.abs(reached - model.colours.reflectance(name)).max()))
     if choice.reflectance is not None:
-        asked, words = (
-            read_reflectance(choice.reflectance, model.bands),
-            f"by {choice.reflectance.name}",
+        given = choice.reflectance
+        asked = (
+            given.in_bands(model.bands)
+            if isinstance(given, ReflectanceSpectrum)
+            else read_reflectance(given, model.bands)
         )
+        words = f"by {given.name}"
     else:
         asked = srgb_reflectance(parse_srgb(choice.srgb or ""), model.bands)
         words = f"sRGB {choice.srgb}"

@@ -128,10 +128,11 @@ class _MadeOf:
     def __call__(self, point: Point) -> dict[str, Any]:
         x = self._loaded.require_latent(point.place)
         colour: dict[str, Any] = asdict(point.colour)
-        if point.colour.reflectance is not None:
-            if not point.colour.reflectance.is_file():
-                raise UsageError(f"{point.colour.reflectance}: no such file, expected a reflectance")
-            colour["reflectance"] = file_sha256(point.colour.reflectance)
+        file = point.colour.reflectance
+        if isinstance(file, Path):
+            if not file.is_file():
+                raise UsageError(f"{file}: no such file, expected a reflectance")
+            colour["reflectance"] = file_sha256(file)
         return self._hashes | self._how | {"latent": x.tolist(), "colour": colour}
 
 

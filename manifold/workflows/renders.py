@@ -15,6 +15,7 @@ from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
+from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
@@ -160,6 +161,8 @@ def latent_source(
     from manifold.rendering.plugin.bsdf import load_model
 
     loaded = load_model(model, library)
+    if direct and isinstance(colour.reflectance, ReflectanceSpectrum):
+        raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
     if direct:
         x = loaded.require_latent(latent)
         material = {

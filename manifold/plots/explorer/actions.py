@@ -78,7 +78,8 @@ def action(
     Args:
         kind: `predict`, `render`, `fit` or `export`.
         request: `name` of the file without its ending, `latent`, and of colours at most one of `like`, `srgb` and
-            `spectrum`, rows of wavelength in nm and reflectance; of an export also `target`, and `direct`, a boolean.
+            `spectrum`, rows of wavelength in nm and reflectance; `replace`, whether a file of that name may
+            be replaced; of an export also `target`, and `direct`, a boolean.
         context: of the page.
         is_taken: whether something is, or will be, at a path.
     Raises:
@@ -92,6 +93,7 @@ def action(
         "like",
         "srgb",
         "spectrum",
+        "replace",
         *(["target", "direct"] if kind == "export" else []),
     }
     unknown = set(request) - expected
@@ -105,7 +107,10 @@ def action(
         ending = f"_{'rgb' if context.is_rgb else 'spec'}{ending}"
     elif kind == "export":
         ending, options = _export(request)
-    output = _output(request.get("name"), ending, context, is_taken)
+    replace = request.get("replace", False)
+    if not isinstance(replace, bool):
+        raise UsageError("replace: expected true or false")
+    output = _output(request.get("name"), ending, context, _never if replace else is_taken)
     colour, spectrum = _colour(request, context)
     arguments = (
         kind, f"--latent={_latent(request.get('latent'), context)}", *colour, f"--output={output}", *_model(context),
@@ -116,8 +121,8 @@ def action(
 
 
 def complete(
-    path: Path, name: Any, sample: str, context: Context, is_taken: Callable[[Path], bool]
-) -> Action:
+    path: Path, name: Any, sample: str, context: Context, is_taken: Callable[[Path], bool], *, replace: bool = False
+) -> Action:  # fmt: skip
     """Complete the readings of a file that was dropped, and render the ball of what is found.
 
     Args:
@@ -125,13 +130,16 @@ def complete(
         name: of what is written, without its ending.
         sample: which of a file's samples; may be empty.
         context, is_taken: as of `action`.
+        replace: whether a file of that name may be replaced.
     Raises:
         UsageError: a name is none.
     """
     if len(sample) > _MOST_SAMPLE or not sample.isprintable():
         raise UsageError(f"sample: expected at most {_MOST_SAMPLE} printable characters")
     ending = f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
-    output = _output(name, ending, context, lambda p: is_taken(p) or is_taken(p.with_suffix(".png")))
+    taken = _never if replace else lambda p: is_taken(p) or is_taken(p.with_suffix(".png"))
+    output = _output(name, ending, context, taken)
+    _require_no_link(output.with_suffix(".png"))
     arguments = (
         "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
         *([f"--sample={sample}"] if sample else []),
@@ -194,6 +202,17 @@ def _spectrum(rows: Any) -> str:
     return "".join(f"{float(nm)!r} {float(value)!r}\n" for nm, value in rows)
 
 
+def _never(path: Path) -> bool:
+    """What is there is replaced, as far as the command itself allows: not what it has not made."""
+    return False
+
+
+def _require_no_link(path: Path) -> None:
+    """What a link names would be replaced, and may lie elsewhere."""
+    if path.is_symlink():
+        raise UsageError(f"name: {path.name} is a link; choose another")
+
+
 def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
     """A path in the folder that nothing is at: a number is added to a name that is taken."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
@@ -202,5 +221,6 @@ def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path],
         number = f"-{copy}" if copy > 1 else ""
         path = context.folder / f"{name}{number}{ending}"
         if not is_taken(path):
+            _require_no_link(path)
             return path
     raise UsageError(f"name: {_MOST_COPIES} files are called {name}; choose another")

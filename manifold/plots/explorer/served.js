@@ -59,10 +59,15 @@ class Actions {
     this.look();
   }
 
+  /** Whether files of the same name may be replaced; else new ones get a number. */
+  get replaces() {
+    return this.explorer.byId("action-replace").checked;
+  }
+
   /** What the commands need to know of the place that is shown. */
   request() {
     const { state, spectrum } = this.explorer;
-    const request = { name: this.explorer.byId("action-name").value, latent: state.x };
+    const request = { name: this.explorer.byId("action-name").value, latent: state.x, replace: this.replaces };
     if (state.colour === "like") request.like = state.like;
     if (state.colour === "picked") request.srgb = state.srgb;
     if (state.colour === "file" && spectrum) request.spectrum = spectrum.rows;
@@ -97,7 +102,8 @@ class Actions {
   async complete(file) {
     const plain = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
     const sample = encodeURIComponent(this.explorer.byId("sample").value.trim());
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed", "X-Sample": sample };
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed", "X-Sample": sample,
+      "X-Replace": String(this.replaces) };
     await this.post("/do/complete", { body: file, headers });
   }
 

@@ -60,6 +60,7 @@ class ExplorerServer(ThreadingHTTPServer):
 
     daemon_threads = True
     allow_reuse_address = True
+    request_queue_size = 128  # connections that wait to be taken: of more, some are reset
 
     def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
         """Listen on a port; 0 is any that is free.
@@ -153,7 +154,10 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == "/do/complete":
             name, context = self.headers.get("X-Name"), self._explorer.context
             sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
-            self._take_file(lambda dropped: complete(dropped, name, sample, context, self._is_taken))
+            replace = self.headers.get("X-Replace") == "true"
+            self._take_file(
+                lambda dropped: complete(dropped, name, sample, context, self._is_taken, replace=replace)
+            )
         elif path == "/do/cancel":
             number = self._json_body().get("number")
             found = isinstance(number, int) and self._explorer.queue.cancel(number)

@@ -7,13 +7,13 @@ from typing import Any
 import anywidget
 import traitlets
 
+from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.plots.explorer.page import widget_module
 from manifold.plots.explorer.tables import tabulate, to_document
 from manifold.records import Progress
-from manifold.system import temporary
 
 
 class MapWidget(anywidget.AnyWidget):
@@ -54,10 +54,7 @@ class MapWidget(anywidget.AnyWidget):
         """
         x, colour = self.model.require_latent(list(self.latent)), dict(self.colour)
         rows = colour.pop("spectrum", None)
-        if rows is None:
-            return self.model.predict(x, choose_colour(self.model, x, ColourChoice(**colour)).colours)
-        with temporary.folder() as folder:
-            path = folder / "reflectance.txt"
-            path.write_text("".join(f"{nm!r} {value!r}\n" for nm, value in rows), encoding="utf-8")
-            chosen = choose_colour(self.model, x, ColourChoice(reflectance=path))
-        return self.model.predict(x, chosen.colours)
+        if rows is not None:
+            nm, values = zip(*rows, strict=True)
+            colour["reflectance"] = ReflectanceSpectrum(nm, values)
+        return self.model.predict(x, choose_colour(self.model, x, ColourChoice(**colour)).colours)

@@ -28,8 +28,8 @@ from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import posteriors
-from manifold.models.nearby import nearby_factors, places
-from manifold.models.next_readings import colours, hypotheses, next_readings
+from manifold.models.nearby import covariance, nearby_factors, places
+from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Bands
 
 DIRECTIONS = geometry_ma_t12()
@@ -176,13 +176,28 @@ def test_the_next_reading_is_the_one_that_lowers_both_errors_most(rng):
     def error(read):
         variance = left(of_structure, P + K, read, noise)
         pixels = variance[P:] + left(of_colour, K, [D, *read], colour_noise)
-        return 0.5 * np.log(variance[:P] @ weights) + 2.0 * np.log(np.mean(np.sqrt(pixels) + 1e-4))
+        return 0.5 * np.log(variance[:P] @ weights) + 3.0 * np.log(np.mean(np.sqrt(pixels) + 1e-4))
 
     read: list[int] = []
     for best in chosen:
         options = {d: error([*read, d]) for d in range(D) if d not in read}
         assert best == min(options, key=options.get)
         read.append(int(best))
+
+
+def test_what_no_hypothesis_meets_is_known_near_readings_as_regression_says(rng):
+    where, taken, lit = (rng.random((n, 3)) * 4.0 for n in (6, 3, 10))
+    level, light, starts, pixels = rng.random(6) + 0.5, rng.random(10), np.array([0, 4]), np.array([0.7, 0.4])
+    found = missed(where, taken, level, lit, light, starts, pixels)
+    K = covariance(taken, taken) + 0.3 * np.eye(3)
+    left = covariance(where, where) - covariance(where, taken) @ np.linalg.solve(K, covariance(taken, where))
+    expected = 0.1**2 * left * np.outer(level, level)
+    np.testing.assert_allclose(found.at_candidates.T @ found.at_candidates, expected, atol=1e-6)
+    shares = np.zeros((10, 2))
+    shares[:4, 0], shares[4:, 1] = light[:4] / light[:4].sum(), light[4:] / light[4:].sum()
+    to_lit = covariance(where, lit) - covariance(where, taken) @ np.linalg.solve(K, covariance(taken, lit))
+    expected = 0.1**2 * level[:, None] * (to_lit @ shares) * pixels
+    np.testing.assert_allclose(found.at_candidates.T @ found.on_ball, expected, atol=1e-6)
 
 
 def test_readings_after_a_mirror_direction_are_told_to_look_at_the_colour(samples):

@@ -13,8 +13,10 @@ import numpy as np
 from manifold.directions import half_vector
 from manifold.records import Array
 
+NOISE = 0.3
+"""Of a reading, as a share of the variance of what is missed."""
+
 _LENGTHS = np.array([0.12, 0.3, 0.3])  # of what `places` are
-_NOISE = 0.3  # of a reading, as a share of the variance of what is missed
 _FLOOR = 0.1  # of the mean cube root over readings: less is not divided by
 _MOST = 0.5  # more than that is a wrong mixture, which says nothing of its neighbourhood
 _CELL = 0.5  # in lengths: readings in one cell are averaged
@@ -39,7 +41,7 @@ class NearbyFactors:
         found = np.empty((len(self.strength), len(where)))
         for start in range(0, len(where), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            found[:, rows] = self.strength @ _covariance(self.readings, where[rows])
+            found[:, rows] = self.strength @ covariance(self.readings, where[rows])
         return np.clip(1.0 + found, 0.5, 2.0)
 
     def with_strength(self, strength: Array) -> NearbyFactors:
@@ -85,17 +87,17 @@ def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Arra
     shares = weights + np.finfo(float).tiny
     centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
     centres /= np.bincount(cell, shares, count)[:, None]
-    covariance = _covariance(centres, centres)
+    of_centres = covariance(centres, centres)
     strength = np.zeros((len(targets), count))
     for mask in np.unique(totals, axis=0):
         used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
-        K = covariance[np.ix_(used, used)] + np.diag(_NOISE / mask[used])
+        K = of_centres[np.ix_(used, used)] + np.diag(NOISE / mask[used])
         strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
     return NearbyFactors(centres, strength)
 
 
-def _covariance(a: Array, b: Array) -> Array:
-    """Of places (C, 3) and (M, 3), shape (C, M)."""
+def covariance(a: Array, b: Array) -> Array:
+    """Of what is missed at places (C, 3) and (M, 3), of variance 1; shape (C, M)."""
     square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
 

@@ -1,8 +1,8 @@
 """Which readings to take next: those that tell most of what hypotheses about a material still differ in.
 
-Hypotheses and colours are Gaussians, given by samples of zero mean: what they are at the readings that can be taken,
-and what is wanted of them. A reading leaves of every wanted value's variance `v - c^2 / (s + noise)`, s being the
-reading's own variance and c the covariance of both.
+Hypotheses, colours and what no hypothesis meets are Gaussians, given by samples of zero mean: what they are at the
+readings that can be taken, and what is wanted of them. A reading leaves of every wanted value's variance
+`v - c^2 / (s + noise)`, s being the reading's own variance and c the covariance of both.
 """
 
 from __future__ import annotations
@@ -11,13 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
+from manifold.models.nearby import NOISE, covariance
 from manifold.records import Array
 
 _NOISE = 0.02  # of a reading's cube root in a hypothesis, as a share of it
 _COLOUR_NOISE = 0.05  # of a band's difference from the mean of all, as a share of the reading's cube root
 _FLOOR = 0.1  # of the root mean square over directions: where values are small, noise is of this
-_BALL = 2.0  # how much the ball counts besides all directions
+_BALL = 3.0  # how much the ball counts besides all directions
+_MISSED = 0.1  # of cube roots: by how much no hypothesis meets a material
+_JITTER = 1e-6  # of covariances: candidates may be one place
 _LEAST = 1e-4  # of a pixel's standard deviation
 
 
@@ -95,6 +99,40 @@ def colours(on_ball: Array, candidates: Array, square: Array, taken: Array, take
     return Unknowns(left.at_candidates[:, :count], left.on_ball, left.everywhere, left.noise[:count])
 
 
+def missed(
+    where: Array, taken: Array, level: Array, lit: Array, light: Array, starts: Array, pixels: Array
+) -> Unknowns:
+    """What no hypothesis meets and readings nearby tell, as `nearby` carries it: relative to cube roots.
+
+    Args:
+        where: places of the readings that can be taken, shape (D, 3).
+        taken: of those that were, shape (T, 3).
+        level: cube roots to be expected at the former, shape (D,).
+        lit: places of the direction pairs that light the pixels of a ball, shape (P_b, 3).
+        light: from each, shape (P_b,).
+        starts: first pair of each pixel, shape (K,).
+        pixels: cube roots of the pixels, shape (K,).
+    """
+    total = np.maximum(np.add.reduceat(light, starts), np.finfo(float).tiny)
+
+    def with_pixels(places: Array) -> Array:
+        return np.asarray(np.add.reduceat(covariance(places, lit) * light, starts, axis=1) / total)
+
+    own, of_pixels = covariance(where, where), with_pixels(where)
+    if len(taken):
+        between = covariance(where, taken)
+        told = np.linalg.solve(covariance(taken, taken) + NOISE * np.eye(len(taken)), between.T).T
+        own, of_pixels = own - told @ between.T, of_pixels - told @ with_pixels(taken)
+    L = np.linalg.cholesky(own + _JITTER * np.eye(len(own)))
+    on_ball = solve_triangular(L, of_pixels, lower=True)
+    return Unknowns(
+        _MISSED * L.T * level,
+        _MISSED * on_ball * pixels,
+        np.zeros((len(L), 0)),
+        NOISE * (_MISSED * level) ** 2,
+    )
+
+
 def _noise(square: Array, share: float) -> Array:
     """Variance of readings of cube roots, of which the expected squares are (D,)."""
     return np.asarray(share**2 * (square + _FLOOR**2 * square.mean()))
@@ -103,8 +141,9 @@ def _noise(square: Array, share: float) -> Array:
 def next_readings(unknowns: Sequence[Unknowns], count: int) -> Array:
     """The readings that lower the expected errors most, one after the other.
 
-    The errors are the root mean square over all directions and, twice as important, the mean over the pixels of a ball
-    of their standard deviation. Both are relative, so that the product of the first and the second's square is lowered.
+    The errors are the root mean square over all directions and, three times as important, the mean over the pixels of a
+    ball of their standard deviation. Both are relative, so that the product of the first and the second's cube is
+    lowered.
 
     Args:
         unknowns: independent of each other, all at the same D candidates.

@@ -19,6 +19,7 @@ from manifold.model.completion.complete import complete_at
 from manifold.model.completion.expected import in_sample_bands, sample_axis
 from manifold.model.completion.samples import LibrarySamples, ball_pairs, grid_pairs
 from manifold.model.completion.suggest import readings_to_take
+from manifold.models.nearby import places
 from manifold.records import Array
 
 _RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
@@ -80,7 +81,7 @@ def _from_weights(samples: LibrarySamples, weights: Array) -> Predicted:
 
 
 def _own_order(task: Task, count: int) -> Array:
-    return readings_to_take(task.others, task.at, count)
+    return readings_to_take(task.others, task.at, places(task.wi, task.wo), count)
 
 
 def _completed(task: Task, chosen: Array) -> Predicted:

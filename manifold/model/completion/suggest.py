@@ -10,8 +10,9 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats.readings import geometry_ma_t12
 from manifold.model.completion.complete import Completion
-from manifold.model.completion.samples import LibrarySamples, ball_pairs
-from manifold.models.next_readings import colours, hypotheses, next_readings
+from manifold.model.completion.samples import LibrarySamples, ball_pairs, ball_places
+from manifold.models.nearby import places
+from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Array
 
 _SAME_DEG = 2.0  # a reading this near in both directions was taken
@@ -58,23 +59,27 @@ def suggest(
         wi, wo = wi[is_new], wo[is_new]
     if not 1 <= count <= len(wi):
         raise UsageError(f"{count} readings to suggest, expected 1 to {len(wi)}, as many as there are left")
-    chosen = readings_to_take(samples, samples.at(wi, wo), count, known)
+    chosen = readings_to_take(samples, samples.at(wi, wo), places(wi, wo), count, known)
     return Suggested(wi[chosen], wo[chosen])
 
 
 def readings_to_take(
-    samples: LibrarySamples, at: Array, count: int, known: Completion | None = None
+    samples: LibrarySamples, at: Array, where: Array, count: int, known: Completion | None = None
 ) -> Array:
-    """Which candidates, at which samples have cube roots `at` (n + 1, D), to read next, in order, shape (count,).
+    """Which candidates, at places (D, 3), to read next, in order, shape (count,).
 
     Structure is what hypotheses differ in, before anything is read the samples themselves, each as likely. Colour is
-    what the bands of all materials differ in, as far as readings have not said.
+    what the bands of all materials differ in, as far as readings have not said. And no hypothesis is quite right.
+
+    Args:
+        at: cube roots of samples at the candidates, shape (n + 1, D).
     """
     n = len(at) - 1
     if known is None:
         probability, weights, taken = np.full(n, 1.0 / n), np.eye(n, n + 1), np.zeros((n + 1, 0))
+        near = np.zeros((0, 3))
     else:
-        (probability, weights), taken = known.likeliest, known.at_readings
+        (probability, weights), taken, near = known.likeliest, known.at_readings, known.nearby.readings
     structure = hypotheses(
         weights @ samples.directions[:, : samples.n_grid], _pixels(weights @ samples.ball), weights @ at,
         probability, samples.weights[: samples.n_grid],
@@ -85,7 +90,13 @@ def readings_to_take(
         _colour(samples, at), probability @ (weights @ at) ** 2,
         _colour(samples, taken), probability @ (weights @ taken) ** 2,
     )  # fmt: skip
-    return next_readings((structure, colour), count)
+    ball, mean = ball_pairs(), probability @ weights
+    light = np.maximum(mean @ samples.ball, 0.0) ** 3 * ball.light
+    rest = missed(
+        where, near, np.sqrt(probability @ (weights @ at) ** 2), ball_places(), light, ball.starts,
+        _pixels((mean @ samples.ball)[None])[0],
+    )  # fmt: skip
+    return next_readings((structure, colour, rest), count)
 
 
 def _pixels(roots: Array) -> Array:

@@ -144,16 +144,21 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         N, Q = S.shape[0], self.n_components
         start = require_start(X0, N, Q) if X0 is not None else self.start_scale * pca_start(S, Q)
         kernel = kernel_named(self.kernel, self.mu, self.length_scale)
-        objective = LatentObjective(S, n_outputs, kernel, float(self.prior))
-        run = Run(objective, start, self.max_iter, self.tol, check_random_state(self.random_state), callback)
+        # Where a search along coordinates ends depends on their order: farthest first, in whatever order samples come.
+        order = np.argsort(-np.sum(start**2, axis=1), kind="stable")
+        objective = LatentObjective(S[np.ix_(order, order)], n_outputs, kernel, float(self.prior))
+        run = Run(
+            objective, start[order], self.max_iter, self.tol, check_random_state(self.random_state), callback
+        )
         objective_start = run.best
         if self.max_iter > 0:
             with blas_threads(N):
                 run.refine(self.optimizer)
-        X = fix_gauge(run.best_X, centre=not kernel.has_origin)
-        objective_end = objective(X)[0]
+        found = fix_gauge(run.best_X, centre=not kernel.has_origin)
+        objective_end = objective(found)[0]
         if objective_end > objective_start:  # by rounding only: the start was optimal
-            X, objective_end = start, objective_start
+            found, objective_end = start[order], objective_start
+        X = found[np.argsort(order)]
         self.gp_ = GPWeights(X, kernel)
         self.gp_.warn_of_fit(S)
         self.embedding_, self.gram_, self.n_outputs_ = X, S, n_outputs

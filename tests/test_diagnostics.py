@@ -12,7 +12,7 @@ SOUND = Plausibility(negative_share=0.0, reciprocity_error=0.0, max_albedo=0.9, 
 
 def test_a_sound_result_has_no_diagnostics():
     assert diagnostics.of_prediction(False, SOUND) == ()
-    assert diagnostics.of_embedding(0.1) == ()
+    assert diagnostics.of_embedding(0.1, 1.0) == ()
 
 
 @pytest.mark.parametrize(
@@ -42,8 +42,9 @@ def test_what_a_measured_file_has_of_its_own_is_not_said_against_the_place():
 
 
 def test_a_material_outside_the_manifold_is_diagnosed():
-    (sentence,) = diagnostics.of_embedding(0.8)
-    assert "error 0.80: outside the manifold" in sentence
+    for error, ball in ((0.8, 1.0), (0.1, 7.5)):
+        (sentence,) = diagnostics.of_embedding(error, ball)
+        assert f"error {error:.2f}, {ball} CIEDE2000 of the ball: outside the manifold" in sentence
 
 
 def test_unmeasured_cells_are_diagnosed_from_one_percent_on():

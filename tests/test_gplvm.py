@@ -166,14 +166,27 @@ def test_direct_local_search_ends_where_no_step_of_one_coordinate_is_better(rng)
 
 def test_direct_local_search_is_that_of_hooke_and_jeeves_from_the_principal_components(rng):
     Y = curved(rng, 8)
+    start = pca_start(objective_of(Y, 1e-2).S, 2)
+    Y = Y[np.argsort(-np.sum(start**2, axis=1))]  # farthest first, as it searches
     objective = objective_of(Y, 1e-2)
     slow = minimize(
         lambda x: objective(x.reshape(8, 2))[0], pca_start(objective.S, 2).reshape(-1), method=hooke_jeeves,
-        options={"initial_step": 0.1, "maxiter": 20},
+        options={"initial_step": 0.1, "maxiter": 10},
     )  # fmt: skip
-    model = GPLVM(mu=1e-2, optimizer="dls", max_iter=20).fit(Y)  # later, paths part by rounding
+    model = GPLVM(mu=1e-2, optimizer="dls", max_iter=10).fit(Y)  # later, paths part by rounding
     assert model.objective_ == pytest.approx(slow.fun, abs=1e-8)
     np.testing.assert_allclose(model.embedding_, fix_gauge(slow.x.reshape(8, 2)), atol=1e-8)
+
+
+@pytest.mark.parametrize("optimizer", ["dls", "l-bfgs", "multistart"])
+def test_the_order_of_samples_changes_nothing(rng, optimizer):
+    Y, order = curved(rng, 20), rng.permutation(20)
+    S = Y @ Y.T
+    model, other = (
+        GPLVM(mu=1e-2, optimizer=optimizer, random_state=0).fit_gram(gram, 40)
+        for gram in (S, S[np.ix_(order, order)])
+    )
+    np.testing.assert_allclose(other.embedding_, model.embedding_[order], atol=1e-3)  # rounding, amplified
 
 
 def test_direct_local_search_takes_no_gradient(rng, monkeypatch):
@@ -200,11 +213,11 @@ def test_direct_local_search_gains_about_as_much_as_the_gradient(rng):
 def test_several_starts_gain_more_than_one_descent(rng):
     """They include the descent: what can fail is that relocations and searches add anything."""
     gains = []
-    for _ in range(5):
+    for _ in range(12):
         Y = curved(rng, 15, q=3)
         several, one = (GPLVM(optimizer=name).fit(Y).objective_ for name in ("multistart", "l-bfgs"))
         gains.append(one - several)
-    assert np.mean(np.array(gains) > 0.1) >= 0.6  # nats, of all latents
+    assert np.mean(np.array(gains) > 0.1) >= 0.5  # nats, of all latents; of 30 sets 0.8
 
 
 def test_fits_repeat_bit_for_bit_with_the_same_random_state(rng):
@@ -237,6 +250,18 @@ def test_latents_that_predict_little_of_each_other_are_warned_of(rng, scale, war
     gp = GPWeights(scale * rng.normal(size=(10, 2)), SquaredExponential(1e-3))
     with pytest.warns(warning):
         gp.warn_of_fit(Y @ Y.T)
+
+
+@pytest.mark.parametrize(("scale", "is_linear"), [(0.01, True), (1.0, False)])
+def test_a_kernel_that_does_not_bend_between_its_latents_is_linear(rng, scale, is_linear):
+    X = scale * rng.normal(size=(10, 2))
+    gp = GPWeights(X, SquaredExponential(1e-4))
+    assert gp.is_linear == is_linear
+    Y = X @ rng.normal(size=(2, 40))
+    x = 0.5 * X.mean(axis=0) + 0.5 * X[3]
+    plane = X @ np.linalg.lstsq(np.c_[X, np.ones(10)], Y, rcond=None)[0][:2]
+    predicted, on_plane = gp.weights(x[None])[0] @ Y, 0.5 * plane.mean(axis=0) + 0.5 * plane[3]
+    assert (np.linalg.norm(predicted - on_plane) < 0.2 * np.linalg.norm(on_plane)) or not is_linear
 
 
 def test_a_usual_fit_is_not_warned_of(rng):

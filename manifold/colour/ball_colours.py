@@ -69,6 +69,10 @@ class Ball:
         linear = xyz_to_srgb(np.add.reduceat(arrived, self.starts, axis=0), white)
         return srgb_to_xyz(np.clip(linear, 0.0, 1.0))
 
+    def difference(self, f: Array, f_star: Array, bands: Bands) -> float:
+        """Mean CIEDE2000 between the balls of two materials, by their values as `xyz` takes them."""
+        return delta_e(self.xyz(f, bands), self.xyz(f_star, bands))
+
 
 def delta_e(xyz: Array, xyz_star: Array) -> float:
     """Mean CIEDE2000 between two balls, XYZ (K, 3) each."""

@@ -19,6 +19,7 @@ MOST_VALLEY = 0.1  # of the values beside it; measured materials reach 0.07
 MOST_MISSED = 0.02  # of a reflectance
 MOST_UNMEASURED = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
+MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (Mokrzycki & Tatol 2011)
 
 
 @dataclass(frozen=True)
@@ -186,10 +187,16 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
     )
 
 
-def of_embedding(relative_error: float) -> tuple[str, ...]:
-    """Of a material that was given a latent, by its reconstruction error there."""
-    if relative_error <= MOST_EMBEDDING_ERROR:
+def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:
+    """Of a material that was given a latent, by its reconstruction there.
+
+    Args:
+        relative_error: linear.
+        ball: mean CIEDE2000 of the ball.
+    """
+    if relative_error <= MOST_EMBEDDING_ERROR and ball <= MOST_EMBEDDING_BALL:
         return ()
     return (
-        f"reconstruction error {relative_error:.2f}: outside the manifold; import materials like it and embed again",
+        f"reconstruction error {relative_error:.2f}, {ball:.1f} CIEDE2000 of the ball: outside the manifold; import "
+        "materials like it and embed again",
     )

@@ -74,6 +74,7 @@ def locate(
     )
     pairs, ball = encoding_pairs(), ball_colours.ball()
     f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
+    difference = ball.difference(*(each.eval(ball.wi, ball.wo) for each in (brdf, predicted)), loaded.bands)
     return Located(
         path=path,
         latent=tuple(float(v) for v in found.latent),
@@ -81,13 +82,11 @@ def locate(
         colours=None if found.colours is None else found.colours.tolist(),
         relative_error=found.relative_error,
         cube_root_error=cube_root_error(f, f_star, pairs.cosines),
-        ball=ball_colours.delta_e(
-            *(ball.xyz(each.eval(ball.wi, ball.wo), loaded.bands) for each in (brdf, predicted))
-        ),
+        ball=difference,
         expected_ball=None if expected is None else float(expected.ball),
         expected_cube_root=None if expected is None else float(expected.cube_root),
         nearest=tuple(loaded.nearest(found.latent, 3)),
-        diagnostics=diagnostics.of_embedding(found.relative_error)
+        diagnostics=diagnostics.of_embedding(found.relative_error, difference)
         + diagnostics.of_unmeasured(unmeasured_share(file, cells))
         + loaded.notes,
     )

@@ -46,8 +46,7 @@ class MaterialTable:
         """Ball CIEDE2000 and cube-root error of a prediction of material i."""
         here = combination.in_bands(self.bands)
         on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
-        xyz = [self._ball.xyz(f, self._axis) for f in (self._on_ball.f[i], on_ball)]
         return (
-            ball_colours.delta_e(*xyz),
+            self._ball.difference(self._on_ball.f[i], on_ball, self._axis),
             cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
         )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_solve, eigvalsh, solve_triangular
 from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
@@ -26,7 +26,7 @@ _MOST_ALONE = 0.25  # share of such samples
 
 
 class FlatModelWarning(UserWarning):
-    """A fitted process explains less than half of the variance between samples: it predicts their mean, or nearly."""
+    """A fitted process predicts the mean of the samples, or nearly, or is linear in the latents."""
 
 
 class IsolatedLatentsWarning(UserWarning):
@@ -158,11 +158,24 @@ class GPWeights:
         residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
         return 1.0 - residual / float(np.trace(S))
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether the mean is linear in the latents: what the kernel bends between them is below its noise filter.
+
+        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function.
+        """
+        N, Q = self.X.shape
+        if N <= Q + 1:
+            return False
+        beyond = N - 1 - Q
+        smooth = centre_gram(self.kernel.smooth(self.X, self.X))
+        return bool(eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
+
     def warn_of_fit(self, S: Array) -> None:
         """Warn of latents that were fitted to samples with Gram matrix S (N, N) and predict little of them.
 
         Warns:
-            FlatModelWarning: `explained` is below one half.
+            FlatModelWarning: `explained` is below one half, or the mean `is_linear`.
             IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
                 half of the prior's.
         """
@@ -172,6 +185,15 @@ class GPWeights:
                 f"the fit explains {100.0 * share:.0f} % of the variance between samples "
                 f"(N = {self.n_samples}, length scale {self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), "
                 f"expected at least {100.0 * LEAST_EXPLAINED:.0f} %; lower the length scale, the prior or mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        elif self.is_linear:
+            span = np.ptp(self.X, axis=0).max()
+            warnings.warn(
+                f"the map is linear, no more than principal components: the latents span {span:.2g} (length scale "
+                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), too little for the kernel to bend; lower "
+                "the length scale, the prior or mu",
                 FlatModelWarning,
                 stacklevel=3,
             )

@@ -112,7 +112,7 @@ def _embedded(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
     """A spoilt file embedded in a whole library, beside the same file whole."""
 
     def trial(bed: TestBed, severity: float) -> Measurement:
-        model, file = _whole(bed), bed.file(MIDDLE)
+        model, file = _whole(bed), bed.file(MIDDLE, COLOURS[1])
         with tempfile.TemporaryDirectory() as folder:
             model.save(Path(folder, "model.h5"))
             write_bsdf(Path(folder, "spoilt_rgb.bsdf"), spoil(file, severity))

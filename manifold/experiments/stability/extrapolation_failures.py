@@ -81,6 +81,7 @@ MODES: tuple[Mode, ...] = (
             "material": _outside(_from_outermost("material")),
             "raw values": _outside(_from_outermost("material", "identity")),
             "monochrome": _outside(_from_outermost("monochrome")),
+            "blend": _outside(_from_outermost("blend")),
             "brighter": _outside(_brighter),
         },
         "Stay between the materials, or let --physical cut negative values, scale the albedo and make f reciprocal.",
@@ -92,6 +93,7 @@ MODES: tuple[Mode, ...] = (
         {
             "GP, material": _on_the_way(lambda bed, a, b, t: bed.model("material").interpolate(a, b, t)),
             "GP, monochrome": _on_the_way(lambda bed, a, b, t: bed.model("monochrome").interpolate(a, b, t)),
+            "blend": _on_the_way(lambda bed, a, b, t: bed.model("blend").interpolate(a, b, t)),
             "linear": _on_the_way(lambda bed, a, b, t: bed.model("material").blend(a, b, t)),
         },
         "Use `interpolate`; a linear mix of lobes far apart in width shows both of them, not one between.",

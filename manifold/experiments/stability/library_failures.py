@@ -14,7 +14,7 @@ import numpy as np
 from manifold.errors import FileFormatError
 from manifold.experiments.stability.data_failures import middle_of_family
 from manifold.experiments.stability.limits import NONE_TAKEN, SAME_RESULT
-from manifold.experiments.stability.testbed import ALPHAS, MIDDLE, TestBed, named
+from manifold.experiments.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, named
 from manifold.experiments.stability.trials import Measurement, Mode, Trial
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -43,7 +43,7 @@ def _copy(bed: TestBed) -> Iterator[Path]:
         model.save(folder / "model.h5")
         for path in folder.glob("*.bsdf"):
             path.unlink()
-        write_bsdf(folder / _FILE, bed.file(MIDDLE))
+        write_bsdf(folder / _FILE, bed.file(MIDDLE, COLOURS[1]))
         return folder
 
     with tempfile.TemporaryDirectory() as name:

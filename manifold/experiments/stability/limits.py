@@ -10,7 +10,7 @@ HALF_OF_NEAREST = Limit(
     "a manifold that does not halve the error of the nearest material is not worth its fit",
 )
 BALL = Limit(
-    "CIEDE2000 of the ball beside the truth's",
+    "CIEDE2000 of the ball beside the truth's, lit from behind",
     5.0,
     "an observer sees two different colours (Mokrzycki & Tatol 2011); chosen after the results were known",
 )

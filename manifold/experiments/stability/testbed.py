@@ -128,10 +128,20 @@ class TestBed:
     def _ball(self) -> Ball:
         return ball_colours.ball()
 
+    @cached_property
+    def _ball_from_behind(self) -> Ball:
+        return ball_colours.ball(is_turned=True)
+
     def ball_difference(self, found: BRDF, truth: BRDF) -> float:
-        """Mean CIEDE2000 between the balls of two materials of the family's bands."""
-        xyz = (self._ball.xyz(brdf.eval(self._ball.wi, self._ball.wo), BANDS) for brdf in (found, truth))
-        return ball_colours.delta_e(*xyz)
+        """Mean CIEDE2000 between two materials of the family's bands in a light that no diagnostic looks at."""
+        return _difference(self._ball_from_behind, found, truth)
+
+    def embed(self, model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
+        """What a manifold predicts for a material it has not seen, and its diagnostics."""
+        found = model.embed(material)
+        brdf, messages = predict(model, found.latent, found.colours)
+        outside = diagnostics.of_embedding(found.relative_error, _difference(self._ball, brdf, material))
+        return brdf, outside + messages
 
     @cached_property
     def _plastics(self) -> list[tuple[Array, Array]]:
@@ -153,11 +163,8 @@ class TestBed:
         return least
 
 
-def embed(model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """What a manifold predicts for a material it has not seen, and its diagnostics."""
-    found = model.embed(material)
-    brdf, messages = predict(model, found.latent, found.colours)
-    return brdf, diagnostics.of_embedding(found.relative_error) + messages
+def _difference(ball: Ball, found: BRDF, truth: BRDF) -> float:
+    return ball.difference(*(brdf.eval(ball.wi, ball.wo) for brdf in (found, truth)), BANDS)
 
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:

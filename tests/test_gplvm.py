@@ -264,6 +264,11 @@ def test_a_kernel_that_does_not_bend_between_its_latents_is_linear(rng, scale, i
     assert (np.linalg.norm(predicted - on_plane) < 0.2 * np.linalg.norm(on_plane)) or not is_linear
 
 
+def test_three_places_in_two_dimensions_are_not_called_linear(rng):
+    X = 0.01 * rng.normal(size=(3, 2))
+    assert not GPWeights(np.vstack([X, X[:1] + 1e-9]), SquaredExponential(1e-4)).is_linear
+
+
 def test_a_usual_fit_is_not_warned_of(rng):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -22,6 +22,7 @@ from manifold.records import Array
 
 LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is warned of
 _ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
+_COINCIDENT = 1e-3  # of the latents' span: what lies closer is one place
 _MOST_ALONE = 0.25  # share of such samples
 
 
@@ -162,10 +163,14 @@ class GPWeights:
     def is_linear(self) -> bool:
         """Whether the mean is linear in the latents: what the kernel bends between them is below its noise filter.
 
-        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function.
+        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Q + 1 places
+        lie on a plane under any kernel, and over a whole length scale every kernel bends.
         """
         N, Q = self.X.shape
-        if N <= Q + 1:
+        span = float(np.ptp(self.X, axis=0).max())
+        if not 0.0 < span < self.kernel.length_scale:
+            return False
+        if len(np.unique(np.round(self.X / (_COINCIDENT * span)), axis=0)) <= Q + 1:
             return False
         beyond = N - 1 - Q
         smooth = centre_gram(self.kernel.smooth(self.X, self.X))

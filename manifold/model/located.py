@@ -74,7 +74,7 @@ def locate(
     )
     pairs, ball = encoding_pairs(), ball_colours.ball()
     f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
-    difference = ball.difference(*(each.eval(ball.wi, ball.wo) for each in (brdf, predicted)), loaded.bands)
+    difference = ball.difference(brdf.eval(ball.wi, ball.wo), predicted.eval(ball.wi, ball.wo), loaded.bands)
     return Located(
         path=path,
         latent=tuple(float(v) for v in found.latent),

@@ -164,7 +164,7 @@ class TestBed:
 
 
 def _difference(ball: Ball, found: BRDF, truth: BRDF) -> float:
-    return ball.difference(*(brdf.eval(ball.wi, ball.wo) for brdf in (found, truth)), BANDS)
+    return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)
 
 
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:

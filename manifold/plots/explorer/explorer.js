@@ -60,7 +60,7 @@ export class Explorer {
   /** Change the state; `done` where it is worth an undo. */
   change(changes, done = true) {
     if ("x" in changes && !("path" in changes)) changes.path = null;
-    if ("x" in changes && !("at" in changes)) changes.at = undefined;
+    if ("x" in changes && !("at" in changes)) changes.at = this.data.names[this.materials.materialAt(changes.x)];
     Object.assign(this.state, changes);
     if (done) this.commit();
     this.request();

@@ -23,7 +23,7 @@ def materials():
     return [MeasuredBRDF(measured(name)) for name in NAMES]
 
 
-@pytest.mark.parametrize("kind", ["monochrome", "material"])
+@pytest.mark.parametrize("kind", [pytest.param("monochrome", marks=pytest.mark.slow), "material"])
 def test_the_mapping_with_the_least_held_out_error_is_chosen(materials, kind):
     settings, tried = choose(
         materials, Settings(kind=kind, optimizer="l-bfgs"), mapping=True, latent_dim=False
@@ -35,7 +35,7 @@ def test_the_mapping_with_the_least_held_out_error_is_chosen(materials, kind):
     assert settings.latent_dim == 2
 
 
-@pytest.mark.parametrize("kind", ["monochrome", "material"])
+@pytest.mark.parametrize("kind", [pytest.param("monochrome", marks=pytest.mark.slow), "material"])
 def test_dimensions_are_added_while_they_pay(materials, kind):
     settings, tried = choose(
         materials, Settings(kind=kind, optimizer="l-bfgs"), mapping=False, latent_dim=True

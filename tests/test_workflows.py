@@ -41,7 +41,8 @@ def few_materials():
         patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
         patch.setattr(demo_module.ball_pictures, "walk", partial(demo_module.ball_pictures.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
-        patch.setattr(demo_module, "TRIED", demo_module.TRIED[:1])
+        patch.setattr(demo_module, "TRIED", ("few_directions",))
+        patch.setattr(demo_module, "RenderSettings", partial(demo_module.RenderSettings, size=64, samples=64))
         yield few
 
 

@@ -86,7 +86,9 @@ def test_what_is_set_in_python_is_shown_in_every_view(page, widget):
     for view in ("a", "b"):
         page.locator(f"#{view} #nearest tr").first.get_by_text(NAMES[2]).wait_for()
         page.locator(f"#{view} #error-value", has_text="none: a measured material").wait_for()
-    assert page.evaluate("model.get('link')").startswith(f"x={NAMES[2]}")  # a view that is opened later is there, too
+    assert page.evaluate("model.get('link')").startswith(
+        f"x={NAMES[2]}"
+    )  # a view that is opened later is there, too
     page.evaluate("(name) => model.set('link', `x=${name}`)", NAMES[3])
     for view in ("a", "b"):
         page.locator(f"#{view} #caption", has_text=NAMES[3]).wait_for()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import resource
@@ -197,3 +198,29 @@ def test_a_planted_lock_file_does_not_lead_elsewhere(library, tmp_path):
     with suppress(ManifoldError):
         import_files(library.path, write_samples(tmp_path / "more", 3))
     assert victim.read_text() == "mine"
+
+
+def test_materials_are_on_the_disk_before_they_appear(tmp_path, monkeypatch):
+    events, fsync, rename = [], os.fsync, os.rename
+    monkeypatch.setattr(os, "fsync", lambda d: (events.append(os.readlink(f"/proc/self/fd/{d}")), fsync(d)))
+    monkeypatch.setattr(os, "rename", lambda a, b: (events.append(("to", str(a), str(b))), rename(a, b)))
+    path = tmp_path / "library.zarr"
+    import_files(path, write_samples(tmp_path, 1))
+    (at,) = [k for k, event in enumerate(events) if event[0] == "to" and event[2].endswith("materials/m00")]
+    material = path / "materials" / "m00"
+    expected = {str(Path(events[at][1]) / file.relative_to(material)) for file in material.rglob("*")}
+    assert len(expected) > 10
+    assert expected <= set(events[:at])
+    assert str(path / "materials") in events[at:]
+
+
+def test_a_disk_that_keeps_nothing_leaves_no_material(library, tmp_path, monkeypatch):
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    write_bsdf(tmp_path / "other.bsdf", sample_file("other", 9))
+    monkeypatch.setattr(os, "fsync", full)
+    with suppress(ManifoldError):
+        report = import_files(library.path, [tmp_path / "other.bsdf"])
+        assert "No space left" in str(report.failed)
+    assert sorted(p.name for p in (library.path / "materials").iterdir()) == ["m00", "m01", "zarr.json"]

@@ -19,6 +19,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from manifold.errors import LibraryError
+from manifold.system import atomic
 
 _exchange = threading.Lock()
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # of a link that somebody put there
@@ -56,8 +57,10 @@ def writing(library: Path) -> Iterator[Path]:
 
 
 def publish(staged: Path, target: Path) -> None:
-    """Make a finished folder visible under its final name, in one step."""
+    """Make a finished folder visible under its final name, in one step, once it is on the disk."""
+    atomic.sync_tree(staged)
     os.rename(staged, target)
+    atomic.sync_folder(target.parent)
 
 
 def replace(library: Path, staged: Path, target: Path) -> None:
@@ -66,6 +69,7 @@ def replace(library: Path, staged: Path, target: Path) -> None:
     Threads may call it at the same time: they share one folder beside the library, so they take turns.
     """
     aside = _replacing(library)
+    atomic.sync_tree(staged)
     with _exchange:
         aside.mkdir(exist_ok=True)
         os.rename(target, aside / target.name)
@@ -73,6 +77,7 @@ def replace(library: Path, staged: Path, target: Path) -> None:
         # The new one's old place is in the staging folder, which is swept anyway.
         os.rename(aside / target.name, staged)
         aside.rmdir()
+    atomic.sync_folder(target.parent)
 
 
 def is_replacing(library: Path, name: str) -> bool:

@@ -49,7 +49,7 @@ def replacing(path: Path) -> Iterator[Path]:
             yield partial
             os.fsync(descriptor)
             os.replace(partial, target)
-        _sync_folder(target.parent)
+        sync_folder(target.parent)
     except OSError as error:
         raise _cannot_write(path, os.strerror(error.errno) if error.errno else str(error)) from error
 
@@ -96,6 +96,22 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file. Raises: as `replacing`."""
     with replacing(path) as partial:
         partial.write_bytes(content)
+
+
+def sync_tree(folder: Path) -> None:
+    """Wait until all files in a folder, at every depth, are on the disk.
+
+    Raises:
+        OSError: one cannot be: the disk is full, or broken.
+    """
+    for root, _, names in os.walk(folder):
+        for name in names:
+            descriptor = os.open(os.path.join(root, name), os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        sync_folder(Path(root))
 
 
 def _is_stream(path: Path) -> bool:
@@ -165,7 +181,8 @@ def _sweep(folder: Path) -> None:
                     os.close(descriptor)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where that is possible."""
     with suppress(OSError):  # not every file system can
         descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
         try:

@@ -177,8 +177,10 @@ def test_dragging_and_keys_move_the_point(visited):
     page.mouse.move(box["x"] + 20, box["y"] + 20)
     page.mouse.down()
     page.mouse.move(box["x"] + 160, box["y"] + 250, steps=4)
+    settle(page)  # the last frame of the drag is drawn before the button is let go
     page.mouse.up()
     settle(page)
+    assert page.locator("#undo").is_enabled()
     dragged = state(page)["x"]
     assert f"x={dragged[0]:.3f}"[:6] in page.evaluate("decodeURIComponent(location.hash)")
     page.keyboard.press("ArrowRight")

@@ -63,12 +63,13 @@ export class Explorer {
     if ("x" in changes && !("at" in changes)) changes.at = this.data.names[this.materials.materialAt(changes.x)];
     Object.assign(this.state, changes);
     if (done) this.commit();
-    this.request();
+    else this.request();
   }
 
   commit() {
     this.history.push(this.state);
     this.link.write(toFragment(this.state), this);
+    this.request();
   }
 
   byId(id) {

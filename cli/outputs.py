@@ -87,7 +87,7 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
             continue
         if any(os.path.realpath(source) == target or _is_same(source, path) for source in inputs):
             raise UsageError(f"{path}: this command reads it; name another file to write, or --force it")
-        if not _is_own_kind(command, name, path):
+        if not _is_own_kind(command, name, path, values.get("to")):
             raise UsageError(
                 f"{path}: there already, and not what this command writes; name another file, or --force it"
             )
@@ -121,8 +121,12 @@ def _require_outside_libraries(path: Path) -> None:
             )
 
 
-def _is_own_kind(command: str, name: str, path: Path) -> bool:
-    """Whether a file is one that this parameter of the command writes; empty files are nobody's."""
+def _is_own_kind(command: str, name: str, path: Path, to: str | None = None) -> bool:
+    """Whether a file is one that this parameter of the command writes; empty files are nobody's.
+
+    Args:
+        to: the format that `convert` writes, where it was named.
+    """
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD)
@@ -139,7 +143,20 @@ def _is_own_kind(command: str, name: str, path: Path) -> bool:
         return b"manifold stability" in head
     if command == "explore":
         return b"<title>Material map</title>" in head
+    if command == "convert" and (title := _instrument_format(path, to)) is not None:
+        from manifold.formats import registry
+
+        known = registry.identify(path)
+        return known is not None and known.name == title
     if path.suffix.lower() == ".bsdf" or command == "export":
         return b" by manifold " in head
     magic = _PICTURES.get(path.suffix.lower())
     return magic is not None and (head.startswith(magic) or (path.suffix.lower() == ".svg" and magic in head))
+
+
+def _instrument_format(output: Path, to: str | None) -> str | None:
+    """The name of the format that `convert` would write, None for RGL files: they say who wrote them."""
+    from manifold.workflows.conversion_targets import TARGETS, target_of
+
+    target = target_of(output, to)
+    return None if target is TARGETS["rgl"] else target.title

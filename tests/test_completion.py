@@ -495,3 +495,12 @@ def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tm
     status, _, err = run("fit", "few.csv", "-o", "few.fit.json", cwd=tmp_path)
     assert status == 1
     assert "expected 4 or more" in err
+
+
+def test_a_correction_that_is_no_text_is_refused_in_plain_words(tmp_path):
+    path = tmp_path / "correction.json"
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(
+        FileFormatError, match="found no text, expected a colour correction of `manifold calibrate`"
+    ):
+        read_correction(path)

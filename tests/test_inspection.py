@@ -128,3 +128,16 @@ def test_foreign_and_damaged_things_are_one_line_that_names_them(folder, tmp_pat
         inspect(tmp_path / name)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [(b"hello\n", "a text file"), (b"", "an empty file"), (b"\x89PNG\r\n", "a PNG picture")],
+)
+def test_a_workbook_that_is_none_is_named_for_what_it_is(tmp_path, content, found):
+    path = tmp_path / "sample.xlsx"
+    path.write_bytes(content)
+    with pytest.raises(
+        FileFormatError, match=f"found {found}, no workbook.*expected an RGL file or one of.*MERL.*CSV"
+    ):
+        inspect(path)

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 import typer
 from small_library import NAMES, small_library
@@ -15,6 +16,7 @@ from test_cli import COMMANDS, manifold, one_line
 from manifold.cli.main import app
 from manifold.cli.outputs import require_replaceable
 from manifold.errors import UsageError
+from manifold.formats import merl
 from manifold.plots.explorer.page import make_page
 
 
@@ -122,3 +124,27 @@ def test_files_are_replaced_by_their_own_kind_only(tmp_path):
             assert is_taken(command, name, file), (command, file)
         for file in wrong:
             assert not is_taken(command, name, file), (command, file)
+
+
+@pytest.mark.parametrize("name", ["a.bsdf", "a.astm", "a.csv"])
+def test_conversions_are_written_again_over_their_own_format_only(run, folder, name):
+    source = f"files/{NAMES[0]}_rgb.bsdf"
+    convert = ("convert", source, "--resolution", "8", "--incidences", "4", "-o")
+    for _ in range(2):
+        status, _, err = run(*convert, name, cwd=folder)
+        assert status == 0, err
+    other = "csv" if name != "a.csv" else "astm"
+    before = (folder / name).read_bytes()
+    status, _, err = run(*convert, name, "--format", other, cwd=folder)
+    assert status == 2
+    assert "not what this command writes" in one_line(err)
+    assert (folder / name).read_bytes() == before
+
+
+def test_a_format_of_binary_values_replaces_its_own_kind(tmp_path):
+    path = tmp_path / "a.binary"
+    path.write_bytes(np.array(merl.SHAPE, "<i4").tobytes() + bytes(8 * 3 * int(np.prod(merl.SHAPE))))
+    require_replaceable("convert", {"output": path, "to": None})
+    path.write_bytes(b"notes of mine")
+    with pytest.raises(UsageError, match="not what this command writes"):
+        require_replaceable("convert", {"output": path, "to": None})

@@ -31,6 +31,7 @@ from manifold.formats.text import read_bytes
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
+_WORKBOOKS = (".xlsx", ".xlsm", ".xls")
 _LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
 
@@ -83,6 +84,19 @@ def identify(path: Path | str) -> Format | None:
     return None
 
 
+def unknown(path: Path) -> FileFormatError:
+    """What to say of a file whose content is of none of these formats."""
+    with path.open("rb") as stream:
+        head = stream.read(_SNIFFED)
+    what = name_format(head) if head else "an empty file"
+    if path.suffix.lower() in _WORKBOOKS:
+        what += ", no workbook with spectra"
+    names = ", ".join(known.name for known in FORMATS)
+    return FileFormatError(
+        f"{printable(path.name, 255)}: found {what}, expected an RGL file or one of: {names}"
+    )
+
+
 def read_all(path: Path | str) -> list[Record]:
     """Every sample of an instrument's file, in its order.
 
@@ -93,13 +107,7 @@ def read_all(path: Path | str) -> list[Record]:
     path = Path(path)
     known = identify(path)
     if known is None:
-        with path.open("rb") as stream:
-            head = stream.read(_SNIFFED)
-        what = name_format(head) if head else "an empty file"
-        raise FileFormatError(
-            f"{printable(path.name, 255)}: found {what}, expected readings or a BRDF of an instrument "
-            "(`manifold info --help` lists the formats)"
-        )
+        raise unknown(path)
     records = list(known.read(path))
     for record in records:
         largest = float(np.max(np.abs(np.nan_to_num(record.values)), initial=0.0))

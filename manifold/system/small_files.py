@@ -67,7 +67,9 @@ def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
         return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError as error:
         raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error
-    except ValueError as error:  # no UTF-8, no JSON, or a number of thousands of digits
+    except UnicodeDecodeError as error:
+        raise FileFormatError(f"{path}: found no text, expected {expected}; name another file") from error
+    except ValueError as error:  # no JSON, or a number of thousands of digits
         raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
 
 

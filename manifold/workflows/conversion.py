@@ -16,7 +16,7 @@ from manifold.model.completion.correction_file import read_correction
 from manifold.records import Array, Bands
 from manifold.system import atomic
 from manifold.workflows.conversion_source import Source, open_source
-from manifold.workflows.conversion_targets import TARGETS, Options, Target
+from manifold.workflows.conversion_targets import TARGETS, Options, target_of
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
 _DARK = 1e-3  # of the brightest value: darker ones are compared with this
@@ -106,7 +106,7 @@ def convert(
         FileFormatError: a file is not what it should be.
         BandMismatchError: the correction was learned in other bands.
     """
-    target = _target(output, to)
+    target = target_of(output, to)
     atomic.require_writable(output)
     if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
         raise UsageError(f"{output}: is the file to be converted; name another output")
@@ -141,18 +141,3 @@ def _error(source: Source, back: Source) -> ConversionError:
 
 def _is_single(source: Source) -> bool:
     return source.nodes.bands.count == 1
-
-
-def _target(output: Path, to: str | None) -> Target:
-    if to is not None:
-        if to not in TARGETS:
-            raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
-        return TARGETS[to]
-    suffix = output.suffix.lower()
-    for target in TARGETS.values():
-        if suffix in target.suffixes:
-            return target
-    known = ", ".join(s for target in TARGETS.values() for s in target.suffixes)
-    raise UsageError(
-        f"{output}: suffix '{suffix}', expected one of {known}; or choose a format with --format"
-    )

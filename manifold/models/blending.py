@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, Delaunay, QhullError
 from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
@@ -22,6 +22,7 @@ _NEGLIGIBLE = 1e-6  # relative to the largest: weights below cannot be seen, and
 _RANDOM_STARTS = 3
 _REFINED = 2  # starts that are refined with the blends in view
 _PLACES, _MOST_BLENDED = 1500, 4  # convex combinations at which blends are looked at, and of how many latents
+_ROUNDS = 2  # of the last refinement, each at new places inside the hull
 _STRENGTH = 3.0  # of implausible blends against stress
 _SEPARATION = 10.0  # of the least distances against stress
 _RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
@@ -73,8 +74,9 @@ def blend_layout(
 
     Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus what places are nearer than
     `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal coordinates
-    and a few random starts; then, from the best end, with the mean of `cost(u)` added. The unit is then chosen so that
-    a kernel of length scale 1 spans about the side of a sample's share of the hull.
+    and a few random starts; then, from the best end, with the mean of `cost(u)` added, at places drawn evenly from the
+    hull as it then is. The unit is then chosen so that a kernel of length scale 1 spans about the side of a sample's
+    share of the hull.
 
     Args:
         distance: what distances should be, shape (N, N), positive off the diagonal.
@@ -101,9 +103,9 @@ def blend_layout(
     radius = _kernel_radius(best[0][1])
     shares = _convex_combinations(N, rng)
     value, X = min((objective.minimise(X, shares, radius) for _, X in best), key=lambda end: end[0])
-    objective.cost = cost
-    if cost is not None:
-        radius = _kernel_radius(X)
+    objective.cost, few = cost, shares[::2]
+    for _ in range(_ROUNDS if cost is not None else 0):
+        radius, shares = _kernel_radius(X), np.vstack([_inside_hull(X, rng), few])
         value, X = objective.minimise(X, shares, radius)
     first = objective.value(starts[0], shares, radius)
     X = X - X.mean(axis=0)
@@ -187,6 +189,20 @@ def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
     for row in shares:
         count = int(rng.integers(2, min(_MOST_BLENDED, N) + 1))
         row[rng.choice(N, count, replace=False)] = rng.dirichlet(np.ones(count))
+    return shares
+
+
+def _inside_hull(X: Array, rng: np.random.Generator) -> Array:
+    """Shares (K, N) of the samples around places drawn evenly from the hull of X (N, Q); none where it is flat."""
+    N, Q = X.shape
+    try:
+        simplices = Delaunay(X).simplices  # [S, Q + 1]
+    except (QhullError, ValueError):  # one dimension, too few samples, or all in a plane
+        return np.zeros((0, N))
+    volume = np.abs(np.linalg.det(X[simplices[:, 1:]] - X[simplices[:, :1]]))
+    around = simplices[rng.choice(len(simplices), _PLACES, p=volume / volume.sum())]
+    shares = np.zeros((_PLACES, N))
+    np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), _PLACES), axis=1)
     return shares
 
 

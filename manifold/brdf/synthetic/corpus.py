@@ -105,6 +105,7 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
         description=material.description,
         resolution=material.resolution,
         theta_i_rad=_theta_i(rng),
+        warp_exponent=1.0,
         version=version,
     )
     file = _imperfect(_energy_conserving(file), rng, _SPECKLE.get(material.family, _LEAST_SPECKLE))

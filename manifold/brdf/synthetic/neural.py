@@ -19,6 +19,8 @@ from manifold.records import Array, Bands, BsdfFile, Progress
 RGB = Bands(None)
 _STEEPEST_DEG = 89.0  # beyond it the albedo that is asked for is that at this incidence
 _ALBEDO_RESOLUTION = 32
+_INCIDENCES = 12
+_STEEPEST_LOBE = 2.0  # highlights fall faster than what goniometer.measure allows predictions, and smoothly
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,5 +122,7 @@ def _measure(brdf: NeuralBRDF) -> BsdfFile:
         brdf.plausible(),
         name,
         description=f"Neural fit of {name} (Sztrajman et al. 2021){'' if rgb else ', up-sampled from RGB'}",
+        n_theta_i=_INCIDENCES,
+        steepest=_STEEPEST_LOBE,
         version=(1, 0) if rgb else (3, 1),
     )

@@ -10,7 +10,7 @@ from manifold.brdf import goniometer
 from manifold.brdf.cells import HORIZON, Cells
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp, bilinear, interpolate
-from manifold.colour.conversion import interpolation_matrix, luminance, sensor_responses
+from manifold.colour.conversion import interpolation_matrix, sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
@@ -106,15 +106,15 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
             )
             f_cos *= np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)[:, None]
         values[p, t, above], measured[p, t] = np.maximum(f_cos, 0.0), above
-    return replace(
+    reduced = replace(
         file,
         theta_i_rad=theta.copy(),
         vndf=vndf,
-        luminance=np.maximum(luminance(values, file.bands), 0.0).astype(np.float32),
         spectra=np.ascontiguousarray(np.moveaxis(values, -1, 2)),
         valid=goniometer.pack_valid(measured, file.version),
         extra={},
     )
+    return goniometer.with_luminance(reduced)
 
 
 def _resampled(values: Array, n: int) -> Array:

@@ -212,3 +212,21 @@ def test_a_blend_is_saved_and_read_bit_for_bit(model, tmp_path):
 def test_other_mappings_are_refused():
     with pytest.raises(UsageError, match="expected cube-root"):
         Settings(kind="blend", mapping="log")
+
+
+def test_a_prediction_reads_only_the_materials_that_it_blends(tmp_path, monkeypatch):
+    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(kind="blend"))
+    model.save(tmp_path / "m.h5")
+    fresh = Manifold.load(tmp_path / "m.h5")
+    read, whole = [], Library.read
+    monkeypatch.setattr(Library, "read", lambda self, name: (read.append(name), whole(self, name))[1])
+    fresh.prepare(x=fresh.latent(NAMES[0]))
+    assert read == [NAMES[0]]
+    x = fresh.between(NAMES[0], NAMES[1], 0.5)
+    fresh.prepare(x=x)
+    assert set(read) == {NAMES[0]} | {
+        n for n, u in zip(fresh.names, fresh.weights(x), strict=True) if u > 0.0
+    }
+    known = len(read)
+    fresh.predict(x)
+    assert len(read) == known

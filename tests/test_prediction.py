@@ -103,8 +103,8 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
         [Wrapped(m) for m in measured_materials], Combination(mapping_named(mapping), weights)
     )
     general = wrapped.eval(wi, wo)
-    # The fused cube root is within 4 units in the last place; differences of large terms cost some more.
-    np.testing.assert_allclose(fused, general, rtol=1e-9, atol=1e-12 * np.abs(general).max())
+    # Fused values are in single precision, as files have them; differences of large terms cost some more.
+    np.testing.assert_allclose(fused, general, rtol=2e-6, atol=1e-7 * np.abs(general).max())
     assert not np.any(fused[::7])
 
 
@@ -122,9 +122,9 @@ def test_values_go_into_a_given_array(measured_materials, rng):
 
 
 def test_the_compiled_cube_root_is_the_cube_root(rng):
-    x = rng.choice([-1.0, 1.0], 100_000) * 10.0 ** rng.uniform(-300, 300, 100_000)
+    x = (rng.choice([-1.0, 1.0], 100_000) * 10.0 ** rng.uniform(-37, 37, 100_000)).astype(np.float32)
     found = np.array([cube_root(v) for v in x])
-    np.testing.assert_allclose(found, np.cbrt(x), rtol=1e-15)
+    np.testing.assert_allclose(found, np.cbrt(x.astype(float)), rtol=1.2e-7)  # a unit of single precision
     assert cube_root(0.0) == 0.0
 
 
@@ -246,7 +246,7 @@ def test_atoms_are_combined_as_tabulated_values_are(measured_materials, dictiona
     tabulated = combination.evaluate(values)
     np.testing.assert_allclose(tabulated, expected.T**3, rtol=1e-9)
     predicted = PredictedBRDF([Wrapped(m) for m in materials] if wrapped else materials, combination)
-    np.testing.assert_allclose(predicted.eval(wi, wo), tabulated, rtol=1e-9)
+    np.testing.assert_allclose(predicted.eval(wi, wo), tabulated, rtol=1e-6)  # roots in single precision
     assert tabulated.min() >= 0.0
     assert not np.any(predicted.eval(wi, wo * [1, 1, -1]))
 

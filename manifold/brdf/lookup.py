@@ -37,6 +37,7 @@ def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
 def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row):
     """All bands of one half vector at (ux, uy), which the warp brings to (u, v), into row (B,)."""
     jacobian, ndf, sigma, _, _, _, _, _, spectra = tables
+    real = row.dtype.type  # single precision where the row is: twice as many bands at once
     scale = 1.0
     if jacobian:
         scale = warp.bilinear(ndf, ux, uy) / (
@@ -58,8 +59,8 @@ def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divid
             b = a
         wa, wb = weights[s] * scale, weights[s + 1] * scale
         w00, w01, w10, w11 = (1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx
-        a00, a01, a10, a11 = wa * w00, wa * w01, wa * w10, wa * w11
-        b00, b01, b10, b11 = wb * w00, wb * w01, wb * w10, wb * w11
+        a00, a01, a10, a11 = real(wa * w00), real(wa * w01), real(wa * w10), real(wa * w11)
+        b00, b01, b10, b11 = real(wb * w00), real(wb * w01), real(wb * w10), real(wb * w11)
         # One name per row: the compiler then sees eight streams with stride one.
         p00, p01 = spectra[a, i, j], spectra[a, i, j + 1]
         p10, p11 = spectra[a, i + 1, j], spectra[a, i + 1, j + 1]
@@ -105,8 +106,11 @@ def eval_located(located, tables, out):
 
 @nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
 def add_located(located, tables, weight, take_root, total):
-    """Add weight f, or weight times the cube root of f, of K located pairs to total (K, B)."""
-    row = np.empty(total.shape[1])  # stays in the first cache
+    """Add weight f, or weight times the cube root of f, of K located pairs to total (K, B).
+
+    Values are in single precision, as files have them; sums are not.
+    """
+    row = np.empty(total.shape[1], np.float32)  # stays in the first cache
     for k in range(located.shape[0]):
         theta_i, phi_i, ux, uy, cos_o = located[k]
         if cos_o <= 0.0:

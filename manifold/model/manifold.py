@@ -113,12 +113,20 @@ class Manifold(LatentMap):
         """All measured materials in the order of the latents, unmeasured cells filled."""
         return self.materials.filled(on_progress=on_progress)
 
-    def prepare(self, on_progress: Progress | None = None) -> None:
-        """Read ahead what predictions need: the materials, of a monochrome manifold a few of their bands."""
-        if self.space.sample_bands is None:
+    def prepare(self, on_progress: Progress | None = None, x: Array | None = None) -> None:
+        """Read ahead what predictions need: the materials, of a monochrome manifold a few of their bands.
+
+        Args:
+            on_progress: called with (done, total, what) while they are read.
+            x: a latent (Q,): then, where materials carry their colours, only those with a weight there are read.
+        """
+        if self.space.sample_bands is not None:
+            self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
+        elif x is None:
             self.materials.filled(on_progress=on_progress)
         else:
-            self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
+            used = np.flatnonzero(self.combination(x, None).weights)
+            self.materials.filled([self.names[k] for k in used], on_progress)
 
     # -- errors to expect ----------------------------------------------------------------------------------
 

@@ -102,7 +102,7 @@ def predict(
         model = Manifold.load(model, library)
     x = model.require_latent(latent)
     stages = Stages(on_progress, {"reading materials": 4, "writing": 1})
-    model.prepare(stages.begin("reading materials"))
+    model.prepare(stages.begin("reading materials"), x if colour == NEAREST else None)
     start = time.perf_counter()
     chosen = choose_colour(model, x, colour)
     clipped = ClippedBRDF(model.predict(x, chosen.colours))

@@ -162,7 +162,7 @@ def _refusing(task: Callable[[], object]) -> Callable[[], object]:
 
 
 def scenes(base: Path, folder: Path, rng: random.Random) -> Case:
-    """A scene of which something is changed: read, and where it is one, loaded in a scalar variant."""
+    """A scene of which something is changed: read, and where it is one, written and loaded by Mitsuba (scalar)."""
     for path in (base / "scene").iterdir():
         (folder / path.name).symlink_to(path)
     name = rng.choice(("s.xml", "s.json", "part.xml"))
@@ -180,6 +180,11 @@ def scenes(base: Path, folder: Path, rng: random.Random) -> Case:
         document = SceneDocument.read(scene)
         _ = document.film_size
         document.write(folder / "out", {})
+        if min(document.film_size) <= 512:
+            from manifold.rendering import backend
+
+            mi = backend.mitsuba("rgb")
+            document.load(mi, {}, {"type": "hdrfilm", "width": 16, "height": 16})
 
     return Case(_refusing(task), _anything, name)
 

@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.errors import BandMismatchError, ShapeError
+from manifold.system.stages import Progress as Progress
 
 Array = NDArray[Any]
-
-Progress = Callable[[int, int, str], None]
-"""Called with how much is done, of how much in all, and the name of what was done last."""
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""

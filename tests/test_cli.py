@@ -117,7 +117,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["import", "."], 2, "bsdf"),
         (["fetch", "satin_golt"], 2, "satin_gold"),
         (["info", "x.txt", "--verify"], 2, "only libraries can be verified"),
-        (["info", "x.txt"], 1, "tensor"),
+        (["info", "x.txt"], 1, "found a text file"),
         (["info", "."], 1, "without zarr.json"),
         (["embed", "-L", "x.txt"], 1, "which is a folder"),
         (["report", "-M", "x.txt"], 1, "no HDF5 file"),

@@ -70,7 +70,7 @@ def test_a_pair_is_nine_numbers(data):
 def test_predictions_are_those_of_the_brdf(data, materials, key):
     combination = METHODS[key].leave_out(data, OUT)
     found = PredictedBRDF(materials, combination).eval(data.wi, data.wo)
-    np.testing.assert_allclose(found, combination.evaluate(data), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found, combination.evaluate(data), rtol=1e-6, atol=1e-15)  # single precision
 
 
 @pytest.mark.parametrize("key", KEYS)

@@ -134,7 +134,7 @@ def test_without_the_diagnostic_a_lobe_sharper_than_the_library_is_silently_wron
 
 
 def test_without_diagnostics_of_plausibility_raw_values_are_silently_wrong_outside(fresh_bed, monkeypatch):
-    for name in ("MOST_NEGATIVE", "MOST_ALBEDO", "MOST_NON_RECIPROCAL"):
+    for name in ("MOST_NEGATIVE", "MOST_ALBEDO", "MOST_NON_RECIPROCAL", "MOST_VALLEY"):
         monkeypatch.setattr(diagnostics, name, np.inf)
     assert tried(fresh_bed, "outside_materials", "raw values", 0.5).outcome == WRONG
 
@@ -152,9 +152,9 @@ def test_without_diagnostics_of_them_and_of_dark_holes_unmeasured_cells_are_sile
 def test_without_filling_and_diagnostic_embedded_unmeasured_cells_are_silently_wrong(bed, monkeypatch):
     monkeypatch.setattr("manifold.model.diagnostics.of_unmeasured", lambda share: ())
     monkeypatch.setattr(diagnostics, "MOST_EMBEDDING_BALL", np.inf)
-    assert tried(bed, "exact_zeros", "embedding a file").outcome == FINE
+    assert tried(bed, "exact_zeros", "embedding a file", 0.1).outcome == FINE
     monkeypatch.setattr("manifold.model.located.fill_unmeasured", lambda file, cells: file)
-    assert tried(bed, "exact_zeros", "embedding a file").outcome == WRONG
+    assert tried(bed, "exact_zeros", "embedding a file", 0.1).outcome == WRONG
 
 
 def test_without_hashes_of_materials_turned_bits_are_silently_wrong(bed, monkeypatch):

@@ -21,7 +21,8 @@ from manifold.records import Array
 _NEGLIGIBLE = 1e-6  # relative to the largest: weights below cannot be seen, and cost a material each
 _RANDOM_STARTS = 3
 _REFINED = 2  # starts that are refined with the blends in view
-_PLACES, _MOST_BLENDED = 1500, 4  # convex combinations at which blends are looked at, and of how many latents
+_PLACES, _PLACES_OF_EACH = 1500, 75  # at which blends are looked at: at most, and for each latent
+_MOST_BLENDED = 4  # latents of a convex combination
 _ROUNDS = 2  # of the last refinement, each at new places inside the hull
 _STRENGTH = 3.0  # of implausible blends against stress
 _SEPARATION = 10.0  # of the least distances against stress
@@ -185,7 +186,7 @@ def _principal_coordinates(distance: Array, n_components: int) -> Array:
 
 def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
     """Shares (K, N) of random places inside the hull, of at most four samples each."""
-    shares = np.zeros((_PLACES, N))
+    shares = np.zeros((_places(N), N))
     for row in shares:
         count = int(rng.integers(2, min(_MOST_BLENDED, N) + 1))
         row[rng.choice(N, count, replace=False)] = rng.dirichlet(np.ones(count))
@@ -200,10 +201,15 @@ def _inside_hull(X: Array, rng: np.random.Generator) -> Array:
     except (QhullError, ValueError):  # one dimension, too few samples, or all in a plane
         return np.zeros((0, N))
     volume = np.abs(np.linalg.det(X[simplices[:, 1:]] - X[simplices[:, :1]]))
-    around = simplices[rng.choice(len(simplices), _PLACES, p=volume / volume.sum())]
-    shares = np.zeros((_PLACES, N))
-    np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), _PLACES), axis=1)
+    places = _places(N)
+    around = simplices[rng.choice(len(simplices), places, p=volume / volume.sum())]
+    shares = np.zeros((places, N))
+    np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), places), axis=1)
     return shares
+
+
+def _places(N: int) -> int:
+    return min(_PLACES, _PLACES_OF_EACH * N)
 
 
 def _kernel_radius(X: Array) -> float:

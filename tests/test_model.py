@@ -388,7 +388,9 @@ def test_interpolation_begins_and_ends_at_the_materials(model):
         np.testing.assert_array_equal(model.interpolate(a, b, t).eval(wi, wo), expected)
         np.testing.assert_array_equal(model.blend(a, b, t).eval(wi, wo), expected)
     half = 0.5 * (model.material(a).eval(wi, wo) + model.material(b).eval(wi, wo))
-    np.testing.assert_allclose(model.blend(a, b, 0.5).eval(wi, wo), half, rtol=1e-6)  # looked up in single precision
+    np.testing.assert_allclose(
+        model.blend(a, b, 0.5).eval(wi, wo), half, rtol=1e-6
+    )  # looked up in single precision
 
 
 def test_monochrome_predictions_agree_with_the_sum_written_out(library):
@@ -398,7 +400,8 @@ def test_monochrome_predictions_agree_with_the_sum_written_out(library):
     wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
     V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
     T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.load_materials()])
-    np.testing.assert_allclose(model.predict(x, colours).eval(wi, wo), (V @ T) ** 3, rtol=1e-6)  # roots in single precision
+    found = model.predict(x, colours).eval(wi, wo)
+    np.testing.assert_allclose(found, (V @ T) ** 3, rtol=1e-6)  # roots in single precision
     of_materials = V.reshape(3, len(model.names), -1).sum(axis=2).mean(axis=0)
     np.testing.assert_allclose(model.weights(x, colours), of_materials, rtol=1e-9)
     own = model.weights(model.X[1], model.space.colours[1])

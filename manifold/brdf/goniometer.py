@@ -203,7 +203,7 @@ def measure(
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
     for p, t in np.ndindex(vndf.shape[:2]):
         visible = _visible_normals(ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
-        vndf[p, t] = visible if warp_exponent == 1.0 else visible**warp_exponent
+        vndf[p, t] = visible**warp_exponent
     spectra, measured = _at_nodes(brdf, ndf, sigma, vndf, phi_i, theta_i, resolution)
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)

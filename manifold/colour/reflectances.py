@@ -106,7 +106,9 @@ class ReflectanceSpectrum:
                 f"{self.name}: wavelengths {nm.shape} and reflectances {values.shape}, expected as many, at least 2"
             )
         if not np.all(np.diff(nm) > 0) or not np.isfinite(nm[-1]):
-            raise UsageError(f"{self.name}: wavelengths do not increase, expected different ones in nm")
+            raise UsageError(
+                f"{self.name}: wavelengths do not increase, expected finite ones in nm, each once; sort them"
+            )
         if not np.all((values >= 0) & (values <= 1)):
             raise UsageError(
                 f"{self.name}: reflectances from {values.min():g} to {values.max():g}, expected 0 to 1; "

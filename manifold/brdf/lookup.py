@@ -117,12 +117,11 @@ def add_located(located, tables, weight, take_root, total):
             continue
         _eval_row(theta_i, phi_i, ux, uy, cos_o, True, tables, row)
         sums = total[k]
-        if take_root:
+        if take_root:  # in a loop of its own: beside sums in double precision, half as many roots at once
             for b in range(row.shape[0]):
-                sums[b] += weight * cube_root(row[b])
-        else:
-            for b in range(row.shape[0]):
-                sums[b] += weight * row[b]
+                row[b] = cube_root(row[b])
+        for b in range(row.shape[0]):
+            sums[b] += weight * row[b]
 
 
 @in_turn

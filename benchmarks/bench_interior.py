@@ -6,30 +6,37 @@ A model of the library; places at random inside the convex hull of its materials
 their default colours. A row per seed: how many have a hole in the highlight, negative values before they are cut, an
 albedo above 1.02; how far the ball moves (mean CIEDE2000) in a step of 0.01, and where a material's own coordinates are
 rounded to three decimals; how many of the places drawn were not supported. With --written, that many predictions at
-other random places are also written as files, plain and --physical, and their albedo and reciprocity are measured.
+other random places are also written as files, plain and --physical: their albedo at 0, 5, ... 85 degrees beside that of
+the predictions, their reciprocity error, and how far their balls are from those of the predictions. --count 0 leaves
+the rest out.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import Delaunay
 
-from manifold.brdf.measured import BRDF
-from manifold.brdf.plausibility import Plausibility, plausibility
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
+from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
+from manifold.model.colours import NEAREST, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.predicted_file import predict
+from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import KINDS, Settings
 from manifold.records import Array
 
 ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
+FILE_INCIDENCES_DEG = np.arange(0.0, 86.0, 5.0)
 STEP = 0.01
 
 
@@ -41,6 +48,16 @@ class Place:
     negative: float
     albedo: float
     step: float
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was measured on a file: albedo, its own and the prediction's, reciprocity error, ball from prediction's."""
+
+    albedo: float
+    predicted: float
+    reciprocity: float
+    ball: float
 
 
 class Interior:
@@ -81,12 +98,14 @@ class Interior:
             for name in model.names
         ]
 
-    def written(self, count: int, folder: Path, *, physical: bool) -> list[Plausibility]:
-        """What is measured on files of predictions at random places: albedo at 0, 5, ... 85 degrees."""
-        return [
-            predict(self._model, self.draw(), folder / "x.bsdf", physical=physical, force=True).plausibility
-            for _ in range(count)
-        ]
+    def written(self, folder: Path, *, physical: bool) -> Written:
+        """What is measured on the file of a prediction at a random place."""
+        x, path = self.draw(), folder / "x.bsdf"
+        found = predict(self._model, x, path, physical=physical, force=True).plausibility
+        brdf = ClippedBRDF(self._model.predict(x, choose_colour(self._model, x, NEAREST).colours))
+        albedo = brdf.albedo(from_spherical(np.deg2rad(FILE_INCIDENCES_DEG), 0.0)).max()
+        ball = self.apart(brdf, MeasuredBRDF(read_bsdf(path)))
+        return Written(found.max_albedo, float(albedo), found.reciprocity_error, ball)
 
     def apart(self, a: BRDF, b: BRDF) -> float:
         """Mean CIEDE2000 between two balls."""
@@ -95,8 +114,38 @@ class Interior:
         return ball_colours.delta_e(*xyz)
 
 
+def print_table(model: Manifold, count: int, seeds: Sequence[int]) -> None:
+    """A row per seed."""
+    print("| seed | holes over 10 % | more than 0.5 % negative | albedo above 1.02 (largest) | step of 0.01: median, "
+          "95th percentile, largest | rounded, largest | not supported |\n|---|---|---|---|---|---|---|")  # fmt: skip
+    for seed in seeds:
+        interior = Interior(model, seed)
+        places = [interior.measure(interior.draw()) for _ in range(count)]
+        hole, negative, albedo, step = (
+            np.array([getattr(p, name) for p in places]) for name in ("hole", "negative", "albedo", "step")
+        )
+        print(f"| {seed} | {np.mean(hole > 0.1):.1%} | {np.mean(negative > 0.005):.1%} | {np.mean(albedo > 1.02):.1%} "
+              f"({albedo.max():.2f}) | {np.median(step):.2f}, {np.quantile(step, 0.95):.2f}, {step.max():.2f} | "
+              f"{max(interior.rounded()):.2f} | {1.0 - count / interior.drawn:.0%} |", flush=True)  # fmt: skip
+
+
+def print_written(model: Manifold, count: int, *, physical: bool) -> None:
+    """A sentence on files."""
+    interior = Interior(model, 3)
+    with tempfile.TemporaryDirectory() as folder:
+        files = [interior.written(Path(folder), physical=physical) for _ in range(count)]
+    albedo, predicted, reciprocity, ball = (
+        np.array([getattr(f, name) for f in files]) for name in ("albedo", "predicted", "reciprocity", "ball")
+    )
+    print(f"{count} files{', --physical' * physical}: albedo at most {albedo.max():.3f} (predictions: "
+          f"{predicted.max():.3f}), above 1.05 in {np.sum(albedo > 1.05)}, above 1 in {np.sum(albedo > 1.0)}; "
+          f"reciprocity error at most {reciprocity.max():.3f}, above 5 % in {np.sum(reciprocity > 0.05)}; "
+          f"ball from the prediction's: median {np.median(ball):.2f}, largest {ball.max():.2f}",
+          flush=True)  # fmt: skip
+
+
 def main() -> None:
-    """Print the table."""
+    """Print what was asked for."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -109,25 +158,10 @@ def main() -> None:
     given = parser.parse_args()
     model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
     model.calibrate()
-    print("| seed | holes over 10 % | more than 0.5 % negative | albedo above 1.02 (largest) | step of 0.01: median, "
-          "95th percentile, largest | rounded, largest | not supported |\n|---|---|---|---|---|---|---|")  # fmt: skip
-    for seed in map(int, given.seeds.split(",")):
-        interior = Interior(model, seed)
-        places = [interior.measure(interior.draw()) for _ in range(given.count)]
-        hole, negative, albedo, step = (
-            np.array([getattr(p, name) for p in places]) for name in ("hole", "negative", "albedo", "step")
-        )
-        print(f"| {seed} | {np.mean(hole > 0.1):.1%} | {np.mean(negative > 0.005):.1%} | {np.mean(albedo > 1.02):.1%} "
-              f"({albedo.max():.2f}) | {np.median(step):.2f}, {np.quantile(step, 0.95):.2f}, {step.max():.2f} | "
-              f"{max(interior.rounded()):.2f} | {1.0 - given.count / interior.drawn:.0%} |", flush=True)  # fmt: skip
+    if given.count:
+        print_table(model, given.count, [int(seed) for seed in given.seeds.split(",")])
     for physical in (False, True) if given.written else ():
-        with tempfile.TemporaryDirectory() as folder:
-            files = Interior(model, 3).written(given.written, Path(folder), physical=physical)
-        albedo, reciprocity = (
-            np.array([getattr(f, n) for f in files]) for n in ("max_albedo", "reciprocity_error")
-        )
-        print(f"{given.written} files{', --physical' * physical}: albedo at most {albedo.max():.3f}, above 1.05 in "
-              f"{np.sum(albedo > 1.05)}; reciprocity error at most {reciprocity.max():.3f}")  # fmt: skip
+        print_written(model, given.written, physical=physical)
 
 
 if __name__ == "__main__":

@@ -150,6 +150,17 @@ def test_a_grid_spread_beyond_the_visible_normals_errs_less(alpha):
     assert mean_relative_error(alpha, in_mitsuba=False) < 0.8 * own  # measured: 0.55, 0.70, 0.71
 
 
+def test_a_diffuser_hardly_brightens_towards_the_horizon():
+    """Cells beyond the horizon hold zeros: linear interpolation of f_cos vanishes after it, and f is too high."""
+    brdf = MeasuredBRDF(goniometer.measure(Lambert(0.5, RGB), "diffuse"))
+    wi = from_spherical(np.deg2rad([20.0, 40.0, 60.0, 75.0])[:, None], 0.0)[:, None]
+    wo = from_spherical(np.deg2rad([[83.0], [85.0], [88.0]]), np.linspace(0.0, np.pi, 24)[None, :])
+    f = brdf.eval(wi, wo.reshape(1, -1, 3))[..., 0].reshape(4, 3, 24) * 2.0 * np.pi
+    median = np.median(f, axis=(0, 2))
+    np.testing.assert_allclose(median[:2], 1.0, rtol=0.02)  # measured: 0.5 %
+    assert median[2] < 1.25  # measured: 1.20; with as many nodes below the horizon as above 1.30
+
+
 def test_a_spread_grid_is_sampled_as_evenly_as_the_instruments():
     truth = Plastic(GGX.isotropic(0.05), 1.5, 0.3, RGB)
     u = np.random.default_rng(0).random((20_000, 2))

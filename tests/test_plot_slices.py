@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from small_library import measured, small_model
 
+from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.synthetic.analytic import Lambert
+from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, UsageError
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
@@ -43,6 +45,16 @@ def test_the_highlight_stands_in_the_mirror_direction(gloss):
         x, y = grid[0, column].lines[0].get_data()
         shown = np.abs(x) < 75
         assert x[shown][np.argmax(y[shown])] == pytest.approx(-incidence, abs=6.0)
+
+
+def test_slices_of_a_diffuser_are_level_to_their_ends():
+    """Beyond them f = f_cos / cos of its file rises, because linear interpolation does not vanish at the horizon."""
+    diffuser = MeasuredBRDF(goniometer.measure(Lambert(0.5, BANDS), "diffuse"))
+    lines = [axes.lines[0].get_data() for axes in angle_slices([Source("diffuse", diffuser)], [550.0]).axes]
+    assert all(np.ptp(x) == 170.0 for x, _ in lines)
+    np.testing.assert_allclose([y for _, y in lines], 0.5 / np.pi, rtol=0.2)  # the last degrees: 15 %
+    beyond = diffuser.eval(from_spherical(np.deg2rad(20.0), 0.0), from_spherical(np.deg2rad(89.0), np.pi))
+    assert beyond.max() > 0.6 / np.pi
 
 
 def test_felt_shows_no_highlight(felt, gloss):

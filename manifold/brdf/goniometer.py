@@ -30,6 +30,8 @@ _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions awa
 _LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
 _WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
+_BELOW_HORIZON = 0.1  # how much normals count that mirror light below the horizon, where cells hold zeros
+_FADE = 0.5  # sine of the angle below the horizon at which they would count nothing
 
 
 def default_theta_i(n: int) -> Array:
@@ -149,6 +151,20 @@ def _visible_normals(ndf: Array, wi: Array) -> Array:
     return ndf * np.maximum(m @ wi, 0.0) * jacobian
 
 
+def _node_density(ndf: Array, wi: Array, exponent: float) -> Array:
+    """Density of the nodes over the unit square (C, C), not normalised: a power of the visible normals' density.
+
+    Normals that mirror `wi` below the horizon count less, unless the density is the instrument's own (exponent 1).
+    """
+    visible = _visible_normals(ndf, wi)
+    if exponent == 1.0:
+        return visible
+    u = np.linspace(0.0, 1.0, ndf.shape[1])
+    m = from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
+    cos_o = 2.0 * (m @ wi) * m[..., 2] - wi[2]
+    return np.asarray((visible * np.clip(1.0 + cos_o / _FADE, _BELOW_HORIZON, 1.0)) ** exponent)
+
+
 def measure(
     brdf: BRDF,
     name: str,
@@ -173,7 +189,8 @@ def measure(
         n_phi_i: incident azimuths P; default 1 for an isotropic BRDF and 17 otherwise.
         compensate: move the node values so that linear interpolation errs least *between* the nodes; without
             it the file is exact at the nodes and about twice as far off elsewhere (docs/design/goniometer.md).
-        warp_exponent: the power; 1 is the instrument's own grid, which hardly looks beside a sharp highlight.
+        warp_exponent: the power; 1 is the instrument's own grid, which hardly looks beside a sharp highlight, and
+            looks below the horizon as much as above.
         steepest: factor by which the normal distribution may fall from one of its nodes to the next.
         version: pipeline version; it decides what a set bit of `valid` means.
     Returns:
@@ -202,8 +219,8 @@ def measure(
 
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)
     for p, t in np.ndindex(vndf.shape[:2]):
-        visible = _visible_normals(ndf, from_spherical(min(theta_i[t], HORIZON), phi_i[p]))
-        vndf[p, t] = visible**warp_exponent
+        wi = from_spherical(min(theta_i[t], HORIZON), phi_i[p])
+        vndf[p, t] = _node_density(ndf, wi, warp_exponent)
     spectra, measured = _at_nodes(brdf, ndf, sigma, vndf, phi_i, theta_i, resolution)
     if compensate:
         spectra = _compensate(spectra, measured, phi_i, theta_i)

@@ -21,7 +21,8 @@ INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
 """(theta_i, theta_o) of spectra, in the plane of incidence: negative is the mirror side."""
 
-_ELEVATIONS_DEG = np.linspace(-89.0, 89.0, 357)
+# Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (docs/design/goniometer.md).
+_ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
 _DECADES = 5.0  # that a logarithmic axis shows at most
 _IMAGE = 180  # pixels of a Rusinkiewicz image per side
 # Okabe & Ito: told apart by people who see colours differently; line styles tell them apart without colour.
@@ -56,7 +57,7 @@ class Source:
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
-    """f over the outgoing elevation in the plane of incidence, at 20, 40 and 60 degrees.
+    """f over the outgoing elevation in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
     A row per channel of linear sRGB under D65, or per wavelength where some are given.
 

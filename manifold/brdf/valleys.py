@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numba as nb
 import numpy as np
 
 from manifold.directions import from_spherical
@@ -27,10 +28,26 @@ def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tu
 
 def valley_depth(f: Array) -> Array:
     """How far profiles f (..., D) fall below the lower of the highest values on both sides, as a share of it, (...)."""
-    left = np.maximum.accumulate(f, axis=-1)
-    right = np.maximum.accumulate(f[..., ::-1], axis=-1)[..., ::-1]
-    sides = np.minimum(left, right)
-    return np.max(1.0 - f / np.maximum(sides, 1e-9), axis=-1)
+    f = np.asarray(f, dtype=np.float64)
+    depth = np.empty(f.shape[:-1])
+    _deepest(f.reshape(-1, f.shape[-1]), depth.reshape(-1))
+    return depth[()]
+
+
+@nb.njit(cache=True)
+def _deepest(f, depth):
+    """`valley_depth` of profiles (K, D), into depth (K,): running maxima of short rows are slow in numpy."""
+    left = np.empty(f.shape[1])  # the highest value up to each direction
+    for k in range(f.shape[0]):
+        highest = f[k, 0]
+        for d in range(f.shape[1]):
+            highest = np.maximum(highest, f[k, d])
+            left[d] = highest
+        highest, deepest = f[k, -1], 0.0
+        for d in range(f.shape[1] - 1, -1, -1):
+            highest = np.maximum(highest, f[k, d])
+            deepest = np.maximum(deepest, 1.0 - f[k, d] / max(min(left[d], highest), 1e-9))
+        depth[k] = deepest
 
 
 def valley_excess(u: Array, profiles: Array, limit: float) -> tuple[Array, Array]:
@@ -45,24 +62,26 @@ def valley_excess(u: Array, profiles: Array, limit: float) -> tuple[Array, Array
     """
     N, n_incidences, D, B = profiles.shape
     roots = (u @ profiles.reshape(N, -1)).reshape(len(u), n_incidences, D, B)
-    f = (roots**3).mean(axis=3)  # [K, I, D]
-    left = np.maximum.accumulate(f, axis=2)
-    right = np.maximum.accumulate(f[..., ::-1], axis=2)[..., ::-1]
-    depth = (1.0 - f / np.maximum(np.minimum(left, right), 1e-9)).reshape(len(u), -1)
-    deepest = depth.argmax(axis=1)
-    excess = np.maximum(depth[np.arange(len(u)), deepest] - limit, 0.0)
+    cubes = roots**3
+    f = sum(cubes[..., b] for b in range(B)) / B  # [K, I, D]; the mean is slow along a short axis
+    excess = np.maximum(valley_depth(f).max(axis=1) - limit, 0.0)
     gradient = np.zeros_like(u)
     k = np.flatnonzero(excess)
-    i, bottom = np.divmod(deepest[k], D)
+    f, roots = f[k], roots[k]
+    left = np.maximum.accumulate(f, axis=2)
+    right = np.maximum.accumulate(f[..., ::-1], axis=2)[..., ::-1]
+    depth = 1.0 - f / np.maximum(np.minimum(left, right), 1e-9)
+    i, bottom = np.divmod(depth.reshape(len(k), n_incidences * D).argmax(axis=1), D)
+    row = np.arange(len(k))
     at = np.arange(D)[None]
-    on_lower_side = np.where(left[k, i, bottom] <= right[k, i, bottom], 1, -1)
+    on_lower_side = np.where(left[row, i, bottom] <= right[row, i, bottom], 1, -1)
     beyond = (at - bottom[:, None]) * on_lower_side[:, None] <= 0
-    side = np.where(beyond, f[k, i], -1.0).argmax(axis=1)
+    side = np.where(beyond, f[row, i], -1.0).argmax(axis=1)
 
     def slope(d: Array) -> Array:
         """Gradient of f at incidences i and directions d by u, (len(k), N)."""
-        return np.einsum("kb,nkb->kn", roots[k, i, d] ** 2, profiles[:, i, d]) * (3.0 / B)
+        return np.einsum("kb,nkb->kn", roots[row, i, d] ** 2, profiles[:, i, d]) * (3.0 / B)
 
-    low, high = f[k, i, bottom][:, None], f[k, i, side][:, None]
+    low, high = f[row, i, bottom][:, None], f[row, i, side][:, None]
     gradient[k] = low / high**2 * slope(side) - slope(bottom) / high
     return excess, gradient

@@ -158,8 +158,9 @@ class _LayoutObjective:
 
     def _blends(self, X: Array, shares: Array, radius: float) -> tuple[float, Array]:
         """Mean of u^T V u, and of the cost, at the places `shares @ X`, shares (K, N), and its gradient by X."""
-        D = (shares @ X)[:, None] - X[None]  # [K, N, Q]
-        squared = np.sum(D * D, axis=2) + 1e-6 * radius**2
+        places, X = (np.ascontiguousarray(points.T) for points in (shares @ X, X))
+        D = places[:, :, None] - X[:, None]  # [Q, K, N]: numpy is slow along a short last axis
+        squared = np.sum(D * D, axis=0) + 1e-6 * radius**2
         log = -0.5 * squared / radius**2 - np.log(squared)
         u = np.exp(log - log.max(axis=1, keepdims=True))
         u /= u.sum(axis=1, keepdims=True)
@@ -169,8 +170,9 @@ class _LayoutObjective:
             more, steeper = self.cost(u)
             value, slope = value + more / _STRENGTH, slope + steeper / _STRENGTH
         d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True)) / len(shares)
-        d_D = (-d_log * (1.0 / radius**2 + 2.0 / squared))[..., None] * D
-        return float(value.mean()), shares.T @ d_D.sum(axis=1) - d_D.sum(axis=0)
+        d_D = -d_log * (1.0 / radius**2 + 2.0 / squared) * D
+        of_places = np.moveaxis(d_D, 2, 0).copy().sum(axis=0)  # [Q, K]
+        return float(value.mean()), shares.T @ of_places.T - d_D.sum(axis=1).T
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from manifold.colour.conversion import luminance, to_srgb, to_xyz
+from manifold.colour.conversion import decode_srgb, encode_srgb, luminance, to_srgb, to_xyz
 from manifold.colour.illuminants import illuminant_names
 from manifold.colour.metals import metal_ior, metal_names
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.colour.tables import OBSERVER, standard_tables
 from manifold.errors import ShapeError, UsageError
 from manifold.io_rgl import rgl_wavelengths_nm
 from manifold.records import Bands
@@ -155,12 +157,42 @@ def test_wrong_number_of_bands_is_refused():
         to_xyz(np.ones(194), BANDS)
 
 
-def test_colour_is_imported_lazily_and_quietly():
+def test_standard_tables_are_those_of_colour_science(tmp_path, monkeypatch):
+    import colour
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for made in ("computed", "kept"):  # the second from the file that the first left
+        standard_tables.cache_clear()
+        tables = standard_tables()
+        assert list(tables.illuminants) == list(colour.SDS_ILLUMINANTS), made
+        np.testing.assert_array_equal(tables.illuminants["D65"][1], colour.SDS_ILLUMINANTS["D65"].values)
+        np.testing.assert_array_equal(tables.observer[1], colour.MSDS_CMFS[OBSERVER].values)
+    standard_tables.cache_clear()
+    assert [path.name for path in (tmp_path / "manifold").iterdir()] == ["colour-science.json"]
+
+
+def test_display_values_are_those_of_colour_science():
+    from colour.models import eotf_inverse_sRGB, eotf_sRGB
+
+    x = np.linspace(0.0, 1.0, 1001)
+    np.testing.assert_allclose(encode_srgb(x), eotf_inverse_sRGB(x), rtol=1e-15)
+    np.testing.assert_allclose(decode_srgb(x), eotf_sRGB(x), rtol=1e-15)
+
+
+def test_colour_is_imported_lazily_and_quietly(tmp_path):
     code = (
         "import sys; from manifold import colour; assert 'colour' not in sys.modules;"
         "colour.metal_ior('Au', [550.0]); assert 'colour' not in sys.modules;"
         "assert 'mitsuba' not in sys.modules; colour.illuminant_names()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == ""
-    assert done.stderr == ""
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}  # where nothing is kept yet
+    for check in ("assert 'colour' in sys.modules", "assert 'colour' not in sys.modules"):
+        done = subprocess.run(
+            [sys.executable, "-c", f"{code}; {check}"],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=environment,
+        )
+        assert done.stdout == ""
+        assert done.stderr == ""

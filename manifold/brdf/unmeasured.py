@@ -74,7 +74,7 @@ def fill_unmeasured(file: BsdfFile, cells: Array | None = None) -> BsdfFile:
     cells = unmeasured_cells(file) if cells is None else cells
     if not np.any(cells):
         return file
-    spectra = file.spectra.copy()
+    spectra = file.spectra.copy(order="K")  # bands stay next to each other, as evaluation wants them
     for p, t in np.argwhere(np.any(cells, axis=(2, 3))):
         _fill(spectra[p, t], cells[p, t], np.any(spectra[p, t] != 0, axis=0) & ~cells[p, t])
     return replace(file, spectra=spectra)

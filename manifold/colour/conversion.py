@@ -7,12 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.colour.illuminants import Illuminant, illuminant_key
-from manifold.colour.tables import colour_science, distribution, frozen
+from manifold.colour.tables import colour_science, frozen, standard_tables
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands
-
-OBSERVER = "CIE 1931 2 Degree Standard Observer"
-"""The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -87,7 +84,7 @@ def sensor_responses(illuminant: Illuminant) -> tuple[Array, Array]:
     Raises:
         UsageError: the light has no power where the observer sees.
     """
-    nodes, matching = distribution(colour_science().MSDS_CMFS[OBSERVER])
+    nodes, matching = standard_tables().observer
     stimulus = illuminant.at(nodes)[:, None] * matching
     total = stimulus[:, 1].sum()
     if total <= 0.0:
@@ -117,20 +114,20 @@ def srgb_to_xyz(linear: Array) -> Array:
 
 def encode_srgb(linear: Array) -> Array:
     """Linear sRGB in [0, 1], shape (..., 3), as display values in [0, 1] (IEC 61966-2-1)."""
-    return np.asarray(colour_science().models.eotf_inverse_sRGB(np.clip(linear, 0.0, 1.0)))
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
 
 
 def decode_srgb(display: Array) -> Array:
     """Linear sRGB of display values in [0, 1], any shape (IEC 61966-2-1)."""
-    return np.asarray(colour_science().models.eotf_sRGB(np.asarray(display, dtype=np.float64)))
+    display = np.asarray(display, dtype=np.float64)
+    curve = ((np.maximum(display, 0.0) + 0.055) / 1.055) ** 2.4
+    return np.where(display <= 12.92 * 0.0031308, display / 12.92, curve)
 
 
-@lru_cache(maxsize=1)
 def srgb_matrix() -> Array:
-    """The matrix (3, 3) from linear sRGB to XYZ, from the primaries and white: the standard rounds it."""
-    colour = colour_science()
-    srgb = colour.RGB_COLOURSPACES["sRGB"]
-    return frozen(np.asarray(colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint), float))
+    """The matrix (3, 3) from linear sRGB to XYZ, read-only, from the primaries and white: the standard rounds it."""
+    return standard_tables().srgb
 
 
 def _adaptation(white: Array, target: Array) -> Array:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.columns import read_columns
-from manifold.colour.tables import colour_science, distribution, near_names
+from manifold.colour.tables import near_names, standard_tables
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Bands
 
@@ -20,7 +20,7 @@ _CIE_FLUORESCENT = {f"F{i}": f"FL{i}" for i in range(1, 13)}
 
 def illuminant_names() -> tuple[str, ...]:
     """The illuminants `to_xyz` knows: those of colour-science, and CIE's F1 to F12 for its FL1 to FL12."""
-    return (*colour_science().SDS_ILLUMINANTS, *_CIE_FLUORESCENT)
+    return (*standard_tables().illuminants, *_CIE_FLUORESCENT)
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Illuminant:
         Raises:
             UsageError: there is no such illuminant.
         """
-        nodes, power = distribution(colour_science().SDS_ILLUMINANTS[illuminant_key(name)])
+        nodes, power = standard_tables().illuminants[illuminant_key(name)]
         return cls(name, tuple(nodes.tolist()), tuple(power.tolist()))
 
     @classmethod
@@ -92,7 +92,6 @@ def illuminant_key(name: str) -> str:
         UsageError: there is no such illuminant.
     """
     key = _CIE_FLUORESCENT.get(name, name)
-    # colour's mappings ignore case in look-ups; membership by list keeps one spelling per illuminant.
-    if key not in list(colour_science().SDS_ILLUMINANTS):
+    if key not in standard_tables().illuminants:
         raise UsageError(f"no illuminant named {name!r}; {near_names(name, illuminant_names())}")
     return key

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.columns import read_columns
-from manifold.colour.conversion import to_srgb
+from manifold.colour.conversion import decode_srgb, to_srgb
 from manifold.colour.tables import colour_science, distribution, frozen, near_names
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.records import Array, Bands
@@ -65,7 +65,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
     display = np.asarray(display, dtype=np.float64)
     if display.shape != (3,) or not np.all((display >= 0) & (display <= 1)):
         raise ShapeError(f"an sRGB colour is {display.tolist()}, expected three values from 0 to 1")
-    linear = np.asarray(colour_science().models.eotf_sRGB(display), float)
+    linear = decode_srgb(display)
     return linear if bands.is_rgb else np.clip(linear @ srgb_spectra(bands), 0.0, 1.0)
 
 

@@ -1,16 +1,23 @@
-"""colour-science, imported on first use, and its tables as plain arrays."""
+"""colour-science, imported on first use, and its tables as plain arrays; the most used without importing it again."""
 
 from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
+from importlib import metadata
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from manifold.records import Array
+from manifold.system.remembered import remembered
+
+OBSERVER = "CIE 1931 2 Degree Standard Observer"
+"""The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
 
 
 @lru_cache(maxsize=1)
@@ -21,6 +28,46 @@ def colour_science() -> ModuleType:
         import colour
         import colour.quality
     return colour
+
+
+@dataclass(frozen=True, eq=False)
+class StandardTables:
+    """What nearly every command needs of colour-science.
+
+    Attributes:
+        illuminants: wavelengths in nm and relative power, shape (K,) each, by name.
+        observer: wavelengths in nm, shape (K,), and colour-matching functions, shape (K, 3).
+        srgb: from linear sRGB to XYZ, shape (3, 3), from the primaries and white: the standard rounds it.
+    """
+
+    illuminants: Mapping[str, tuple[Array, Array]]
+    observer: tuple[Array, Array]
+    srgb: Array
+
+
+@lru_cache(maxsize=1)
+def standard_tables() -> StandardTables:
+    """Illuminants, observer and sRGB; colour-science, which takes a second to import, is asked once per version."""
+    values = remembered("colour-science.json", metadata.version("colour-science"), _standard_values)
+    illuminants, observer, srgb = (values[key] for key in ("illuminants", "observer", "srgb"))
+    return StandardTables(
+        {name: _pair(*table) for name, table in illuminants.items()}, _pair(*observer), frozen(np.array(srgb))
+    )
+
+
+def _standard_values() -> dict[str, Any]:
+    colour = colour_science()
+    srgb = colour.RGB_COLOURSPACES["sRGB"]
+    tables = {name: distribution(table) for name, table in colour.SDS_ILLUMINANTS.items()}
+    return {
+        "illuminants": {name: [a.tolist() for a in table] for name, table in tables.items()},
+        "observer": [a.tolist() for a in distribution(colour.MSDS_CMFS[OBSERVER])],
+        "srgb": colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint).tolist(),
+    }
+
+
+def _pair(nm: list[float], values: list[Any]) -> tuple[Array, Array]:
+    return frozen(np.array(nm, dtype=np.float64)), frozen(np.array(values, dtype=np.float64))
 
 
 def distribution(table: object) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ from manifold.records import Array
 
 _MOST_METADATA = 16 << 20  # bytes
 _MOST_ARRAY = 4 << 30  # bytes
+zarr.config.set({"codec_pipeline.batch_size": 1024})  # by default every chunk of a shard is a task of its own
 _CODECS = ("BytesCodec", "ShardingCodec")  # of this package: no few bytes stand for many
 
 

@@ -26,6 +26,7 @@ from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import BsdfFile
 from manifold.system import atomic
+from manifold.system.remembered import cache_folder
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 """Dr.Jit's environment variable for the libLLVM to use; where it is set, that one is tried first."""
@@ -211,8 +212,7 @@ def tried(library: Path, attempt: Callable[[Path], str] = probe, *, refresh: boo
 
 def cache_path() -> Path:
     """The file of remembered answers, in the user's cache folder."""
-    root = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(root).expanduser() / "manifold" / "renderers.json"
+    return cache_folder() / "renderers.json"
 
 
 def _cache_key(library: Path) -> str:

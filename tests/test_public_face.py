@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -83,3 +84,14 @@ def test_the_readme_runs(tmp_path, monkeypatch):
     assert set(names["fit"].values) >= {"base_color", "roughness"}
     assert names["found"].relative_error < 0.05  # of the library itself: the posterior beside the material
     assert Path("model.h5").is_file()
+    n = len(NAMES)
+    assert repr(manifold.Library.open("library.zarr")) == f"<Library: library.zarr, {n} materials, RGB>"
+    assert repr(names["model"]).startswith(f"<Manifold: {n} materials, RGB, 2 dimensions, kind blend")
+    assert repr(names["halfway"]).startswith("<PredictedBRDF: RGB, of syn_")
+    assert repr(names["brdf"]) == "MeasuredBRDF('syn_satin_gold', RGB)"
+
+
+def test_a_library_that_went_away_can_still_be_printed(tmp_path):
+    library = manifold.Library.create(tmp_path / "library.zarr", manifold.Bands(None))
+    shutil.rmtree(library.path)
+    assert repr(library) == "<Library: library.zarr, cannot be read, RGB>"

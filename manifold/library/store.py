@@ -67,6 +67,13 @@ class Library:
         self.path = path
         self.bands = bands
 
+    def __repr__(self) -> str:
+        try:
+            held = f"{len(self)} materials"
+        except LibraryError:
+            held = "cannot be read"
+        return f"<Library: {self.path.name}, {held}, {self.bands}>"
+
     @classmethod
     def open(cls, path: Path | str) -> Library:
         """Open a library for reading; a read-only folder will do.

@@ -79,6 +79,12 @@ class PredictedBRDF:
         self._sampling_weights = shares / shares.sum()
         self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
 
+    def __repr__(self) -> str:
+        largest = np.argsort(-self._sampling_weights)[:3]
+        names = [getattr(self._samplers[k], "name", "analytic lobes") for k in largest]
+        more = ", ..." if len(self._samplers) > len(largest) else ""
+        return f"<PredictedBRDF: {self.bands}, of {', '.join(names)}{more}>"
+
     def _sampled_parts(self, totals: Array) -> tuple[Array, list[LobeSampling]]:
         """Sampling weights of materials and lobes, from those of samples or atoms; drops lobes without weight."""
         N, dictionary = len(self._materials), self._dictionary

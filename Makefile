@@ -1,8 +1,8 @@
 # Everything sets itself up: a Debian machine with Python 3.11 or newer is enough.
 BIN := .venv/bin
 OUT ?= demo
-# Tests are shared out among processes, file by file; SHARED= runs them one after the other.
-SHARED ?= -n auto --maxprocesses 8 --dist loadfile
+# Tests are shared out among processes, file by file, long files first; SHARED= runs them one after the other.
+SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
 

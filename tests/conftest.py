@@ -18,6 +18,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
     )  # or programs that tests interrupt would ignore it, too
 
 SLOW_LEFT = pytest.StashKey[int]()
+LONGEST = ("stability_catalogue", "cli", "bsdf_plugin", "workflows", "brdf", "chart")
+"""Test files that take longest: first, or one process is left with them when the others are done."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take longest first, otherwise as collected."""
+    place = {f"test_{name}.py": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
 
 
 def pytest_deselected(items: list[pytest.Item]) -> None:

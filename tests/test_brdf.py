@@ -13,14 +13,17 @@ from hypothesis import strategies as st
 from mitsuba_reference import measured
 from sample_files import sample_file
 
+from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.synthetic import corpus
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import ShapeError
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.records import Bands
 
 PAIRS = 20_000
+ANISOTROPIC = {m.name for m in corpus.anisotropic_materials()}
 BY_NAME = {m.name: m for m in corpus.isotropic_materials() + corpus.anisotropic_materials()}
 
 # Ten files of the corpus: dull to sharp, the 48 x 48 and 64 x 64 ones, three anisotropic, two RGB.
@@ -49,16 +52,24 @@ def random_directions(rng, n):
 
 @pytest.fixture(scope="module")
 def corpus_file(tmp_path_factory):
-    """Path of a corpus file, measured once per module. Few bands keep the anisotropic ones small."""
+    """Path of a corpus file, measured once per module; the anisotropic ones without noise, in few bands."""
     folder = tmp_path_factory.mktemp("corpus")
 
     def path_of(name, rgb):
         path = folder / f"{name}_{'rgb' if rgb else 'spec'}.bsdf"
         if not path.exists():
-            write_bsdf(path, corpus.measure(BY_NAME[name], rgb=rgb))
+            made = few_bands if name in ANISOTROPIC else corpus.measure
+            write_bsdf(path, made(BY_NAME[name], rgb=rgb))
         return path
 
     return path_of
+
+
+def few_bands(material, *, rgb):
+    """A material measured at nine wavelengths, or at three that stand for RGB."""
+    bands = Bands((465.0, 525.0, 630.0) if rgb else tuple(np.linspace(360.0, 1000.0, 9)))
+    file = goniometer.measure(material.truth(bands), material.name, resolution=material.resolution)
+    return replace(file, wavelengths_nm=None) if rgb else file
 
 
 def reference_tables(file, wi, wo):

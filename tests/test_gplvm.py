@@ -213,7 +213,7 @@ def test_direct_local_search_gains_about_as_much_as_the_gradient(rng):
 def test_several_starts_gain_more_than_one_descent(rng):
     """They include the descent: what can fail is that relocations and searches add anything."""
     gains = []
-    for _ in range(12):
+    for _ in range(6):
         Y = curved(rng, 15, q=3)
         several, one = (GPLVM(optimizer=name).fit(Y).objective_ for name in ("multistart", "l-bfgs"))
         gains.append(one - several)

@@ -30,8 +30,8 @@ from manifold.workflows import renders
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}
 
 
-def run(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command line in a folder."""
+def run_apart(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command line in a folder, as a process of its own."""
     code = "from manifold.cli.main import run; run()"
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -264,27 +264,30 @@ def test_ciede2000_maps_are_those_of_single_colours():
 # -- command line ---------------------------------------------------------------------------------------------
 
 
-def test_render_and_compare_on_the_command_line(folder, tmp_path):
+def test_render_and_compare_on_the_command_line(folder, tmp_path, run):
     common = ("--size", "32", "--samples", "16")
     for name, output in (("syn_gloss_red_rgb", "a.exr"), ("syn_felt_green_rgb", "b.png")):
-        done = run(folder, "render", f"{name}.bsdf", "-o", str(tmp_path / output), *common, "--json", "-")
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout)["material"] == name.removesuffix("_rgb")
-    done = run(tmp_path, "compare", "a.exr", "b.png", "-o", "c.png", "--json", "c.json")
-    assert done.returncode == 0, done.stderr
+        status, out, err = run(
+            "render", f"{name}.bsdf", "-o", tmp_path / output, *common, "--json", "-", cwd=folder
+        )
+        assert status == 0, err
+        assert json.loads(out)["material"] == name.removesuffix("_rgb")
+    status, _, err = run("compare", "a.exr", "b.png", "-o", "c.png", "--json", "c.json", cwd=tmp_path)
+    assert status == 0, err
     numbers = json.loads((tmp_path / "c.json").read_text())
     assert numbers["ciede2000"]["p95"] > 20  # red against green
     assert 0 < numbers["flip"]["mean"] < 1
     assert images.read_image(tmp_path / "c.png").shape[2] == 3
 
 
-def test_a_latent_renders_like_its_prediction(folder, tmp_path):
-    done = run(
-        folder, "render", "--latent", "0.1,-0.1", "-o", str(tmp_path / "latent.exr"), "--size", "24", "--samples", "16",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    done = run(folder, "predict", "--latent", "0.1,-0.1", "-o", str(tmp_path / "p_rgb.bsdf"))
-    assert done.returncode == 0, done.stderr
+def test_a_latent_renders_like_its_prediction(folder, tmp_path, run):
+    at, size = ("--latent", "0.1,-0.1"), ("--size", "24", "--samples", "16")
+    for arguments in (
+        ("render", *at, "-o", tmp_path / "latent.exr", *size),
+        ("predict", *at, "-o", tmp_path / "p_rgb.bsdf"),
+    ):
+        status, _, err = run(*arguments, cwd=folder)
+        assert status == 0, err
     source = renders.file_source(tmp_path / "p_rgb.bsdf")
     picture = render_bsdf(source.material, True, RenderSettings(size=24, samples=16))
     np.testing.assert_allclose(images.read_image(tmp_path / "latent.exr"), picture, rtol=1e-2, atol=1e-3)
@@ -305,7 +308,7 @@ def test_a_picture_of_the_surroundings_is_seen_in_the_ball(folder, tmp_path):
 
 def test_scalar_variants_make_the_same_picture(folder):
     source = folder / "syn_satin_gold_spec.bsdf"
-    done = run(
+    done = run_apart(
         folder, "render", source.name, "-o", "scalar.exr", "--size", "16", "--samples", "100",
         MANIFOLD_RENDERER="scalar",
     )  # fmt: skip

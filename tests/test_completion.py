@@ -27,12 +27,14 @@ from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import posteriors
+from manifold.models.mixtures import posterior
 from manifold.models.nearby import covariance, nearby_factors, places
 from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Bands
 
 DIRECTIONS = geometry_ma_t12()
+APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
+"""Places of nine readings that have nothing to do with each other."""
 
 
 @pytest.fixture(scope="module")
@@ -58,17 +60,23 @@ def random_samples(rng, n=5, P=9, Q=40):
 # -- hypotheses -------------------------------------------------------------------------------------------------
 
 
+def of_materials(count, per=2):
+    """Groups of samples, and of the Lambertian."""
+    return np.append(np.repeat(np.arange(count), per), count)
+
+
 def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(rng):
-    at, _, gram = random_samples(rng)
-    target, weights = rng.random(9) + 0.2, rng.random(9) + 0.5
-    found = posteriors(at, target, weights, gram, (0.1,))[0]
+    at, _, gram = random_samples(rng, n=6)
+    target, weights, where = rng.random(9) + 0.2, rng.random(9) + 0.5, rng.random((9, 3)) * 6.0
+    found = posterior(at, target, weights, where, gram, of_materials(3))
     assert found.probability.sum() == pytest.approx(1.0)
-    amplitude = np.sqrt(weights) / (0.1 * np.sqrt(target**2 + 0.09 * np.average(target**2, weights=weights)))
+    level = np.sqrt(target**2 + np.average(target**2, weights=weights))
+    noise = np.diag(0.015**2 / weights) + 0.03**2 * covariance(where / 2.0, where / 2.0)
 
     def cost(k, a, lambertian):
         mixed = found.share[k] * at[found.first[k]] + (1 - found.share[k]) * at[found.second[k]]
-        wrong = (a * mixed + lambertian * at[-1] - target) * amplitude
-        return wrong @ wrong + 4.0 * (a - 1.0) ** 2 + 4.0 * lambertian**2
+        wrong = (a * mixed + lambertian * at[-1] - target) / level
+        return wrong @ np.linalg.solve(noise, wrong) + ((a - 1.0) / 0.15) ** 2 + (lambertian / 0.5) ** 2
 
     for k in rng.choice(len(found.share), 20, replace=False):
         best = cost(k, found.scale[k], found.lambertian[k])
@@ -80,7 +88,7 @@ def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(r
 def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     target = 0.5 * at[1] + 0.5 * at[4]
-    found = posteriors(at, target, np.ones(9), gram)[0]
+    found = posterior(at, target, np.ones(9), APART, gram, of_materials(3))
     best = found.likeliest(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
     np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
@@ -88,21 +96,48 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     np.testing.assert_allclose(found.probability @ weights, found.mean)
 
 
+def candidates(at, target, where, gram):
+    """How many mixtures a posterior is spread over: the exponential of its entropy."""
+    p = posterior(at, target, np.ones(9), where, gram, of_materials(3)).probability
+    return np.exp(-np.sum(p * np.log(p + 1e-300)))
+
+
 def test_no_mixture_is_certain_where_none_meets_the_readings(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     near, far = at[1] * 1.02, at[1] * np.where(np.arange(9) % 2, 1.6, 0.6)
-    certain, open_ = (posteriors(at, target, np.ones(9), gram)[0].probability for target in (near, far))
-    assert np.exp(-np.sum(open_ * np.log(open_ + 1e-300))) > 3.0 * np.exp(
-        -np.sum(certain * np.log(certain + 1e-300))
+    assert candidates(at, far, APART, gram) > 3.0 * candidates(at, near, APART, gram)
+
+
+def test_what_mixtures_miss_at_neighbouring_readings_is_counted_once(rng):
+    """Three readings beside each other that are all 10 % brighter tell less against a mixture than three apart."""
+    at, _, gram = random_samples(rng, n=6, P=9)
+    brighter = at[1] * np.where(np.arange(9) < 3, 1.1, 1.0)
+    together = APART.copy()
+    together[:3] = [[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.6, 0.0]]  # in three cells
+    doubt_beside, doubt_apart = (
+        1.0 - posterior(at, brighter, np.ones(9), where, gram, of_materials(3)).probability[1]
+        for where in (together, APART)
     )
+    assert doubt_beside < 0.5 * doubt_apart
+
+
+def test_a_material_of_the_library_is_likelier_than_a_mixture_of_two_that_reads_the_same(rng):
+    at, everywhere, _ = random_samples(rng, n=6, P=9)
+    at[3], everywhere[3] = 0.5 * (at[0] + at[5]), 0.5 * (everywhere[0] + everywhere[5])
+    gram = everywhere @ everywhere.T / everywhere.shape[1]
+    found = posterior(at, at[3], np.ones(9), APART, gram, of_materials(3))
+    alone = found.probability[3]
+    both = (found.first == 0) & (found.second == 5) & (found.share == 0.5)
+    # 15 mixtures are within a material, 36 of two.
+    assert alone / found.probability[both].sum() == pytest.approx(0.8 / 15 / (0.2 / 36), rel=1e-6)
 
 
 def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     truth = np.array([[0.5, 0, 0.3, 0, 0, 0, 0.2], [0.2, 0, 0.6, 0, 0, 0, 0.1]])
     targets = truth @ at
-    group = np.append(np.repeat(np.arange(3), 2), 3)
-    structure = posteriors(at, targets.mean(axis=0), np.ones(9), gram)[0].mean
+    group = of_materials(3)
+    structure = posterior(at, targets.mean(axis=0), np.ones(9), APART, gram, group).mean
     found = completion_weights(at, targets, np.ones(9), gram, group, structure)
     assert found.min() >= 0.0
     assert np.abs(found @ at - targets).max() < 0.05 * targets.max()
@@ -238,6 +273,14 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(samples, library):
     np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
     assert len(made.spread_at(wi, wo)) == 12
+
+
+def test_a_reading_without_light_has_an_error_that_can_be_told(samples, library):
+    brdf = MeasuredBRDF(Library.open(library).read("syn_paper_white"))
+    values = brdf.eval(*DIRECTIONS)
+    values[5] = 0.0
+    made = complete(samples, readings(values))
+    assert 0.1 < made.misfits[5] < 20.0  # of a tenth of the mean, which the others have
 
 
 def test_expected_errors_are_learned_from_the_other_materials(samples):

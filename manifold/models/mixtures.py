@@ -6,28 +6,27 @@ readings: many mixtures meet them. They are all tried, and averaged by how well 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
+from manifold.models.nearby import cells, covariance
 from manifold.records import Array
 
 _SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
-_MOST_PAIRS = 40_000  # pairs of samples; of larger libraries as many at random
-SHARP = 0.02
-"""Noise of cube roots, as a share of them, by which mixtures give the best completions."""
-
-BROAD = 0.1
-"""Noise by which what they differ in tells how wrong completions are."""
-
+_MOST_PAIRS = 40_000  # pairs of samples of two materials; of larger libraries as many at random
+_ONE_MATERIAL = 0.8  # how likely a material is like one of the library, in one band or between two
+_NOISE = 0.015  # of cube roots, as a share of them and of their root mean square
+_MISSED = 0.03  # by which mixtures miss materials, as a share of the same
+_REACH = 2.0  # how far that reaches, in lengths of `nearby`
 _FREEDOM = (
-    8.0  # degrees of freedom of the noise: where no mixture meets the readings, it was larger than thought
+    3.0  # degrees of freedom of both: where no mixture meets the readings, they were larger than thought
 )
-_FLOOR = 0.3  # of the root mean square: where values are small, the noise is of this
-_SCALE_SPREAD = 0.5  # samples are met at their own level, give or take this
+_SCALE_SPREAD = 0.15  # samples are met at their own level, give or take this
 _LAMBERTIAN_SPREAD = 0.5
+_RELATIVE = 5.0  # exponent of the norm
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,55 +74,65 @@ class Mixtures:
         return some[np.argsort(-self.probability[some], kind="stable")]
 
 
-def posteriors(
-    samples: Array,
-    target: Array,
-    weights: Array,
-    gram: Array,
-    noises: Sequence[float] = (SHARP,),
-    *,
-    relative: float = 6.0,
-) -> list[Mixtures]:
-    """How likely mixtures of two samples are, given readings of a material, for every noise.
+def posterior(
+    samples: Array, target: Array, weights: Array, where: Array, gram: Array, group: Array
+) -> Mixtures:
+    """How likely mixtures of two samples are, given readings of a material.
 
     Scale and Lambertian of every mixture are those that meet the readings best, near the level of the samples. The
-    likelihood is Student's t in cube roots, of noise that is not quite known: where no mixture meets the readings, none
-    is certain. It is divided by `(v gram v)^(relative / 2)`, v being a mixture's weights: errors are relative, and a
-    highlight that is not there costs more than one that is missed.
+    likelihood is Student's t in cube roots: what mixtures miss is alike at directions nearby, so that readings there
+    are not independent, and its size is not quite known: where no mixture meets the readings, none is certain. It is
+    divided by the fifth power of the mixture's norm: errors are relative, and a highlight that is not there costs more
+    than one that is missed.
 
     Args:
         samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
         target: cube roots of the material there, shape (P,).
         weights: of the readings, shape (P,).
+        where: places of the readings, see `nearby.places`, shape (P, 3).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
-        noises: of cube roots, as a share of them.
-        relative: exponent of the norm.
+        group: which material a sample is of, shape (n + 1,).
     """
-    n = len(samples) - 1
-    amplitude = np.sqrt(weights / (target**2 + _FLOOR**2 * np.average(target**2, weights=weights) + 1e-12))
-    X, y = samples * amplitude, target * amplitude
+    first, second, share, log_prior = _pairs(group.tobytes(), group.dtype.str)
+    X, y = _independent(samples, target, weights, where)
     with_target = X @ y
-    first, second, share = _pairs(n)
     at_readings, everywhere = (_Products.of(inner, first, second, share) for inner in (X @ X.T, gram))
     a_target = share * with_target[first] + (1.0 - share) * with_target[second]
-    found = []
-    for noise in noises:
-        # Misfit times noise^2: what is known of scale and Lambertian beforehand is weighed instead.
-        known_scale, known_lambertian = (noise / _SCALE_SPREAD) ** 2, (noise / _LAMBERTIAN_SPREAD) ** 2
-        told = _Products(at_readings.aa + known_scale, at_readings.al, at_readings.ll + known_lambertian)
-        scale, lambertian = _two_nonnegative(
-            told.aa, told.al, told.ll, a_target + known_scale, float(with_target[n])
-        )
-        misfit = told.norm(scale, lambertian) - 2.0 * (
-            (a_target + known_scale) * scale + with_target[n] * lambertian
-        )
-        misfit = np.maximum(misfit + y @ y + known_scale, 0.0)
-        norm = np.maximum(everywhere.norm(scale, lambertian), np.finfo(float).tiny)
-        log_likelihood = -0.5 * (_FREEDOM + len(y)) * np.log1p(misfit / (_FREEDOM * noise**2))
-        log_probability = log_likelihood - 0.5 * relative * np.log(norm)
-        probability = np.exp(log_probability - log_probability.max())
-        found.append(Mixtures(first, second, share, scale, lambertian, probability / probability.sum(), n))
-    return found
+    # What is known of scale and Lambertian beforehand.
+    of_scale, of_lambertian = _SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
+    told = _Products(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
+    scale, lambertian = _two_nonnegative(
+        told.aa, told.al, told.ll, a_target + of_scale, float(with_target[-1])
+    )
+    misfit = told.norm(scale, lambertian) - 2.0 * (
+        (a_target + of_scale) * scale + with_target[-1] * lambertian
+    )
+    misfit = np.maximum(misfit + y @ y + of_scale, 0.0)
+    log_likelihood = -0.5 * (_FREEDOM + len(y)) * np.log1p(misfit / _FREEDOM)
+    norm = np.maximum(everywhere.norm(scale, lambertian), np.finfo(float).tiny)
+    log_probability = log_prior + log_likelihood - 0.5 * _RELATIVE * np.log(norm)
+    probability = np.exp(log_probability - log_probability.max())
+    return Mixtures(
+        first, second, share, scale, lambertian, probability / probability.sum(), len(samples) - 1
+    )
+
+
+def _independent(samples: Array, target: Array, weights: Array, where: Array) -> tuple[Array, Array]:
+    """Samples (n + 1, C) and target (C,), of which the differences are independent and of variance 1.
+
+    C readings, or averages of some that are nearer to each other than mixtures tell apart.
+    """
+    cell = cells(where)
+    total = np.bincount(cell, weights)
+
+    def averaged(rows: Array) -> Array:
+        return np.array([np.bincount(cell, row * weights) for row in rows]) / total
+
+    read, places = averaged(np.vstack([samples, target])), averaged(where.T).T
+    level = np.sqrt(read[-1] ** 2 + np.average(read[-1] ** 2, weights=total) + 1e-12)
+    noise = np.diag(_NOISE**2 / total) + _MISSED**2 * covariance(places / _REACH, places / _REACH)
+    apart = solve_triangular(np.linalg.cholesky(noise), (read / level).T, lower=True).T
+    return apart[:-1], apart[-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,16 +157,24 @@ class _Products:
 
 
 @lru_cache(maxsize=4)
-def _pairs(n: int) -> tuple[Array, Array, Array]:
-    """Indices and shares of all mixtures of n samples: each alone, and every pair in every share."""
-    i, j = np.triu_indices(n, 1)
-    if len(i) > _MOST_PAIRS:
-        some = np.random.default_rng(0).choice(len(i), _MOST_PAIRS, replace=False)
-        i, j = i[some], j[some]
-    alone = np.arange(n)
+def _pairs(group: bytes, dtype: str) -> tuple[Array, Array, Array, Array]:
+    """Indices, shares and logarithms of the prior of all mixtures: each sample alone, and every pair in every share."""
+    of = np.frombuffer(group, dtype)[:-1]
+    i, j = np.triu_indices(len(of), 1)
+    is_one = of[i] == of[j]
+    two = np.flatnonzero(~is_one)
+    if len(two) > _MOST_PAIRS:
+        two = np.sort(np.random.default_rng(0).choice(two, _MOST_PAIRS, replace=False))
+    kept = np.concatenate([np.flatnonzero(is_one), two])
+    alone, i, j = np.arange(len(of)), i[kept], j[kept]
     first = np.concatenate([alone, *([i] * len(_SHARES))])
     second = np.concatenate([alone, *([j] * len(_SHARES))])
-    return first, second, np.concatenate([np.ones(n), np.repeat(_SHARES, len(i))])
+    is_one = of[first] == of[second]
+    count_one = int(is_one.sum())
+    prior = np.where(
+        is_one, _ONE_MATERIAL / count_one, (1.0 - _ONE_MATERIAL) / max(len(first) - count_one, 1)
+    )
+    return first, second, np.concatenate([np.ones(len(of)), np.repeat(_SHARES, len(i))]), np.log(prior)
 
 
 def _two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:

@@ -73,7 +73,7 @@ def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Arra
         weights: of the readings, shape (P,).
     Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
     """
-    cell = _cells(where)
+    cell = cells(where)
     count = int(cell.max()) + 1
     missed = (targets - predicted) / np.maximum(predicted, _FLOOR * predicted.mean(axis=1, keepdims=True))
     missed = np.clip(
@@ -102,8 +102,8 @@ def covariance(a: Array, b: Array) -> Array:
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
 
 
-def _cells(where: Array) -> Array:
-    """Which cell each place (P, 3) is in, shape (P,): half a length wide, or as wide as leaves few of them."""
+def cells(where: Array) -> Array:
+    """Which cell each place (P, 3) is in, shape (P,): half a length wide, or as wide as leaves 256 at most."""
     width = _CELL
     while True:
         _, cell = np.unique(np.floor(where / width), axis=0, return_inverse=True)

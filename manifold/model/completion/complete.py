@@ -14,13 +14,14 @@ from manifold.model.completion.corrected import CorrectedBRDF
 from manifold.model.completion.reading_bands import beyond, for_library, in_all_bands
 from manifold.model.completion.samples import LibrarySamples, ball_places, grid_places
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import BROAD, SHARP, Mixtures, posteriors
+from manifold.models.mixtures import Mixtures, posterior
 from manifold.models.nearby import NearbyFactors, nearby_factors, places
 from manifold.records import Array
 
 _HYPOTHESES = 200  # mixtures by which the spread is told
 _SHOWN_ALTERNATIVES = 5
 _SEES_MIRRORS_DEG = 5.0  # highlights of what is not a mirror are wider
+_DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
 
 
@@ -49,7 +50,7 @@ class Completion:
         samples: what it is made of.
         readings: in the bands that were compared.
         at_readings: cube roots of samples there, shape (n + 1, P).
-        hypotheses: mixtures that may be its structure, and how likely they are, by readings that may be wrong a little.
+        hypotheses: mixtures that may be its structure, and how likely they are.
         weights: of samples in the bands of the library, shape (B, n + 1).
         nearby: what the readings say of directions near them beyond that, in the bands of the library.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
@@ -102,12 +103,12 @@ class Completion:
 
     @cached_property
     def misfits(self) -> Array:
-        """Relative error of cube roots at every reading over its bands, shape (P,)."""
+        """Relative error of cube roots at every reading over its bands, of dark ones to a tenth of the mean, (P,)."""
         is_read = self.readings.measured
         read = np.cbrt(np.maximum(np.where(is_read, self.readings.values, 0.0), 0.0))
         wrong = np.where(is_read, np.cbrt(self.predicted) - read, 0.0)
-        norm = np.maximum(np.linalg.norm(read, axis=1), np.finfo(float).tiny)
-        return np.linalg.norm(wrong, axis=1) / norm
+        norm = np.linalg.norm(read, axis=1)
+        return np.linalg.norm(wrong, axis=1) / np.maximum(norm, _DARK * norm.mean())
 
     @cached_property
     def likeliest(self) -> tuple[Array, Array]:
@@ -195,14 +196,15 @@ def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array)
     """`complete`, where cube roots of samples at the readings (n + 1, P) are at hand."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
     structure, gram = _structure(readings), samples.gram
-    sharp, broad = posteriors(at_readings, structure, weights, gram, (SHARP, BROAD))
+    where = places(readings.wi, readings.wo)
+    found = posterior(at_readings, structure, weights, where, gram, samples.material_of)
     targets = np.cbrt(np.maximum(readings.values, 0.0)).T
-    found = completion_weights(at_readings, targets, weights, gram, samples.material_of, sharp.mean)
-    mixed, where = found @ at_readings, places(readings.wi, readings.wo)
+    made = completion_weights(at_readings, targets, weights, gram, samples.material_of, found.mean)
+    mixed = made @ at_readings
     nearby = nearby_factors(targets, mixed, where, readings.weights)
     whole = nearby.with_strength(in_all_bands(nearby.strength, readings, samples.bands))
     return Completion(
-        samples, readings, at_readings, broad, in_all_bands(found, readings, samples.bands), whole,
+        samples, readings, at_readings, found, in_all_bands(made, readings, samples.bands), whole,
         (mixed * nearby.at(where)).T ** 3,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from manifold.colour.conversion import decode_srgb, encode_srgb, luminance, to_srgb, to_xyz
+from manifold.colour.conversion import decode_srgb, encode_srgb, luminance, to_srgb, to_xyz, xyz_to_srgb
 from manifold.colour.illuminants import illuminant_names
 from manifold.colour.metals import metal_ior, metal_names
 from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
@@ -169,6 +169,16 @@ def test_standard_tables_are_those_of_colour_science(tmp_path, monkeypatch):
         np.testing.assert_array_equal(tables.observer[1], colour.MSDS_CMFS[OBSERVER].values)
     standard_tables.cache_clear()
     assert [path.name for path in (tmp_path / "manifold").iterdir()] == ["colour-science.json"]
+
+
+def test_white_is_adapted_as_by_colour_science():
+    import colour
+
+    a, d65 = (to_xyz(np.ones(195), BANDS, name) for name in ("A", "D65"))
+    matrix = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
+    xyz = np.array([0.2, 0.3, 0.1])
+    expected = xyz_to_srgb(matrix @ xyz, d65)
+    np.testing.assert_allclose(xyz_to_srgb(xyz, a), expected, rtol=1e-12)
 
 
 def test_display_values_are_those_of_colour_science():

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.colour.illuminants import Illuminant, illuminant_key
-from manifold.colour.tables import colour_science, frozen, standard_tables
+from manifold.colour.tables import frozen, standard_tables
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands
 
@@ -132,8 +132,8 @@ def srgb_matrix() -> Array:
 
 def _adaptation(white: Array, target: Array) -> Array:
     """Bradford's matrix (3, 3) that takes XYZ seen under one white to XYZ seen under another."""
-    adaptation = colour_science().adaptation
-    return np.asarray(adaptation.matrix_chromatic_adaptation_VonKries(white, target, transform="Bradford"))
+    bradford = standard_tables().bradford
+    return np.linalg.inv(bradford) @ np.diag(bradford @ target / (bradford @ white)) @ bradford
 
 
 def _require_bands(values: Array, bands: Bands) -> Array:

@@ -38,20 +38,24 @@ class StandardTables:
         illuminants: wavelengths in nm and relative power, shape (K,) each, by name.
         observer: wavelengths in nm, shape (K,), and colour-matching functions, shape (K, 3).
         srgb: from linear sRGB to XYZ, shape (3, 3), from the primaries and white: the standard rounds it.
+        bradford: from XYZ to the cone responses that adaptation scales, shape (3, 3).
     """
 
     illuminants: Mapping[str, tuple[Array, Array]]
     observer: tuple[Array, Array]
     srgb: Array
+    bradford: Array
 
 
 @lru_cache(maxsize=1)
 def standard_tables() -> StandardTables:
-    """Illuminants, observer and sRGB; colour-science, which takes a second to import, is asked once per version."""
-    values = remembered("colour-science.json", metadata.version("colour-science"), _standard_values)
-    illuminants, observer, srgb = (values[key] for key in ("illuminants", "observer", "srgb"))
+    """Illuminants, observer and matrices; colour-science, which takes a second to import, is asked once per version."""
+    names = ("illuminants", "observer", "srgb", "bradford")
+    key = f"{', '.join(names)} of colour-science {metadata.version('colour-science')}"
+    values = remembered("colour-science.json", key, _standard_values)
+    illuminants, observer, srgb, bradford = (values[name] for name in names)
     return StandardTables(
-        {name: _pair(*table) for name, table in illuminants.items()}, _pair(*observer), frozen(np.array(srgb))
+        {name: _pair(*table) for name, table in illuminants.items()}, _pair(*observer), *_pair(srgb, bradford)
     )
 
 
@@ -63,11 +67,12 @@ def _standard_values() -> dict[str, Any]:
         "illuminants": {name: [a.tolist() for a in table] for name, table in tables.items()},
         "observer": [a.tolist() for a in distribution(colour.MSDS_CMFS[OBSERVER])],
         "srgb": colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint).tolist(),
+        "bradford": colour.adaptation.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"].tolist(),
     }
 
 
-def _pair(nm: list[float], values: list[Any]) -> tuple[Array, Array]:
-    return frozen(np.array(nm, dtype=np.float64)), frozen(np.array(values, dtype=np.float64))
+def _pair(first: list[Any], second: list[Any]) -> tuple[Array, Array]:
+    return frozen(np.array(first, dtype=np.float64)), frozen(np.array(second, dtype=np.float64))
 
 
 def distribution(table: object) -> tuple[Array, Array]:

@@ -7,15 +7,17 @@ import json
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from manifold import __version__
 from manifold.fitting import fit_check
 from manifold.fitting.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily
-from manifold.fitting.principled import FitResult
 from manifold.rendering.plugin_names import require_plugins, types_of
 from manifold.system import atomic, small_files
+
+if TYPE_CHECKING:
+    from manifold.fitting.principled import FitResult
 
 FORMAT_VERSION = 1
 PROGRAM = f"manifold {__version__}"

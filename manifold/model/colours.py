@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
-from manifold.model.manifold import Manifold
 from manifold.records import Array
+
+if TYPE_CHECKING:
+    from manifold.model.manifold import Manifold
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import correlate1d
 
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000, delta_e_itp, to_lab
@@ -174,4 +173,6 @@ def _strength(picture: Array, profile: Array, gaussian: Array) -> Array:
 
 def _blur(picture: Array, down: Array, across: Array) -> Array:
     """Correlation with one profile per axis; the picture goes on as it ends."""
+    from scipy.ndimage import correlate1d  # which pictures that are not compared do without
+
     return correlate1d(correlate1d(picture, down, axis=0, mode="nearest"), across, axis=1, mode="nearest")

@@ -1,4 +1,7 @@
-"""What a file, a library or a model holds, as rows and tables for `manifold info`."""
+"""What a file, a library or a model holds, as rows and tables for `manifold info`.
+
+What only one of them needs (zarr, Numba, models) is imported where it is used.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
 from manifold.formats import registry, tensor_file
 from manifold.io_rgl import read_bsdf
-from manifold.library.store import Library
-from manifold.model.manifold import Manifold
 from manifold.model.model_file import HDF5_MAGIC, MAGIC
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend, libllvm
@@ -82,6 +82,8 @@ def _begins_with(path: Path, *magic: bytes) -> bool:
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
+    from manifold.brdf.unmeasured import unmeasured_cells, unmeasured_share
+
     P, T, B, H, W = file.spectra.shape
     mask = file.measured_mask
     share = unmeasured_share(file, unmeasured_cells(file))
@@ -117,6 +119,8 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
 
 
 def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
+    from manifold.library.store import Library
+
     library = Library.open(path)
     info = library.info
     synthetic = sum(m.is_synthetic for m in info.materials)
@@ -158,6 +162,8 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
 
 
 def _inspect_model(path: Path, library: Path | None) -> Inspection:
+    from manifold.model.manifold import Manifold
+
     model = Manifold.load(path, library)
     s = model.settings
     rows: dict[str, object] = {

@@ -1,4 +1,7 @@
-"""Pictures: one function per command, paths in, paths and results out."""
+"""Pictures: one function per command, paths in, paths and results out.
+
+What a measured file does without (models, fits, figures) is imported where it is used: it takes a second and a half.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,18 +20,17 @@ from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
-from manifold.fitting import fit_json
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.model import diagnostics, predicted_file
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
-from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
-from manifold.plots import figures, plot_comparison
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.image_metrics import Summary
 from manifold.rendering.render import RenderSettings, render_bsdf, render_material, require_d65
 from manifold.system import temporary
+
+if TYPE_CHECKING:
+    from manifold.model.diagnostics import Diagnosis
 
 RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see both
 
@@ -121,6 +123,8 @@ def file_source(path: Path) -> Source:
         UsageError: Mitsuba's `measured` does not take it.
     """
     if path.suffix == ".json":
+        from manifold.fitting import fit_json
+
         content = fit_json.read(path)
         spectral = content["mitsuba_spectral"]
         material = content["mitsuba"] if spectral is None else spectral
@@ -158,6 +162,7 @@ def latent_source(
         raise UsageError(
             f"--direct needs Mitsuba's LLVM variants; {backend.INSTALL}, or leave it out: a .bsdf is rendered then"
         )
+    from manifold.model import diagnostics, predicted_file
     from manifold.rendering.plugin.bsdf import load_model
 
     loaded = load_model(model, library)
@@ -288,6 +293,8 @@ def compare(
         UsageError: one is a material and the other a picture, or the figure cannot be written.
         ShapeError: the pictures have different sizes.
     """
+    from manifold.plots import figures, plot_comparison
+
     figures.require_writable(output)
     are_materials = [path.suffix in (".bsdf", ".json") for path in (a, b)]
     if any(are_materials) and not all(are_materials):

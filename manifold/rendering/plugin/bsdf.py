@@ -19,18 +19,21 @@ Properties:
         weights of the others are fitted again. 0 by default, which keeps all.
 """
 
+# Models and what evaluates them are imported where they are used: the plugin is registered for every render.
+
 from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from manifold.errors import UsageError
 from manifold.model.colours import ColourChoice
-from manifold.model.manifold import Manifold
 from manifold.rendering import backend
-from manifold.rendering.plugin.evaluation import Evaluation
-from manifold.rendering.plugin.mixture import Mixture, fixed_mixture, varying_mixture
+
+if TYPE_CHECKING:
+    from manifold.model.manifold import Manifold
+    from manifold.rendering.plugin.mixture import Mixture
 
 NAME = "manifold"
 _registered: set[str] = set()
@@ -62,6 +65,8 @@ def _refuse(properties: Any) -> Any:
 @lru_cache(maxsize=4)
 def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
     """Models stay open: scenes are loaded often. With the hash of what the library held then."""
+    from manifold.model.manifold import Manifold
+
     loaded = Manifold.load(path, library)
     return loaded, loaded.library.content_hash
 
@@ -87,6 +92,8 @@ def _plugin_class(mi: Any, variant: str) -> Any:
     class ManifoldBSDF(mi.BSDF):
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
+            from manifold.rendering.plugin.evaluation import Evaluation
+
             model = load_model(_path(properties, "model"), _optional_path(properties, "library"))
             if model.bands.is_rgb == is_spectral:
                 kind = "RGB" if model.bands.is_rgb else "spectral"
@@ -142,6 +149,8 @@ def _plugin_class(mi: Any, variant: str) -> Any:
 
 def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], Mixture]:
     """The textures of the latent, none where it is fixed, and the mixture."""
+    from manifold.rendering.plugin.mixture import fixed_mixture, varying_mixture
+
     names = [f"latent_{k}" for k in range(model.settings.latent_dim)]
     given = [name for name in names if name in properties]
     tolerance = float(properties.get("tolerance", 0.0))

@@ -251,28 +251,28 @@ class _BestPlace:
     """Places of N materials, products of their paths at K coordinates with a target (N, K, B), and with each other."""
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:
-        self._X, self._l, self._cross = X, length_scale, cross.reshape(len(X), -1)
-        self._n_bands = cross.shape[2]
+        self._X, self._l, self._cross = X, length_scale, cross
         self._rows = gram.reshape(-1, len(X))  # [K N, N]
 
     def place(self, bands: Array, norm: float) -> Array:
         """The place (Q,) with the least squared residual in some bands, whose squared norm is given."""
-        X = self._X
+        X, cross = self._X, self._cross[:, :, bands]
 
-        def residual(x: Array) -> float:
-            inner, squared = self._products(x)
-            inner = inner[:, bands]
-            return norm - float(np.sum(np.max(inner**2 / squared, axis=0)))
+        def residuals(x: Array) -> Array:
+            """At places (M, Q), shape (M,)."""
+            inner, squared = self._products(x, cross)
+            return norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
 
         rng = np.random.default_rng(0)
         count = min(3, len(X))
         chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
         places = np.vstack([X, [rng.dirichlet(np.ones(count)) @ X[k] for k in chosen]])
-        order = np.argsort([residual(x) for x in places], kind="stable")[:_REFINED_PLACES]
+        order = np.argsort(residuals(places), kind="stable")[:_REFINED_PLACES]
         steps = np.vstack([np.zeros(X.shape[1]), 0.2 * self._l * np.eye(X.shape[1])])
         ends = [
             minimize(
-                residual, x, method="Nelder-Mead", options={"initial_simplex": x + steps, "maxfev": _EVALUATIONS}
+                lambda x: float(residuals(x[None])[0]), x, method="Nelder-Mead",
+                options={"initial_simplex": x + steps, "maxfev": _EVALUATIONS},
             )
             for x in places[order]
         ]  # fmt: skip
@@ -280,13 +280,13 @@ class _BestPlace:
 
     def coordinates(self, x: Array) -> tuple[Array, Array]:
         """Which coordinate is best at a place x (Q,), per band, and the gain there, (B,) each."""
-        inner, squared = self._products(x)
+        inner, squared = (found[0] for found in self._products(x[None], self._cross))
         k = np.argmax(inner**2 / squared, axis=0)
         return k, inner[k, np.arange(len(k))] / squared[k, 0]
 
-    def _products(self, x: Array) -> tuple[Array, Array]:
-        """Products of a blend at all coordinates with the target, (K, B), at least 0, and squared norms (K, 1)."""
-        u = blend_weights(x[None], self._X, self._l)[0]
-        inner = np.maximum(u @ self._cross, 0.0).reshape(-1, self._n_bands)
-        squared = (self._rows @ u).reshape(-1, len(u)) @ u
-        return inner, np.maximum(squared, 1e-12)[:, None]
+    def _products(self, x: Array, cross: Array) -> tuple[Array, Array]:
+        """Products of blends at places (M, Q) with a target, (M, K, B), at least 0, and squared norms (M, K, 1)."""
+        u = blend_weights(x, self._X, self._l)
+        inner = np.maximum(u @ cross.reshape(len(cross), -1), 0.0).reshape(len(u), *cross.shape[1:])
+        squared = (u @ self._rows.T).reshape(len(u), -1, u.shape[1]) @ u[:, :, None]
+        return inner, np.maximum(squared, 1e-12)

@@ -1,22 +1,26 @@
-"""The work behind `manifold embed` and `manifold report`."""
+"""The work behind `manifold embed` and `manifold report`.
+
+Reports, figures and choices are imported where they are used: with scikit-learn and matplotlib they take two seconds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
-from manifold.experiments.evaluation import selection
-from manifold.experiments.evaluation.report import Report, make_report
-from manifold.experiments.evaluation.selection import Candidate
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
-from manifold.plots import figures, plot_latents
 from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
+
+if TYPE_CHECKING:
+    from manifold.experiments.evaluation.report import Report
+    from manifold.experiments.evaluation.selection import Candidate
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ def embed(
     opened = Library.open(library)
     candidates: list[Candidate] = []
     if auto_mapping or auto_latent_dim:
+        from manifold.experiments.evaluation import selection
+
         with stage("Reading materials") as step:
             materials = []
             for name in opened.names:
@@ -76,6 +82,9 @@ def report(
     on_progress: Progress | None = None,
 ) -> Report:
     """Evaluate a model and other methods, see `make_report`; with `picture`, also draw the map of its latents."""
+    from manifold.experiments.evaluation.report import make_report
+    from manifold.plots import figures, plot_latents
+
     if picture is not None:
         figures.require_writable(picture)
     loaded = Manifold.load(model, library)

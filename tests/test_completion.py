@@ -26,6 +26,7 @@ from manifold.model.completion.hybrid import InstrumentCorrection, combine, corr
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
+from manifold.models.band_mixtures import band_mixtures
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import posterior
 from manifold.models.nearby import covariance, nearby_factors, places
@@ -71,7 +72,7 @@ def test_mixtures_meet_the_readings_as_a_search_over_scale_and_lambertian_does(r
     found = posterior(at, target, weights, where, gram, of_materials(3))
     assert found.probability.sum() == pytest.approx(1.0)
     level = np.sqrt(target**2 + np.average(target**2, weights=weights))
-    noise = np.diag(0.015**2 / weights) + 0.03**2 * covariance(where / 2.0, where / 2.0)
+    noise = np.diag(0.02**2 / weights) + 0.04**2 * covariance(where / 2.0, where / 2.0)
 
     def cost(k, a, lambertian):
         mixed = found.share[k] * at[found.first[k]] + (1 - found.share[k]) * at[found.second[k]]
@@ -136,15 +137,59 @@ def test_weights_are_never_negative_and_meet_what_samples_can(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     truth = np.array([[0.5, 0, 0.3, 0, 0, 0, 0.2], [0.2, 0, 0.6, 0, 0, 0, 0.1]])
     targets = truth @ at
-    group = of_materials(3)
-    structure = posterior(at, targets.mean(axis=0), np.ones(9), APART, gram, group).mean
-    found = completion_weights(at, targets, np.ones(9), gram, group, structure)
+    supposed = np.tile(truth.mean(axis=0), (2, 1))
+    found = completion_weights(at, targets, np.ones(9), gram, supposed)
     assert found.min() >= 0.0
     assert np.abs(found @ at - targets).max() < 0.05 * targets.max()
     targets[1, :4] = np.nan
-    some = completion_weights(at, targets, np.ones(9), gram, group, structure)
+    some = completion_weights(at, targets, np.ones(9), gram, supposed)
     assert np.isfinite(some).all()
     assert np.abs(some[1] @ at - truth[1] @ at).max() < 0.1 * targets[0].max()
+    targets[1] = np.nan
+    np.testing.assert_allclose(completion_weights(at, targets, np.ones(9), gram, supposed)[1], supposed[1])
+
+
+def white_and_tinted_coats(rng):
+    """Two bands of three materials at nine readings: the first is grey, the others are red below a highlight.
+
+    The mean over bands of the second and the third is the same, but the second's highlight is white.
+    """
+    highlight = np.exp(-np.arange(9.0) / 2.0)
+    body = 0.5 + 0.1 * rng.random(9)
+    materials = [[body, body], [0.4 * body + highlight, 1.6 * body + highlight]]
+    materials.append([0.4 * (body + highlight), 1.6 * (body + highlight)])
+    return np.vstack([np.array(materials).reshape(6, 9), np.full((1, 9), 0.7)])
+
+
+def test_colours_tell_a_white_highlight_from_a_tinted_one_of_the_same_mean(rng):
+    at = white_and_tinted_coats(rng)
+    gram = at @ at.T / 9.0
+    group = of_materials(3)
+    for material in (1, 2):
+        targets = 0.9 * at[group == material]
+        of_mean = posterior(at, targets.mean(axis=0), np.ones(9), APART, gram, group)
+        found = band_mixtures(of_mean, at, targets, np.ones(9), APART, gram, group)
+        assert found.probability.sum() == pytest.approx(1.0)
+        likeliest = np.bincount(group, found.weights[0])
+        assert likeliest.argmax() == material
+        assert found.probability[0] > 0.5
+        assert np.abs(found.mean @ at - targets).max() < 0.05 * targets.max()
+        assert found.mean.min() >= 0.0
+
+
+def test_bands_that_were_not_measured_are_not_asked(rng):
+    at = white_and_tinted_coats(rng)
+    gram, group = at @ at.T / 9.0, of_materials(3)
+    targets = at[group == 1]
+    of_mean = posterior(at, targets.mean(axis=0), np.ones(9), APART, gram, group)
+    gaps = targets.copy()
+    gaps[1, 2:4] = np.nan
+    full, some = (band_mixtures(of_mean, at, t, np.ones(9), APART, gram, group) for t in (targets, gaps))
+    np.testing.assert_allclose(some.mean @ at, full.mean @ at, atol=0.05)
+    gaps[1] = np.nan
+    nothing = band_mixtures(of_mean, at, gaps, np.ones(9), APART, gram, group)
+    np.testing.assert_allclose(nothing.mean[0] @ at, targets[0], atol=0.05)
+    np.testing.assert_allclose(nothing.mean[1], nothing.mean[0])
 
 
 def test_what_is_missed_at_readings_is_carried_to_their_neighbourhood(rng):

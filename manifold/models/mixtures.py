@@ -17,16 +17,20 @@ from manifold.records import Array
 
 _SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
 _MOST_PAIRS = 40_000  # pairs of samples of two materials; of larger libraries as many at random
-_ONE_MATERIAL = 0.8  # how likely a material is like one of the library, in one band or between two
-_NOISE = 0.015  # of cube roots, as a share of them and of their root mean square
-_MISSED = 0.03  # by which mixtures miss materials, as a share of the same
+_NOISE = 0.02  # of cube roots, as a share of them and of their root mean square
+_MISSED = 0.04  # by which mixtures miss materials, as a share of the same
 _REACH = 2.0  # how far that reaches, in lengths of `nearby`
 _FREEDOM = (
     3.0  # degrees of freedom of both: where no mixture meets the readings, they were larger than thought
 )
-_SCALE_SPREAD = 0.15  # samples are met at their own level, give or take this
 _LAMBERTIAN_SPREAD = 0.5
 _RELATIVE = 5.0  # exponent of the norm
+
+LIKE_ONE = 0.8
+"""How likely a material is like one of the library, in one band or between two, before anything is read."""
+
+SCALE_SPREAD = 0.15
+"""Samples are met at their own level, give or take this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +98,13 @@ def posterior(
         group: which material a sample is of, shape (n + 1,).
     """
     first, second, share, log_prior = _pairs(group.tobytes(), group.dtype.str)
-    X, y = _independent(samples, target, weights, where)
+    X, targets = independent(samples, target[None], weights, where)
+    y = targets[0]
     with_target = X @ y
     at_readings, everywhere = (_Products.of(inner, first, second, share) for inner in (X @ X.T, gram))
     a_target = share * with_target[first] + (1.0 - share) * with_target[second]
     # What is known of scale and Lambertian beforehand.
-    of_scale, of_lambertian = _SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
+    of_scale, of_lambertian = SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
     told = _Products(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
     scale, lambertian = _two_nonnegative(
         told.aa, told.al, told.ll, a_target + of_scale, float(with_target[-1])
@@ -108,19 +113,37 @@ def posterior(
         (a_target + of_scale) * scale + with_target[-1] * lambertian
     )
     misfit = np.maximum(misfit + y @ y + of_scale, 0.0)
-    log_likelihood = -0.5 * (_FREEDOM + len(y)) * np.log1p(misfit / _FREEDOM)
-    norm = np.maximum(everywhere.norm(scale, lambertian), np.finfo(float).tiny)
-    log_probability = log_prior + log_likelihood - 0.5 * _RELATIVE * np.log(norm)
+    norm = everywhere.norm(scale, lambertian)
+    probability = normalised(log_prior + log_likelihood(misfit, len(y)) - log_of_norm(norm))
+    return Mixtures(first, second, share, scale, lambertian, probability, len(samples) - 1)
+
+
+def log_likelihood(misfit: Array, count: float) -> Array:
+    """Of Student's t, up to a constant: of squared errors in units of their variance, and how many they are."""
+    return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
+
+
+def log_of_norm(norm: Array) -> Array:
+    """What a mixture's squared norm over all directions costs it: errors are relative."""
+    return np.asarray(0.5 * _RELATIVE * np.log(np.maximum(norm, np.finfo(float).tiny)))
+
+
+def normalised(log_probability: Array) -> Array:
+    """Probabilities of sum 1."""
     probability = np.exp(log_probability - log_probability.max())
-    return Mixtures(
-        first, second, share, scale, lambertian, probability / probability.sum(), len(samples) - 1
-    )
+    return np.asarray(probability / probability.sum())
 
 
-def _independent(samples: Array, target: Array, weights: Array, where: Array) -> tuple[Array, Array]:
-    """Samples (n + 1, C) and target (C,), of which the differences are independent and of variance 1.
+def independent(samples: Array, targets: Array, weights: Array, where: Array) -> tuple[Array, Array]:
+    """Samples (n + 1, C) and targets (B, C), of which the differences are independent and of variance 1.
 
     C readings, or averages of some that are nearer to each other than mixtures tell apart.
+
+    Args:
+        samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
+        targets: cube roots of the material there, shape (B, P).
+        weights: of the readings, shape (P,).
+        where: places of the readings, see `nearby.places`, shape (P, 3).
     """
     cell = cells(where)
     total = np.bincount(cell, weights)
@@ -128,11 +151,13 @@ def _independent(samples: Array, target: Array, weights: Array, where: Array) ->
     def averaged(rows: Array) -> Array:
         return np.array([np.bincount(cell, row * weights) for row in rows]) / total
 
-    read, places = averaged(np.vstack([samples, target])), averaged(where.T).T
-    level = np.sqrt(read[-1] ** 2 + np.average(read[-1] ** 2, weights=total) + 1e-12)
+    read, of_targets, places = averaged(samples), averaged(targets), averaged(where.T).T
+    square = np.mean(of_targets**2, axis=0)
+    level = np.sqrt(square + np.average(square, weights=total) + 1e-12)
     noise = np.diag(_NOISE**2 / total) + _MISSED**2 * covariance(places / _REACH, places / _REACH)
-    apart = solve_triangular(np.linalg.cholesky(noise), (read / level).T, lower=True).T
-    return apart[:-1], apart[-1]
+    L = np.linalg.cholesky(noise)
+    apart = [solve_triangular(L, (rows / level).T, lower=True).T for rows in (read, of_targets)]
+    return apart[0], apart[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +196,7 @@ def _pairs(group: bytes, dtype: str) -> tuple[Array, Array, Array, Array]:
     second = np.concatenate([alone, *([j] * len(_SHARES))])
     is_one = of[first] == of[second]
     count_one = int(is_one.sum())
-    prior = np.where(
-        is_one, _ONE_MATERIAL / count_one, (1.0 - _ONE_MATERIAL) / max(len(first) - count_one, 1)
-    )
+    prior = np.where(is_one, LIKE_ONE / count_one, (1.0 - LIKE_ONE) / max(len(first) - count_one, 1))
     return first, second, np.concatenate([np.ones(len(of)), np.repeat(_SHARES, len(i))]), np.log(prior)
 
 

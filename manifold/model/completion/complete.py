@@ -13,12 +13,12 @@ from manifold.metrics import cosine_weight
 from manifold.model.completion.corrected import CorrectedBRDF
 from manifold.model.completion.reading_bands import beyond, for_library, in_all_bands
 from manifold.model.completion.samples import LibrarySamples, ball_places, grid_places
+from manifold.models.band_mixtures import BandMixtures, band_mixtures
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import Mixtures, posterior
+from manifold.models.mixtures import posterior
 from manifold.models.nearby import NearbyFactors, nearby_factors, places
 from manifold.records import Array
 
-_HYPOTHESES = 200  # mixtures by which the spread is told
 _SHOWN_ALTERNATIVES = 5
 _SEES_MIRRORS_DEG = 5.0  # highlights of what is not a mirror are wider
 _DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
@@ -50,7 +50,7 @@ class Completion:
         samples: what it is made of.
         readings: in the bands that were compared.
         at_readings: cube roots of samples there, shape (n + 1, P).
-        hypotheses: mixtures that may be its structure, and how likely they are.
+        hypotheses: mixtures of materials that it may be, and how likely they are.
         weights: of samples in the bands of the library, shape (B, n + 1).
         nearby: what the readings say of directions near them beyond that, in the bands of the library.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
@@ -59,7 +59,7 @@ class Completion:
     samples: LibrarySamples
     readings: Readings
     at_readings: Array
-    hypotheses: Mixtures
+    hypotheses: BandMixtures
     weights: Array
     nearby: NearbyFactors
     predicted: Array
@@ -111,16 +111,9 @@ class Completion:
         return np.linalg.norm(wrong, axis=1) / np.maximum(norm, _DARK * norm.mean())
 
     @cached_property
-    def likeliest(self) -> tuple[Array, Array]:
-        """Probabilities (h,) of the likeliest hypotheses, of sum 1, and their weights (h, n + 1)."""
-        chosen = self.hypotheses.likeliest(_HYPOTHESES)
-        probability = self.hypotheses.probability[chosen]
-        return probability / probability.sum(), self.hypotheses.weights(chosen)
-
-    @cached_property
     def spread(self) -> float:
         """Standard deviation of hypotheses over all directions and the ball, relative to their mean, in cube roots."""
-        probability, weights = self.likeliest
+        probability, weights = self.hypotheses.probability, self.hypotheses.weights
         curves = weights @ self.samples.directions
         mean = probability @ curves
         variance = probability @ ((curves - mean) ** 2 @ self.samples.weights)
@@ -128,7 +121,7 @@ class Completion:
 
     def spread_at(self, wi: Array, wo: Array) -> Array:
         """Standard deviation of hypotheses about f at direction pairs (P, 3), relative to their mean, shape (P,)."""
-        probability, weights = self.likeliest
+        probability, weights = self.hypotheses.probability, self.hypotheses.weights
         curves = (weights @ self.samples.at(wi, wo)) ** 3
         mean = probability @ curves
         variance = probability @ (curves - mean) ** 2
@@ -137,7 +130,7 @@ class Completion:
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
         """Hypotheses that look different from each other on the ball, likeliest first."""
-        probability, weights = self.likeliest
+        probability, weights = self.hypotheses.probability, self.hypotheses.weights
         on_ball = slice(self.samples.n_grid, None)
         curves = weights @ self.samples.directions[:, on_ball]
         importance = self.samples.weights[on_ball]
@@ -195,11 +188,11 @@ def complete(samples: LibrarySamples, readings: Readings) -> Completion:
 def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array) -> Completion:
     """`complete`, where cube roots of samples at the readings (n + 1, P) are at hand."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
-    structure, gram = _structure(readings), samples.gram
-    where = places(readings.wi, readings.wo)
-    found = posterior(at_readings, structure, weights, where, gram, samples.material_of)
+    where, gram, group = places(readings.wi, readings.wo), samples.gram, samples.material_of
+    of_mean = posterior(at_readings, _structure(readings), weights, where, gram, group)
     targets = np.cbrt(np.maximum(readings.values, 0.0)).T
-    made = completion_weights(at_readings, targets, weights, gram, samples.material_of, found.mean)
+    found = band_mixtures(of_mean, at_readings, targets, weights, where, gram, group)
+    made = completion_weights(at_readings, targets, weights, gram, found.mean)
     mixed = made @ at_readings
     nearby = nearby_factors(targets, mixed, where, readings.weights)
     whole = nearby.with_strength(in_all_bands(nearby.strength, readings, samples.bands))

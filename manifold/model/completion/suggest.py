@@ -79,7 +79,9 @@ def readings_to_take(
         probability, weights, taken = np.full(n, 1.0 / n), np.eye(n, n + 1), np.zeros((n + 1, 0))
         near = np.zeros((0, 3))
     else:
-        (probability, weights), taken, near = known.likeliest, known.at_readings, known.nearby.readings
+        held = known.hypotheses
+        probability, weights = held.probability, held.weights
+        taken, near = known.at_readings, known.nearby.readings
     structure = hypotheses(
         weights @ samples.directions[:, : samples.n_grid], _pixels(weights @ samples.ball), weights @ at,
         probability, samples.weights[: samples.n_grid],

@@ -2,7 +2,8 @@
 
 Prints the mean relative error in percent for GGX over a diffuse base, and with --choices what each choice of
 docs/design/goniometer.md contributes; with --corpus the same error of the materials of the built-in corpus, without
-noise.
+noise. With --predictions, files of 24 random places inside the map of a model are compared with the predictions
+themselves, and with --neural those of published neural fits with the fits, for each spread of the outgoing grid.
 """
 
 from __future__ import annotations
@@ -11,15 +12,23 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
 from manifold.brdf.synthetic import GGX, Plastic, corpus
+from manifold.brdf.synthetic.neural import read_neural_fits
+from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
+from manifold.metrics import cube_root_error
+from manifold.model.manifold import Manifold
+from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Bands, BsdfFile
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -28,6 +37,11 @@ ALPHAS = (0.05, 0.1, 0.3, 0.6)
 SETTINGS = ((32, 8), (32, 16), (64, 32))  # outgoing grid, incident elevations
 FOUR_BANDS = Bands((450.0, 520.0, 590.0, 660.0))
 LIMIT = np.cos(np.deg2rad(80.0))
+SHARPEST = 0.02  # alpha, of what the spread of the outgoing grid is about
+EXPONENTS = (1.0, 0.75, 0.5, 0.35, 0.25)
+PLACES = 24
+MOST_VALLEY = 0.1
+DARK = 1e-3  # f_cos in 1/sr: less is compared with this
 
 
 def material(alpha: float) -> Plastic:
@@ -73,14 +87,47 @@ def evaluate_in_mitsuba(file: BsdfFile, wi: Array, wo: Array) -> Array:
         return measured(path, wi, wo, nm)[0]
 
 
-def corpus_error(entry: corpus.Material, n: int = 4_000, **options: object) -> tuple[float, float]:
+def corpus_error(entry: corpus.Material, n: int = 4_000) -> tuple[float, float]:
     """Mean and 90th percentile of the relative error of f_cos of a noiseless file, over four bands."""
     truth = entry.truth(FOUR_BANDS)
-    file = goniometer.measure(truth, entry.name, resolution=entry.resolution, **options)  # type: ignore[arg-type]
+    file = goniometer.measure(truth, entry.name, resolution=entry.resolution, warp_exponent=1.0)
     wi, wo = direction_pairs(0.1, n)
     expected = truth.eval_cos(wi, wo)
     error = np.abs(evaluate_in_mitsuba(file, wi, wo) - expected) / expected
     return float(error.mean()), float(np.quantile(error, 0.9))
+
+
+def deviation(brdf: BRDF, n: int = 4_000, **options: object) -> tuple[float, float, float, float]:
+    """Of a BRDF's file from itself: relative and cube-root error of f_cos, ball CIEDE2000, depth of the valley."""
+    file = MeasuredBRDF(goniometer.measure(brdf, "x", **options))  # type: ignore[arg-type]
+    wi, wo = direction_pairs(0.1, n)
+    expected, found = brdf.eval_cos(wi, wo), file.eval_cos(wi, wo)
+    # of band means: single bands of predictions are cut to zero where they would be negative
+    relative = np.mean(np.abs(found - expected).mean(axis=1) / np.maximum(expected.mean(axis=1), DARK))
+    ball = ball_colours.ball()
+    off = ball.difference(*(np.maximum(b.eval(ball.wi, ball.wo), 0.0) for b in (brdf, file)), brdf.bands)
+    return float(relative), cube_root_error(expected, found), off, plausibility(file).highlight_valley
+
+
+def places(model: Manifold, count: int = PLACES) -> list[ClippedBRDF]:
+    """Predictions at random places inside the hull of the materials."""
+    rng, hull = np.random.default_rng(7), Delaunay(model.X)
+    drawn: list[ClippedBRDF] = []
+    while len(drawn) < count:
+        x = rng.uniform(model.X.min(axis=0), model.X.max(axis=0))
+        if hull.find_simplex(x) >= 0:
+            drawn.append(ClippedBRDF(model.predict(x)))
+    return drawn
+
+
+def print_deviations(label: str, brdfs: Sequence[BRDF], **options: object) -> None:
+    """A line per exponent: means over BRDFs, and how many files have a valley."""
+    for exponent in EXPONENTS:
+        found = np.array([deviation(brdf, warp_exponent=exponent, **options) for brdf in brdfs])
+        relative, cube_root, ball, _ = found.mean(axis=0)
+        print(f"{label}, exponent {exponent:.2f}: relative {relative:.1%}, root {cube_root:.1%}, ball {ball:.3f}, "
+              f"largest {found[:, 2].max():.2f}; valleys {np.sum(found[:, 3] > MOST_VALLEY)}",
+              flush=True)  # fmt: skip
 
 
 def main() -> None:
@@ -88,6 +135,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--choices", action="store_true", help="also compare the alternatives of the design")
     parser.add_argument("--corpus", action="store_true", help="also print the errors of the corpus by family")
+    parser.add_argument(
+        "--predictions", type=Path, metavar="MODEL", help="also compare files with predictions"
+    )
+    parser.add_argument("--neural", type=Path, metavar="SOURCE", help="also compare files with neural fits")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     table: dict[str, list[float]] = {}
@@ -100,6 +151,12 @@ def main() -> None:
     for resolution, n in SETTINGS:
         add(f"{resolution} x {resolution}, {n} elevations", resolution=resolution, n_theta_i=n)
     if arguments.choices:
+        print(f"{'32 x 32, 8 elevations, alpha =':<44}" + f"{SHARPEST:8.2f}")
+        for exponent in EXPONENTS:
+            label = f"warp exponent {exponent:.2f}"
+            sharpest = 100.0 * mean_relative_error(SHARPEST, in_mitsuba=False, warp_exponent=exponent)
+            print(f"{label:<44}{sharpest:8.2f}")
+            add(label, in_mitsuba=False, warp_exponent=exponent)
         t = np.linspace(0.0, 1.0, 8)
         for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):
             nodes = 0.5 * np.pi * (1 - share) * t + share * np.arccos(1.0 - t)
@@ -113,6 +170,11 @@ def main() -> None:
     for family, errors in families.items():
         mean, high = 100.0 * np.max(errors, axis=0)
         print(f"{family:<14} largest mean {mean:6.2f}, largest 90th percentile {high:6.2f}")
+    if arguments.predictions:
+        print_deviations("predictions", places(Manifold.load(arguments.predictions)), version=(1, 0))
+    if arguments.neural:
+        fits = [fit.plausible() for fit in read_neural_fits(arguments.neural).values()]
+        print_deviations("neural fits", fits, n_theta_i=12, steepest=2.0, version=(1, 0))
     if arguments.json:
         arguments.json.write_text(json.dumps({"alpha": ALPHAS, "percent": table}, indent=2) + "\n")
 

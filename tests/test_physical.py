@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from small_library import small_library
 
-from manifold.brdf import goniometer
+from manifold.brdf import goniometer, physical
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.physical import ReciprocalBRDF, physical_file
-from manifold.brdf.plausibility import plausibility_of_file
+from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
@@ -104,6 +104,16 @@ def test_only_bands_that_return_too_much_are_scaled():
     np.testing.assert_allclose(albedo, [0.5, 0.99], rtol=0.02)  # files of 12 x 12 nodes err by less
     expected = goniometer.with_luminance(file).luminance
     np.testing.assert_allclose(file.luminance, expected, rtol=1e-6)  # float32
+
+
+@pytest.mark.parametrize(("enough", "expected"), [(8, (4, 8)), (12, (8, 12)), (24, (12, 24))])
+def test_grids_are_refined_until_the_file_is_reciprocal_at_most_threefold(enough, expected, monkeypatch):
+    def found(measured):
+        return Plausibility(0.0, 0.04 if measured._spectra.shape[1] >= enough else 0.07, 0.5, 0.0)
+
+    monkeypatch.setattr(physical, "plausibility", found)
+    file = physical_file(Tampered(0.0, 0.0), "x", resolution=8, n_theta_i=4)
+    assert (file.spectra.shape[1], file.spectra.shape[-1]) == expected
 
 
 @pytest.mark.parametrize("kind", ["blend", "monochrome"])

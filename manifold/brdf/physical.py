@@ -28,6 +28,7 @@ _REFINED = (
     (2.0, 1.0),
     (2.0, 1.5),
     (3.0, 2.0),
+    (3.0, 3.0),
 )  # incidences and outgoing nodes, of those asked for
 
 
@@ -74,7 +75,7 @@ def physical_file(brdf: BRDF, name: str, *, n_theta_i: int = 8, resolution: int 
     """Measure a BRDF into a file that is physical itself, between its nodes too; arguments as of `goniometer.measure`.
 
     Both orders of directions are averaged, before and after measuring; while the file is not reciprocal within 5 %,
-    incidences are refined, then both grids, up to three and two times as many nodes per axis: what is not smooth there
+    incidences are refined, then both grids, up to three times as many nodes per axis: what is not smooth there
     keeps a larger error. Then bands that return more than they get, at an incidence to 85 degrees, are scaled.
     """
     best, least = None, np.inf

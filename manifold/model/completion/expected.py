@@ -12,6 +12,7 @@ from manifold.formats.readings import Readings
 from manifold.metrics import cube_root_error, relative_error
 from manifold.model.completion.complete import Completion, complete_at
 from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.models.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands
 
 KINDS = ("ball", "cube_root", "linear")
@@ -31,9 +32,10 @@ class Calibration:
     signs: Array
 
     def expected(self, found: Completion) -> dict[str, float]:
-        """Errors to expect of a completion from these directions: medians, by kind.
+        """Errors to expect of a completion from these directions, by kind.
 
-        Logarithms of errors are linear in those of the signs, with slopes that are never negative.
+        Logarithms of errors are linear in those of the signs, with slopes that are never negative. As for predictions,
+        the level is the median, or such that 90 % of the errors are below twice the expected.
         """
         every = np.ones(len(self.signs), bool)
         return dict(zip(KINDS, self._line(signs_of(found), every).tolist(), strict=True))
@@ -51,7 +53,9 @@ class Calibration:
         X = np.vstack([(x - centre) / scale, np.sqrt(_STRENGTH * len(x)) * np.eye(x.shape[1])])
         at = (np.clip(np.log(np.maximum(signs, 1e-6)), x.min(axis=0), x.max(axis=0)) - centre) / scale
         slopes = np.array([nnls(X, np.append(column, np.zeros(x.shape[1])))[0] for column in (y - level).T])
-        return np.exp(level + slopes @ at)
+        above = y - level - X[: len(x)] @ slopes.T
+        enough = np.quantile(above, BELOW_TWICE, axis=0) - np.log(2.0)
+        return np.exp(level + slopes @ at + np.maximum(np.median(above, axis=0), enough))
 
 
 def signs_of(found: Completion) -> Array:

@@ -93,8 +93,6 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     best = found.likeliest(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
     np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
-    weights = found.weights(np.arange(len(found.share)))
-    np.testing.assert_allclose(found.probability @ weights, found.mean)
 
 
 def candidates(at, target, where, gram):

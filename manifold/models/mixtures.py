@@ -62,15 +62,6 @@ class Mixtures:
         weights[:, -1] += self.lambertian[chosen]
         return weights
 
-    @property
-    def mean(self) -> Array:
-        """Weights averaged by probability, shape (n + 1,)."""
-        weights = np.zeros(self.n_samples + 1)
-        np.add.at(weights, self.first, self.probability * self.scale * self.share)
-        np.add.at(weights, self.second, self.probability * self.scale * (1.0 - self.share))
-        weights[-1] = self.probability @ self.lambertian
-        return weights
-
     def likeliest(self, count: int) -> Array:
         """The mixtures of the largest probability, at most `count`, likeliest first."""
         count = min(count, len(self.probability))

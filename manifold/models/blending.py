@@ -171,6 +171,7 @@ class _LayoutObjective:
             value, slope = value + more / _STRENGTH, slope + steeper / _STRENGTH
         d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True)) / len(shares)
         d_D = -d_log * (1.0 / radius**2 + 2.0 / squared) * D
+        # Sample after sample: the last refinement is not smooth, and rounding decides where it ends.
         of_places = np.moveaxis(d_D, 2, 0).copy().sum(axis=0)  # [Q, K]
         return float(value.mean()), shares.T @ of_places.T - d_D.sum(axis=1).T
 

@@ -216,7 +216,7 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     def fail(*_, **__):
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("manifold.workflows.pipeline.make_report", fail)
+    monkeypatch.setattr("manifold.experiments.evaluation.report.make_report", fail)
     monkeypatch.setattr("manifold.workflows.pipeline.Manifold.fit", fail)
     status, out, err = run(*arguments, cwd=folder)
     assert status == 2

@@ -146,7 +146,11 @@ CHILDREN = {
 
 @pytest.mark.parametrize(
     ("outcome", "libraries"),
-    [("kills the process (SIGABRT)", 1), ("is too old (version 14)", 1), ("no libLLVM", 0)],
+    [
+        ("kills the process (SIGABRT)", 1),
+        pytest.param("is too old (version 14)", 1, marks=pytest.mark.slow),
+        ("no libLLVM", 0),
+    ],
 )
 def test_render_finishes_with_a_picture_and_one_line_of_advice_without_llvm(tmp_path, outcome, libraries):
     """What users of machines with a libLLVM that aborts, is too old or is missing see."""

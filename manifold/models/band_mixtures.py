@@ -81,7 +81,7 @@ def band_mixtures(
             misfit[k] += part * missed
     of_mean = found[:, any_read].mean(axis=1)
     found[:, ~any_read] = of_mean[:, None]
-    norm = np.einsum("hi,ij,hj->h", of_mean, gram, of_mean)
+    norm = np.sum((of_mean @ gram) * of_mean, axis=1)
     N = int(group[-1])
     is_one = group[mixtures.first[chosen]] == group[mixtures.second[chosen]]
     log_prior = np.log(np.where(is_one, LIKE_ONE / N, (1.0 - LIKE_ONE) / max(1.5 * N * (N - 1), 1.0)))

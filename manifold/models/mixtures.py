@@ -57,8 +57,9 @@ class Mixtures:
     def weights(self, chosen: Array) -> Array:
         """Weights of samples and Lambertian in some mixtures (h,), shape (h, n + 1)."""
         rows, weights = np.arange(len(chosen)), np.zeros((len(chosen), self.n_samples + 1))
-        np.add.at(weights, (rows, self.first[chosen]), (self.scale * self.share)[chosen])
-        np.add.at(weights, (rows, self.second[chosen]), (self.scale * (1.0 - self.share))[chosen])
+        scale, share = self.scale[chosen], self.share[chosen]
+        np.add.at(weights, (rows, self.first[chosen]), scale * share)
+        np.add.at(weights, (rows, self.second[chosen]), scale * (1.0 - share))
         weights[:, -1] += self.lambertian[chosen]
         return weights
 

@@ -145,10 +145,13 @@ def _visible_normals(ndf: Array, wi: Array) -> Array:
     u = np.linspace(0.0, 1.0, ndf.shape[1])
     if len(ndf) != ndf.shape[1]:  # rows are alike in isotropic files
         ndf = ndf[:1]
-    theta = u_to_theta(u)
-    m = from_spherical(theta[None, :], u_to_phi(u)[:, None])
-    jacobian = 2.0 * np.pi**2 * u * np.sin(theta)
-    return ndf * np.maximum(m @ wi, 0.0) * jacobian
+    jacobian = 2.0 * np.pi**2 * u * np.sin(u_to_theta(u))
+    return ndf * np.maximum(_normals(u) @ wi, 0.0) * jacobian
+
+
+def _normals(u: Array) -> Array:
+    """Normals of the points of a square grid over the unit square: rows azimuths, columns elevations."""
+    return from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
 
 
 def _node_density(ndf: Array, wi: Array, exponent: float) -> Array:
@@ -159,8 +162,7 @@ def _node_density(ndf: Array, wi: Array, exponent: float) -> Array:
     visible = _visible_normals(ndf, wi)
     if exponent == 1.0:
         return visible
-    u = np.linspace(0.0, 1.0, ndf.shape[1])
-    m = from_spherical(u_to_theta(u)[None, :], u_to_phi(u)[:, None])
+    m = _normals(np.linspace(0.0, 1.0, ndf.shape[1]))
     cos_o = 2.0 * (m @ wi) * m[..., 2] - wi[2]
     return np.asarray((visible * np.clip(1.0 + cos_o / _FADE, _BELOW_HORIZON, 1.0)) ** exponent)
 

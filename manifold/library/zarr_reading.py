@@ -16,7 +16,9 @@ from manifold.records import Array
 
 _MOST_METADATA = 16 << 20  # bytes
 _MOST_ARRAY = 4 << 30  # bytes
-zarr.config.set({"codec_pipeline.batch_size": 1024})  # by default every chunk of a shard is a task of its own
+# By default every chunk of a shard is a task of its own. zarr asks its configuration at every read, from any thread, so
+# that it cannot be set for our arrays alone: other arrays of the process are read in such batches, too.
+zarr.config.set({"codec_pipeline.batch_size": 1024})
 _CODECS = ("BytesCodec", "ShardingCodec")  # of this package: no few bytes stand for many
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from manifold.models.mixtures import (
     LIKE_ONE,
     SCALE_SPREAD,
+    SHARES,
     Mixtures,
     independent,
     log_likelihood,
@@ -64,7 +65,7 @@ def band_mixtures(
         weights: of the readings, shape (P,).
         where: places of the readings, see `nearby.places`, shape (P, 3).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
-        group: which material a sample is of, shape (n + 1,).
+        group: which material a sample is of, from 0, shape (n + 1,); the Lambertian's is the number of materials.
     """
     chosen = _of_different_materials(mixtures, group)
     found = np.zeros((len(chosen), len(targets), len(samples)))
@@ -84,7 +85,9 @@ def band_mixtures(
     norm = np.sum((of_mean @ gram) * of_mean, axis=1)
     N = int(group[-1])
     is_one = group[mixtures.first[chosen]] == group[mixtures.second[chosen]]
-    log_prior = np.log(np.where(is_one, LIKE_ONE / N, (1.0 - LIKE_ONE) / max(1.5 * N * (N - 1), 1.0)))
+    log_prior = np.log(
+        np.where(is_one, LIKE_ONE / N, (1.0 - LIKE_ONE) / max(len(SHARES) * N * (N - 1) / 2, 1.0))
+    )
     probability = normalised(log_prior + log_likelihood(misfit, count) - log_of_norm(norm))
     order = np.argsort(-probability, kind="stable")
     return BandMixtures(probability[order], of_mean[order], np.tensordot(probability, found, 1))

@@ -15,7 +15,7 @@ from scipy.linalg import solve_triangular
 from manifold.models.nearby import cells, covariance
 from manifold.records import Array
 
-_SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
+SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
 _MOST_PAIRS = 40_000  # pairs of samples of two materials; of larger libraries as many at random
 _NOISE = 0.02  # of cube roots, as a share of them and of their root mean square
 _MISSED = 0.04  # by which mixtures miss materials, as a share of the same
@@ -184,12 +184,12 @@ def _pairs(group: bytes, dtype: str) -> tuple[Array, Array, Array, Array]:
         two = np.sort(np.random.default_rng(0).choice(two, _MOST_PAIRS, replace=False))
     kept = np.concatenate([np.flatnonzero(is_one), two])
     alone, i, j = np.arange(len(of)), i[kept], j[kept]
-    first = np.concatenate([alone, *([i] * len(_SHARES))])
-    second = np.concatenate([alone, *([j] * len(_SHARES))])
+    first = np.concatenate([alone, *([i] * len(SHARES))])
+    second = np.concatenate([alone, *([j] * len(SHARES))])
     is_one = of[first] == of[second]
     count_one = int(is_one.sum())
     prior = np.where(is_one, LIKE_ONE / count_one, (1.0 - LIKE_ONE) / max(len(first) - count_one, 1))
-    return first, second, np.concatenate([np.ones(len(of)), np.repeat(_SHARES, len(i))]), np.log(prior)
+    return first, second, np.concatenate([np.ones(len(of)), np.repeat(SHARES, len(i))]), np.log(prior)
 
 
 def _two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:

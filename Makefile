@@ -6,10 +6,11 @@ SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
 
-.PHONY: demo test test-slow check attack bench clean help
+.PHONY: demo kernels test test-slow check attack bench clean help
 
 help:
 	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
+	@echo "make kernels     compile what Numba would compile at first use"
 	@echo "make test        run the tests, all but the slow ones"
 	@echo "make test-slow   run the slow ones"
 	@echo "make check       ruff, mypy, import-linter"
@@ -26,7 +27,11 @@ help:
 demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
 
-test: .venv/readydev
+# Before the tests, or each of their processes would compile for itself.
+kernels: .venv/readydev
+	$(BIN)/python tools/kernels.py
+
+test: kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev

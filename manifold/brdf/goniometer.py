@@ -278,6 +278,7 @@ def _at_nodes(
 ) -> tuple[Array, Array]:
     """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
     warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
+    ndf, sigma = ndf.astype(float), sigma.astype(float)  # kernels are compiled for one precision only
     shape = (len(phi_i), len(theta_i), n, n)
     spectra, measured = np.empty((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
     for p, t in np.ndindex(shape[:2]):

@@ -63,7 +63,7 @@ def blend(phi_nodes, theta_nodes, phi, theta):
     return slices, weights
 
 
-@nb.njit(**UNCOUNTED, inline="always")
+@nb.njit(**UNCOUNTED)
 def _at2(table, slices, weights, i):
     """Blended entry of a (slices, R) table."""
     v = weights[0] * table[slices[0], i] + weights[1] * table[slices[1], i]
@@ -72,7 +72,7 @@ def _at2(table, slices, weights, i):
     return v
 
 
-@nb.njit(**UNCOUNTED, inline="always")
+@nb.njit(**UNCOUNTED)
 def _at3(table, slices, weights, i, j):
     """Blended entry of a (slices, R, C) table."""
     v = weights[0] * table[slices[0], i, j] + weights[1] * table[slices[1], i, j]
@@ -265,8 +265,8 @@ class Warp:
         points = np.asarray(points, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 2))
         shape = points.shape[:-1]
-        phi = np.ascontiguousarray(np.broadcast_to(np.asarray(phi, float), shape)).reshape(-1)
-        theta = np.ascontiguousarray(np.broadcast_to(np.asarray(theta, float), shape)).reshape(-1)
+        # Copies, because a view is read-only, and read-only arrays are another type to compile for.
+        phi, theta = (np.broadcast_to(np.asarray(a, float), shape).copy().reshape(-1) for a in (phi, theta))
         out = np.empty((flat.shape[0], 3))
         _map_points(mode, *self.tables, self.phi_nodes, self.theta_nodes, phi, theta, flat, out)
         return out.reshape(*shape, 3)

@@ -114,16 +114,15 @@ def _explore(X, K, P, S, work, state, numbers, steps, heading, lower, upper, ind
     tried = 0
     while index < steps.shape[0]:
         i, q = divmod(index, X.shape[1])
-        here, cached, has_drifted = X[i, q], False, False
+        here, before, has_drifted = X[i, q], tried, False
         for sense in (heading[index], -heading[index]):
             target = min(max(here + sense * steps[index], lower[index]), upper[index])
             if target == here:
                 continue
             if tried == budget:
                 return index, tried, False
+            moved = _try_move(X, K, P, S, work, state, numbers, i, q, target - here, tried > before)
             tried += 1
-            moved = _try_move(X, K, P, S, work, state, numbers, i, q, target - here, cached)
-            cached = True
             if moved[-1] < state[_VALUE]:
                 heading[index] = sense
                 has_drifted = _make_move(X, K, P, work, state, i, q, target, moved)
@@ -193,7 +192,10 @@ def _make_move(X, K, P, work, state, i, q, target, moved):
     d, Pd, p = work[0], work[1], work[2]
     t, a, b, c = moved[:4]
     X[i, q] = target
-    state[:4] = moved[4:]
+    for k in range(
+        4
+    ):  # a slice would be checked for its shape, and the message alone takes seconds to compile
+        state[k] = moved[4 + k]
     state[_MOVES] += 1
     for j in range(N):
         p[j] = P[i, j]

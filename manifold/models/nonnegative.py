@@ -46,11 +46,11 @@ def _solve_rows(gram, cross):
     rows, n = cross.shape
     weights = np.zeros((rows, n))
     used = np.empty(n, np.int64)
-    count = 0
+    count = np.int64(0)  # a literal would be a type of its own, compiled for apart
     for r in range(rows):
         count = _warm_start(gram, cross[r], used, count, weights[r])
         _active_set(gram, cross[r], used, count, weights[r])
-        count = 0
+        count = np.int64(0)
         for k in range(n):
             if weights[r, k] > 0.0:
                 used[count] = k

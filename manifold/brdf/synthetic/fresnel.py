@@ -20,7 +20,7 @@ def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
         cos_theta: cosines (n,) in [0, 1].
         eta: index of refraction relative to air, shape (B,).
     """
-    eta = np.ascontiguousarray(eta, float)
+    (eta,) = _same_shape(eta)
     return _conductor(np.ascontiguousarray(cos_theta, float), eta, np.zeros_like(eta))
 
 
@@ -57,8 +57,11 @@ def fresnel_thin_film(
 
 
 def _same_shape(*values: Array) -> list[Array]:
-    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast."""
-    return [np.ascontiguousarray(a, float) for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
+    """Values per band, (B,) or (1,), all as contiguous arrays (B,): the loops below do not broadcast.
+
+    Copies, because a view is read-only, and read-only arrays are another type to compile for.
+    """
+    return [np.array(a, float, order="C") for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
 
 
 @in_turn

@@ -1,0 +1,50 @@
+"""Compile what Numba compiles at first use, by a small job that uses all of it; from then on it is loaded.
+
+Several processes that start at the same time would each compile for themselves.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from manifold.brdf.goniometer import remeasure
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.synthetic import corpus, fresnel
+from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.gplvm import GPLVM
+from manifold.models.nonnegative import nonnegative_weights
+
+
+def compile_rendering() -> None:
+    """Measure a clear-coated and a metallic material, evaluate, sample and integrate one."""
+    known = {material.name: material for material in corpus.isotropic_materials()}
+    corpus.measure(known["syn_metal_copper"], rgb=True)
+    file = corpus.measure(known["syn_gloss_red"], rgb=True)
+    one = np.ones(1)
+    fresnel.fresnel_thin_film(one, 500.0 * one, 1.4 * one, 100.0, one, one)
+    measured = MeasuredBRDF(file)
+    remeasure(measured, file)
+    wi, wo = profile_pairs()
+    valley_depth(np.moveaxis(measured.eval(wi, wo), -1, 0))
+    measured.pdf(wi, wo)
+    measured.sample(wi, np.full((*wi.shape[:-1], 2), 0.5))
+    measured.albedo(wi[:, 0])
+    pairs = DirectionPairs(wi, wo)
+    total = np.zeros((len(pairs), measured.bands.count))
+    measured.eval_into(pairs, total)
+    measured.add_weighted(pairs, 1.0, total, cube_root=True)
+
+
+def compile_models() -> None:
+    """Fit a latent-variable model by its search, and weights that may only add."""
+    warnings.simplefilter("ignore")  # three samples far from each other
+    GPLVM(1, optimizer="dls", max_iter=1).fit(np.eye(3))
+    nonnegative_weights(np.eye(2), np.ones((1, 2)))
+
+
+if __name__ == "__main__":
+    compile_rendering()
+    compile_models()

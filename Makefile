@@ -5,6 +5,8 @@ OUT ?= demo
 SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
+# Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo kernels test test-slow check attack bench clean help
 

@@ -218,8 +218,17 @@ def require_same_picture(a, b):
     assert np.mean(p < 0.01) < 0.03
 
 
-@pytest.mark.parametrize("t", [0.2, 0.5, 0.8])
-@pytest.mark.parametrize("illuminant", ["D65", "F11"])
+@pytest.mark.parametrize(
+    ("t", "illuminant"),
+    [
+        (0.2, "D65"),
+        (0.8, "F11"),
+        *(
+            pytest.param(t, illuminant, marks=pytest.mark.slow)
+            for t, illuminant in ((0.5, "D65"), (0.8, "D65"), (0.2, "F11"), (0.5, "F11"))
+        ),
+    ],
+)
 def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path, t, illuminant):
     model = Manifold.load(models["material"])
     x = model.between(model.names[1], model.names[4], t)

@@ -24,7 +24,7 @@ from manifold.model.combination import Combination
 from manifold.plots import plot_chart
 from manifold.workflows import charts
 
-FILES = [small_library.measured(n) for n in (*small_library.NAMES, "syn_metallic_gold", "syn_chrome_mint")]
+FILES = [small_library.measured(name) for name in small_library.NAMES]
 HELD_OUT = [s.key for s in settings(3)]
 GRID = RusinkiewiczGrid(18, 9, 6)
 

@@ -111,7 +111,7 @@ def run(name: str, data: bytes, count: int, folder) -> int:
 
 @pytest.mark.parametrize("name", SUFFIXES)
 def test_damaged_files_end_in_one_line_or_a_whole_record(contents, name, tmp_path):
-    run(name, contents[name], {"merl": 15, "mini-diff": 40}.get(name, 200), tmp_path)
+    run(name, contents[name], {"merl": 8, "mini-diff": 20}.get(name, 100), tmp_path)
 
 
 @pytest.mark.slow

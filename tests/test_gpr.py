@@ -186,5 +186,7 @@ def test_latents_of_another_dimension_are_refused(rng):
 def test_an_estimator_leaves_out_as_refitting_does(rng):
     X, Y = rng.normal(size=(8, 2)), rng.normal(size=(8, 3))
     found = GPRegressor().fit(X, Y).leave_one_out()
-    refitted = [GPRegressor().fit(np.delete(X, i, 0), np.delete(Y, i, 0)).predict(X[[i]])[0] for i in range(8)]
+    refitted = [
+        GPRegressor().fit(np.delete(X, i, 0), np.delete(Y, i, 0)).predict(X[[i]])[0] for i in range(8)
+    ]
     np.testing.assert_allclose(found, refitted, rtol=0, atol=1e-9)

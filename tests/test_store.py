@@ -558,7 +558,7 @@ def test_an_import_killed_at_any_moment_leaves_exactly_the_finished_materials(
     assert child.wait() == 0
     duration_s = time.monotonic() - start
     counts = []
-    for moment in (np.arange(12) + rng.random(12)) / 12:  # One in each twelfth of an uninterrupted run.
+    for moment in (np.arange(6) + rng.random(6)) / 6:  # One in each sixth of an uninterrupted run.
         shutil.rmtree(library)
         child = start_import(tmp_path)
         time.sleep(moment * duration_s)

@@ -23,6 +23,8 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.predicted_file import predict
+from manifold.rendering import thumbnails
+from manifold.rendering.render import RenderSettings
 from manifold.workflows import demo as demo_module
 from manifold.workflows import pipeline
 
@@ -41,8 +43,11 @@ def few_materials():
         patch.setattr(demo_module, "BudgetSettings", partial(demo_module.BudgetSettings, size=32, samples=16))
         patch.setattr(demo_module.ball_pictures, "walk", partial(demo_module.ball_pictures.walk, steps=2))
         patch.setattr(demo_module, "CHARTED", ("nearest", demo_module.CHARTED[2], "pca_2_cube-root"))
-        patch.setattr(demo_module, "TRIED", ("few_directions",))
-        patch.setattr(demo_module, "RenderSettings", partial(demo_module.RenderSettings, size=64, samples=64))
+        patch.setattr(demo_module, "TRIED", ("stopping_rule",))
+        little = RenderSettings(size=32, samples=16)
+        patch.setattr(demo_module, "RenderSettings", lambda: little)
+        patch.setattr(demo_module, "picture_of_fit", partial(demo_module.picture_of_fit, settings=little))
+        patch.setattr(thumbnails, "SAMPLES", 4)
         yield few
 
 

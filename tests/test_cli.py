@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from conftest import REPOSITORY
 from sample_files import write_samples
-from small_library import NAMES, measured, small_library
+from small_library import NAMES, measured, small_library, small_model
 
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
@@ -46,11 +46,16 @@ def manifold(*arguments, cwd):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with `library.zarr` and `model.h5` made by the command line."""
-    path = tmp_path_factory.mktemp("cli")
-    small_library(path)
-    assert manifold("embed", cwd=path)[0] == 0
-    return path
+    """A folder with `library.zarr` and `model.h5`."""
+    return small_model(tmp_path_factory.mktemp("cli")).parent
+
+
+@pytest.fixture
+def quick_balls(monkeypatch):
+    """Balls of few samples, for tests that do not look at them."""
+    from manifold.rendering import thumbnails
+
+    monkeypatch.setattr(thumbnails, "SAMPLES", 4)
 
 
 def one_line(err):
@@ -345,11 +350,8 @@ def test_a_far_latent_is_called_unsupported(run, folder):
 
 @pytest.fixture(scope="module")
 def structures(tmp_path_factory):
-    """A folder with `library.zarr` and a monochrome `model.h5` made by the command line."""
-    path = tmp_path_factory.mktemp("structures")
-    small_library(path)
-    assert manifold("embed", cwd=path)[0] == 0
-    return path
+    """A folder with `library.zarr` and a monochrome `model.h5`."""
+    return small_model(tmp_path_factory.mktemp("structures")).parent
 
 
 @pytest.mark.parametrize(
@@ -600,6 +602,7 @@ DIAGNOSED = {
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
+@pytest.mark.usefixtures("quick_balls")
 def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments, find):
     status, out, err = run(*arguments, "--json", "-", cwd=folder)
     assert status == 0, err
@@ -609,6 +612,7 @@ def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments,
     assert found["expected_ball"] == float(model.expected_error(np.array([0.3, -0.2])).ball)
 
 
+@pytest.mark.usefixtures("quick_balls")
 def test_walks_say_what_to_expect_of_every_step(run, folder):
     status, out, _ = run("walk", "syn_felt_green", "syn_gloss_red", "--steps", "3", "--json", "-", cwd=folder)
     assert status == 0

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 import typer
-from small_library import NAMES, small_library
-from test_cli import COMMANDS, manifold, one_line
+from small_library import NAMES, small_model
+from test_cli import COMMANDS, one_line
 
 from manifold.cli.main import app
 from manifold.cli.outputs import require_replaceable
@@ -23,10 +23,7 @@ from manifold.plots.explorer.page import make_page
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """`files/`, `library.zarr` and `model.h5`."""
-    path = tmp_path_factory.mktemp("outputs")
-    small_library(path)
-    assert manifold("embed", cwd=path)[0] == 0
-    return path
+    return small_model(tmp_path_factory.mktemp("outputs")).parent
 
 
 def _content(folder: Path) -> dict[str, bytes]:

@@ -164,7 +164,9 @@ def test_dense_directions_tell_rough_black_from_smooth_grey(rng):
         assert result.values["roughness"] == pytest.approx(values["roughness"], abs=0.03)
 
 
-@pytest.mark.parametrize(("colour", "roughness"), [(0.01, 0.95), (0.02, 0.1)])
+@pytest.mark.parametrize(
+    ("colour", "roughness"), [(0.02, 0.1), pytest.param(0.01, 0.95, marks=pytest.mark.slow)]
+)
 def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are_listed(colour, roughness):
     rng = np.random.default_rng(3)
     truth = {"base_color": [colour] * 3, "roughness": roughness}

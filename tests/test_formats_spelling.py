@@ -200,6 +200,28 @@ def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path)
     assert found.bands == MINI_DIFF_BANDS
 
 
+CXF_SPELLINGS = {
+    "percent": (r"\d\.\d{6,}", lambda m: f"{100 * float(m[0]):.9f}"),
+    "commas": (r"(?<=\d) (?=\d)", ", "),
+    "wavelengths with a point": (r'StartWL="400"( Increment="10")?', 'StartWL="400.0" Increment="10.0"'),
+    "words of a vendor": (
+        r"</ns0:Model>",
+        "</ns0:Model><ns0:DeviceIllumination>A</ns0:DeviceIllumination>",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CXF_SPELLINGS)
+def test_cxf_files_are_read_however_they_are_spelt(files, name, tmp_path):
+    text, count = re.subn(*CXF_SPELLINGS[name], files["cxf"].read_text())
+    assert count
+    path = tmp_path / "spelt.cxf"
+    path.write_text(text)
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values, SPECTRO.values, rtol=1e-6)
+    assert found.bands == MA_T12_BANDS
+
+
 def lighttools_file(path, brdf) -> None:
     """A table of a BRDF in the bands of a Mini-Diff."""
     degrees = ([0.0, 20.0, 40.0, 60.0], [180.0], np.arange(0.0, 90.0, 5.0), np.arange(0.0, 360.0, 30.0))

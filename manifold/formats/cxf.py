@@ -14,6 +14,7 @@ import numpy as np
 
 from manifold.formats.geometry_names import geometry_directions, geometry_name
 from manifold.formats.readings import MA_T12_NAMES, Readings, aspecular_pair
+from manifold.formats.spectro_table import TAKEN_AS_PERCENT, looks_like_percent
 from manifold.formats.text import Place, decode, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
@@ -65,10 +66,10 @@ def _parse(data: bytes, place: Place) -> Any:
         raise place.error("a document type with entities, expected plain CxF3")
     if "cxf" in head and "cxf3" not in head:
         raise place.error("CxF of an older version, expected CxF3 (colorexchangeformat.com/CxF3-core)")
-    config = ParserConfig(fail_on_unknown_properties=False, fail_on_converter_warnings=True)
+    config = ParserConfig(fail_on_unknown_properties=False)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings():  # what is not converted stays text, and is refused where it is used
+            warnings.simplefilter("ignore")
             return XmlParser(config=config).from_bytes(data.strip(), cxf3.CxF)
     except MemoryError:
         raise
@@ -90,14 +91,13 @@ def _object(item: Any, specifications: dict[Any, Any], place: Place, default: st
         where = f"object '{(item.name or default)[:40]}', spectrum {index + 1}"
         specification = specifications.get(spectrum.color_specification)
         measurement = specification.measurement_spec if specification is not None else None
-        pair = _geometry(spectrum, measurement, seen)
+        pair = _geometry(spectrum, measurement, seen, place, where)
         if pair is None:
             left_out += 1
             continue
-        nm = _wavelengths(spectrum, measurement, place, where)
-        row = np.asarray(spectrum.value, dtype=float)
-        if not np.all(np.isfinite(row)):
-            raise place.error("a value that is not finite, expected reflectance, 1.0 being white", where)
+        cells = spectrum.value.split() if isinstance(spectrum.value, str) else spectrum.value
+        row = np.array([_number(cell, place, where) for cell in cells])
+        nm = _wavelengths(spectrum, row.size, measurement, place, where)
         wi.append(pair[0])
         wo.append(pair[1])
         values.append(row)
@@ -108,18 +108,29 @@ def _object(item: Any, specifications: dict[Any, Any], place: Place, default: st
     if not values:
         return None
     bands, table = _common_bands(wavelengths, values)
+    directions = np.array(wi), np.array(wo)
     notes = [f"{left_out} spectra without a directional geometry are left out"] if left_out else []
+    is_percent = looks_like_percent(*directions, table)
+    if is_percent:
+        notes.append(TAKEN_AS_PERCENT)
     texture: dict[str, Any] = {
         collection.name or f"tags {k}": {tag.name: tag.value for tag in collection.tag}
         for k, collection in enumerate(item.tag_collection)
     }
     return Readings(
-        item.name or default, instrument, np.array(wi), np.array(wo), bands, table / np.pi,
+        item.name or default, instrument, *directions, bands, table / (100.0 * np.pi if is_percent else np.pi),
         notes=tuple(notes), texture=texture,
     )  # fmt: skip
 
 
-def _geometry(spectrum: Any, measurement: Any, seen: dict[Any, int]) -> tuple[Array, Array] | None:
+def _number(value: Any, place: Place, where: str) -> float:
+    """A number of the document: as it was converted, or from its text; lists may be separated by commas, too."""
+    return place.number(str(value).rstrip(",;"), where)
+
+
+def _geometry(
+    spectrum: Any, measurement: Any, seen: dict[Any, int], place: Place, where: str
+) -> tuple[Array, Array] | None:
     """Directions of a spectrum. A specification of several angles is used one after the other."""
     geometry = measurement.geometry_choice if measurement is not None else None
     choice: Any = geometry.choice if geometry is not None else None
@@ -130,7 +141,11 @@ def _geometry(spectrum: Any, measurement: Any, seen: dict[Any, int]) -> tuple[Ar
         named = [a for a in choice.brdfangle if a.notation and a.notation == spectrum.name]
         angle = named[0] if named else choice.brdfangle[turn % len(choice.brdfangle)]
         if angle.illumination_angle is not None and angle.aspecular is not None:
-            wi, wo = aspecular_pair(abs(angle.illumination_angle), angle.aspecular, angle.azimuth or 0.0)
+            lit, aspecular, azimuth = (
+                _number(a, place, where)
+                for a in (angle.illumination_angle, angle.aspecular, angle.azimuth or 0.0)
+            )
+            wi, wo = aspecular_pair(abs(lit), aspecular, azimuth)
             return (wi, wo) if wi[2] > 0.0 and wo[2] > 0.0 else None
         return geometry_directions(angle.notation or "")
     if (
@@ -138,21 +153,24 @@ def _geometry(spectrum: Any, measurement: Any, seen: dict[Any, int]) -> tuple[Ar
         and choice.illumination_angle is not None
         and choice.measurement_angle is not None
     ):
-        lit, seen_at = abs(choice.illumination_angle), abs(choice.measurement_angle)
+        lit, seen_at = (
+            abs(_number(a, place, where)) for a in (choice.illumination_angle, choice.measurement_angle)
+        )
         # 45/0: the aspecular angle from the mirror direction to the other leg, on the normal's side.
         return aspecular_pair(lit, lit - seen_at) if max(lit, seen_at) < 90.0 else None
     return geometry_directions(spectrum.name or "")
 
 
-def _wavelengths(spectrum: Any, measurement: Any, place: Place, where: str) -> Array:
+def _wavelengths(spectrum: Any, count: int, measurement: Any, place: Place, where: str) -> Array:
     wavelength_range = measurement.wavelength_range if measurement is not None else None
     start = spectrum.start_wl
     if start is None and wavelength_range is not None:
         start = wavelength_range.start_wl
     step = wavelength_range.increment if wavelength_range is not None else 10
-    if start is None or not step or step <= 0 or start <= 0 or not spectrum.value:
+    first, step = (_number(w or 0, place, where) for w in (start, step))
+    if step <= 0 or first <= 0 or not count:
         raise place.error("no wavelengths or no values, expected StartWL, Increment and reflectance", where)
-    return start + step * np.arange(len(spectrum.value), dtype=float)
+    return first + step * np.arange(count, dtype=float)
 
 
 def _common_bands(wavelengths: list[Array], values: list[Array]) -> tuple[Array, Array]:

@@ -33,6 +33,11 @@ _ANGLES = (
 PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
+TAKEN_AS_PERCENT = (
+    "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
+)
+"""Note of readings that `looks_like_percent`."""
+
 
 @dataclass(frozen=True)
 class _Header:
@@ -120,11 +125,9 @@ def _sample(
         notes.append(f"{repeats} rows repeat a geometry: their means are taken")
     if header.unit != "f":
         percent = header.unit == "percent"
-        if not percent and _looks_like_percent(wi, wo, values):
+        if not percent and looks_like_percent(wi, wo, values):
             percent = True
-            notes.append(
-                "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
-            )
+            notes.append(TAKEN_AS_PERCENT)
         elif header.unit == "unknown" and not percent:
             notes.append("no unit given: taken as reflectance factors, 1 being the perfect diffuser")
         values = values / (100.0 * np.pi if percent else np.pi)
@@ -135,7 +138,7 @@ def _sample(
     )
 
 
-def _looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
+def looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
     """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])

@@ -60,6 +60,7 @@ TABLES = {
     "percent in the heads": spectro_table(head="R{} [%]", scale=100.0),
     "percent in the cells": spectro_table(";", ",", cell="{} %", scale=100.0),
     "percent, not said": spectro_table(scale=100.0),
+    "percent in a title": spectro_table(";", ",", before="Reflectance [%]", scale=100.0),
     "SPECTRAL_NM_400": spectro_table(head="SPECTRAL_NM_{}"),
     "descending": spectro_table(order=-1),
     "r45as_15": spectro_table(geometry=lambda g: "r" + g.replace("-", "_")),
@@ -124,6 +125,24 @@ def test_rows_of_workbooks_end_where_their_cells_do(tmp_path):
     expected[1], expected[2, 25:] = False, False
     np.testing.assert_array_equal(found.measured, expected)
     np.testing.assert_allclose(found.values[expected], SPECTRO.values[expected], rtol=1e-9)
+
+
+def test_percent_in_a_title_is_believed_where_values_could_be_factors(tmp_path):
+    path = tmp_path / "black.csv"
+    path.write_text(
+        "X-Rite MA-T12\nReflectance [%]\nGeometry,400,500,600\n45as45,1.2,1.3,1.4\n45as75,1.1,1.2,1.3\n"
+    )
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(np.pi * found.values[0], [0.012, 0.013, 0.014])
+
+
+def test_a_row_per_wavelength_of_every_geometry_is_no_table(tmp_path):
+    """Its rows begin as a header does: a geometry, and a number that could be a wavelength."""
+    rows = [f"A,{g},{nm},0.{nm}\n" for g in MA_T12_NAMES[:3] for nm in (400, 500, 600)]
+    path = tmp_path / "long.csv"
+    path.write_text("Sample,Geometry,Wavelength,Reflectance\n" + "".join(rows))
+    with pytest.raises(FileFormatError, match="expected columns of wavelengths"):
+        registry.read_readings(path)
 
 
 def test_a_sample_without_any_value_is_refused(tmp_path):

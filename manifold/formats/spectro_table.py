@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +24,7 @@ _LEAST_NM, _MOST_NM = 200.0, 5000.0
 _WAVELENGTH = re.compile(
     r"^\D{0,12}?(?P<nm>\d{3,4}([.,]\d+)?)\s*(nm|\(nm\)|\[nm\])?\s*(\(.*\)|\[.*\]|%)?$", re.IGNORECASE
 )
+_TITLE_IN_PERCENT = re.compile(r"\b(reflectance|unit)\w*\W{0,4}(in )?(%|per ?cent)|% ?reflect", re.IGNORECASE)
 _ANGLES = (
     ("theta_i", ("thetai", "thetain", "incidenttheta", "intheta", "aoi", "incidence")),
     ("phi_i", ("phii", "phiin", "incidentphi", "inphi", "poi")),
@@ -82,6 +83,10 @@ def read_table(
         raise place.error(
             "two columns of the same wavelength, expected different ones", f"row {header.row + 1}"
         )
+    if header.unit == "unknown" and any(
+        _TITLE_IN_PERCENT.search(_text(c)) for r in rows[: header.row] for c in r
+    ):
+        header = replace(header, unit="percent")
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
     last, percent = name, header.unit == "percent"
     for index in range(header.row + 1, len(rows)):
@@ -178,6 +183,8 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
     geometry = _geometry_column(plain, below)
     if geometry is None and not has_angles:
         return None
+    if geometry is not None and parse_geometry(texts[geometry]) is not None:
+        return None  # a row of readings
     taken = {geometry, *angles.values()}
     bands = {
         k: nm for k, text in enumerate(texts) if k not in taken and (nm := _wavelength(text)) is not None

@@ -219,6 +219,22 @@ def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path)
     assert found.bands == MINI_DIFF_BANDS
 
 
+@pytest.mark.parametrize(
+    ("wavelength", "head", "nm"),
+    [
+        ("WAVELENGTH 0.6328", "VARS theta_i,phi_i,theta_s,phi_s,BRDF", 632.8),
+        ("WAVELENGTH 633 nm", "VAR theta_i phi_i theta_s phi_s BRDF(1/sr)", 633.0),
+        ("WAVELENGTH 10.6 um", "VARS theta_i,phi_i,theta_s,phi_s,BRDF_sr^-1", 10600.0),
+        ("SAMPLE_ID 633", "VARS theta_i,phi_i,theta_s,phi_s,BRDF(1/sr)", 550.0),
+        ("WAVELENGTH 0.6328", "VARS theta_i,phi_i,theta_s,phi_s,465nm", 465.0),
+    ],
+)
+def test_the_wavelength_of_an_astm_table_of_one_band_may_stand_in_its_header(wavelength, head, nm, tmp_path):
+    path = tmp_path / "black.astm"
+    path.write_text(f"LAB_NAME x\n{wavelength}\n{head}\n0.5,3.14,0.4,0,0.02\n0.5,3.14,0.6,0,0.03\n")
+    np.testing.assert_allclose(registry.read_readings(path).bands.wavelengths_nm, [nm])
+
+
 CXF_SPELLINGS = {
     "percent": (r"\d\.\d{6,}", lambda m: f"{100 * float(m[0]):.9f}"),
     "commas": (r"(?<=\d) (?=\d)", ", "),

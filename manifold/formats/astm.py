@@ -15,7 +15,7 @@ from manifold.directions import from_spherical
 from manifold.errors import ShapeError
 from manifold.formats.csv_table import band_heads
 from manifold.formats.readings import Readings
-from manifold.formats.text import Place, decode, find_separator, read_lines, split_cells
+from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
 from manifold.formats.tristimulus import xyz_to_linear_srgb
 from manifold.records import Array
 from manifold.system import atomic
@@ -25,6 +25,8 @@ _MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
 _UNNAMED_NM = 550.0
+_BAND = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>nm|um|µm|micron)?", re.IGNORECASE)
+_PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
 _ANGLES = {
     "theta_i": ("thetai", "thetain", "ti", "incidenttheta", "thi"),
     "phi_i": ("phii", "phiin", "incidentphi"),
@@ -45,7 +47,7 @@ class _Columns:
 def sniff(head: bytes) -> bool:
     """Whether a file's beginning has a `VARS` line, or the header of one."""
     text = decode(head)
-    return re.search(r"^\s*(VARS|NUM_POINTS|LAB_NAME)\b", text, re.MULTILINE | re.IGNORECASE) is not None
+    return re.search(r"^\s*(VARS?|NUM_POINTS|LAB_NAME)\b", text, re.MULTILINE | re.IGNORECASE) is not None
 
 
 def read(path: Path) -> list[Readings]:
@@ -58,12 +60,13 @@ def read(path: Path) -> list[Readings]:
     """
     place = Place(path, _REMEDY)
     lines = read_lines(path)
-    start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS\b", line, re.IGNORECASE)), None)
+    start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS?\b", line, re.IGNORECASE)), None)
     if start is None:
         raise place.error("no line VARS found, expected one that names the columns")
     header = _header(lines[:start])
-    columns = _columns(re.sub(r"(?i)^\s*VARS\b[\s:=]*", "", lines[start]), place, f"line {start + 1}")
+    columns = _columns(re.sub(r"(?i)^\s*VARS?\b[\s:=]*", "", lines[start]), place, f"line {start + 1}")
     is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
+    columns = _wavelength_of_header(columns, header)
     table, notes, columns = _rows(lines, start + 1, columns, place)
     announced = header.get("NUM_POINTS")
     if announced is not None:
@@ -90,7 +93,7 @@ def _header(lines: list[str]) -> dict[str, str]:
 
 
 def _columns(text: str, place: Place, where: str) -> _Columns:
-    heads = split_cells(text, find_separator([text]))
+    heads = [_PER_STERADIAN.sub("", head) for head in split_cells(text, find_separator([text]))]
     names, bands = [], []
     for head in heads:
         plain = (
@@ -116,6 +119,17 @@ def _columns(text: str, place: Place, where: str) -> _Columns:
     elif re.search(r"rad\b", text, re.IGNORECASE):
         degrees = False
     return _Columns(names, bands, degrees)
+
+
+def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns:
+    """The columns, a single band called by the wavelength that the header says: micrometres where it is below 100."""
+    found = re.match(r"[\d.]+", header.get("WAVELENGTH", ""))
+    said = number(found[0]) if found else None
+    if said is None or said <= 0.0 or len(columns.bands) != 1 or _BAND.search(columns.bands[0]):
+        return columns
+    band = f"{said if said >= 100.0 else 1000.0 * said:g}nm"
+    names = [band if name in columns.bands else name for name in columns.names]
+    return _Columns(names, [band], columns.is_degrees)
 
 
 def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tuple[Array, list[str], _Columns]:
@@ -225,14 +239,14 @@ def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> t
             return None, values
     nm = []
     for head in heads:
-        found = re.search(r"(\d+(\.\d+)?)\s*(nm|um|µm|micron)?", head, re.IGNORECASE)
-        unit = (found[3] or "nm").lower() if found else "nm"
+        found = _BAND.search(head)
+        unit = (found["unit"] or "nm").lower() if found else "nm"
         if found is None and len(heads) == 1:
             notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
             return np.array([_UNNAMED_NM]), values
         if found is None:
             raise place.error(f"band '{head[:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z")
-        nm.append(float(found[1]) * (1.0 if unit == "nm" else 1000.0))
+        nm.append(float(found["number"]) * (1.0 if unit == "nm" else 1000.0))
     order = np.argsort(nm)
     ascending = np.array(nm)[order]
     if np.any(np.diff(ascending) <= 0) or ascending[0] <= 0:

@@ -26,6 +26,9 @@ _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tel
 _NEAR = np.cos(np.deg2rad(10.0))  # around a mirror direction
 _AROUND = np.cos(np.deg2rad([20.0, 40.0]))
 _TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of paints and papers by 1.4 at most
+# Rough surfaces show no peak, but send more light ahead at steep incidence. At 50 to 70 degrees none of 222 materials
+# (RGL files, neural fits, the corpus) is more than 2.9 times as bright in another of four directions.
+_STEEP_FROM, _AHEAD = 50.0, 3.0
 _UNNAMED_NM = 550.0
 _MOST_BLOCKS = 100_000
 
@@ -220,6 +223,9 @@ def _incident_azimuth(
     if peaks[best] >= _TELLING * max(peak for offset, peak in peaks.items() if offset != best):
         notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the highlight")
         return best
+    if (side := _brightest_side(incidences, wo, values.mean(axis=-1))) is not None:
+        notes.append(f"incidence is taken at azimuth POI + {side:g}, opposite the brightest side")
+        return side
     in_usual_plane = peaks[90.0] + peaks[270.0] >= peaks[0.0] + peaks[180.0]
     taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
     notes.append(f"no highlight tells the mirror direction: incidence is taken at azimuth POI + {taken:g}")
@@ -238,6 +244,25 @@ def _peak(
         if np.any(near) and np.any(around):
             total += float(brightness[k, near].mean() / max(brightness[k, around].mean(), 1e-300))
     return total
+
+
+def _brightest_side(incidences: list[tuple[float, float]], wo: Array, brightness: Array) -> float | None:
+    """The offset of incidence from POI whose mirror direction is far the brightest, at the steepest incidence.
+
+    None where no incidence is steep, nothing stands out, or what is opposite was not measured.
+    """
+    steep = [k for k, (aoi, _) in enumerate(incidences) if _STEEP_FROM <= aoi <= _PADDING_FROM]
+    if not steep:
+        return None
+    aoi, poi = incidences[steep[-1]]
+    found = {}
+    for offset in (90.0, 270.0, 180.0, 0.0):
+        near = wo @ from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + 180.0)) > _NEAR
+        if np.any(near):
+            found[offset] = float(brightness[steep[-1], near].mean())
+    best = max(found, key=lambda offset: found[offset], default=0.0)
+    is_clear = all(found[best] > _AHEAD * value for offset, value in found.items() if offset != best)
+    return best if is_clear and (best + 180.0) % 360.0 in found else None
 
 
 def write(path: Path, table: DenseTable) -> None:

@@ -69,6 +69,7 @@ def complete(
         ),
     ] = 0,
     instrument: InstrumentOption = None,
+    physical: options.PhysicalOption = False,
     force: Annotated[
         bool, typer.Option("--force", help="Write it even if it returns more than 1.05 times its light.")
     ] = False,
@@ -101,7 +102,8 @@ def complete(
         require_replaceable("complete", {"picture": ball})
     with terminal.progress("Completing") as step:
         made = completions.complete_readings(
-            taken, library, target, picture=ball, count=suggest, instrument=instrument, force=force,
+            taken, library, target, picture=ball, count=suggest, instrument=instrument,
+            physical=physical, force=force,
             resolution=resolution, n_theta_i=incidences, on_progress=step,
         )  # fmt: skip
     found, expected = made.found, made.expected

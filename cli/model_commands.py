@@ -209,13 +209,7 @@ def predict(
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,
     srgb: options.SrgbOption = None,
-    physical: Annotated[
-        bool,
-        typer.Option(
-            "--physical",
-            help="Make the file reciprocal within 5 %, without negative values, albedo at most 1; refines its grids.",
-        ),
-    ] = False,
+    physical: options.PhysicalOption = False,
     force: Annotated[
         bool,
         typer.Option(

@@ -42,6 +42,13 @@ SrgbOption = Annotated[
 PlaceOption = Annotated[
     str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
 ]
+PhysicalOption = Annotated[
+    bool,
+    typer.Option(
+        "--physical",
+        help="Make the file reciprocal within 5 %, without negative values, albedo at most 1; refines its grids.",
+    ),
+]
 
 
 def parse_latent(text: str, option: str = "--latent") -> list[float] | str:

@@ -10,6 +10,7 @@ import pytest
 from small_library import NAMES, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import learn_correction
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
@@ -22,7 +23,7 @@ from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
 from manifold.model.completion.correction_file import read_correction, write_correction
 from manifold.model.completion.expected import Calibration, completion_errors, leave_out, signs_of
-from manifold.model.completion.hybrid import InstrumentCorrection, combine, corrected
+from manifold.model.completion.hybrid import Hybrid, InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
@@ -32,6 +33,7 @@ from manifold.models.mixtures import posterior
 from manifold.models.nearby import covariance, nearby_factors, places
 from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Bands
+from manifold.workflows import completions
 
 DIRECTIONS = geometry_ma_t12()
 APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
@@ -512,6 +514,21 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     document = json.loads((tmp_path / "felt.json").read_text())
     assert len(document["suggested_deg"]) == 2
     assert document["expected"]["ball"] > 0.0
+
+
+def test_what_returns_too_much_light_can_be_made_physical_and_keeps_its_hue(library, tmp_path, monkeypatch):
+    asked = {}
+
+    def write(*_, **how):
+        asked.update(how)
+        return Plausibility(0.0, 0.2, 0.99, 0.0)
+
+    monkeypatch.setattr(completions, "write_checked", write)
+    hybrid = Hybrid(readings(np.full((12, 3), 0.5)), None, 0)
+    made = completions.complete_readings(hybrid, library, tmp_path / "x.bsdf", physical=True)
+    assert asked["physical"] and asked["keeps_hue"]
+    assert "--physical" in asked["remedy"]
+    assert any("still differ" in note for note in made.diagnostics)
 
 
 def test_options_that_would_be_ignored_are_usage_errors(run, library, tmp_path):

@@ -10,7 +10,7 @@ from small_library import small_library
 
 from manifold.brdf import goniometer, physical
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.physical import ReciprocalBRDF, physical_file
+from manifold.brdf.physical import DimmedBRDF, ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
@@ -143,3 +143,31 @@ def test_what_returns_more_light_than_it_gets_is_not_written(tmp_path, monkeypat
     assert output.exists()
     assert any("not energy-conserving" in sentence for sentence in forced.diagnostics)
     assert predict(model, x, output, physical=True).plausibility.max_albedo <= 1.0
+
+
+class Rim(Lambert):
+    """A Lambertian surface whose second band returns far more than its light at grazing incidence."""
+
+    def eval(self, wi, wo):
+        wi, wo = np.broadcast_arrays(wi, wo)
+        return super().eval(wi, wo) * (1.0 + 4.0 * ((1.0 - wi[..., 2:]) * (1.0 - wo[..., 2:])) ** 2)
+
+    def eval_cos(self, wi, wo):
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2:], 0.0)
+
+
+@pytest.mark.parametrize("keeps_hue", [False, True])
+def test_light_is_taken_where_there_is_too_much_and_hue_is_kept_on_demand(keeps_hue, rng):
+    bright = ReciprocalBRDF(Rim(np.array([0.4, 0.9]), BANDS))
+    assert bright.albedo(from_spherical(np.deg2rad(85.0), 0.0))[1] > 1.1
+    dimmed = DimmedBRDF(bright, keeps_hue)
+    wi = from_spherical(np.deg2rad(np.arange(0.0, 86.0, 5.0)), 0.0)
+    np.testing.assert_array_less(dimmed.albedo(wi), 0.991)  # 30 balances
+    assert reciprocity_error(dimmed, rng) < 1e-12  # rounding
+    upright, grazing = (
+        (dimmed.eval(w, v) / bright.eval(w, v))
+        for w, v in ((from_spherical(t, 0.0), from_spherical(t, 2.0)) for t in (0.2, 1.4))
+    )
+    assert upright.min() > 0.95  # by its largest albedo it would be dimmed to 0.85 everywhere
+    assert grazing[1] < 0.9
+    assert grazing[0] == pytest.approx(grazing[1] if keeps_hue else 1.0)

@@ -13,7 +13,13 @@ import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.plausibility import largest_albedo, plausibility, quadrature_albedo
+from manifold.brdf.plausibility import (
+    largest_albedo,
+    mirrored_quadrature,
+    plausibility,
+    quadrature_albedo,
+)
+from manifold.directions import from_spherical
 from manifold.records import Array, Bands, BsdfFile
 
 RECIPROCITY_ERROR = 0.05
@@ -21,6 +27,8 @@ RECIPROCITY_ERROR = 0.05
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are dimmed by different factors afterwards
 _ALBEDO = 0.99  # at most: quadratures of sharp highlights at 85 degrees err by 1 %
+_ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, where it is found how much to dim
+_BALANCES = 30
 _AVERAGES = 6  # of a file with its exchanged self, at most, before its grids are refined
 _GAIN = 0.97  # of the error: what another average has to gain
 _REFINED = (
@@ -71,12 +79,15 @@ class ReciprocalBRDF:
         return quadrature_albedo(self, wi, resolution)
 
 
-def physical_file(brdf: BRDF, name: str, *, n_theta_i: int = 8, resolution: int = 32, **how: Any) -> BsdfFile:
+def physical_file(
+    brdf: BRDF, name: str, *, n_theta_i: int = 8, resolution: int = 32, keeps_hue: bool = False, **how: Any
+) -> BsdfFile:
     """Measure a BRDF into a file that is physical itself, between its nodes too; arguments as of `goniometer.measure`.
 
     Both orders of directions are averaged, before and after measuring; while the file is not reciprocal within 5 %,
     incidences are refined, then both grids, up to three times as many nodes per axis: what is not smooth there
-    keeps a larger error. Then bands that return more than they get, at an incidence to 85 degrees, are scaled.
+    keeps a larger error. Then bands that return more than they get, at an incidence to 85 degrees, are dimmed there,
+    with `keeps_hue` all bands alike.
     """
     best, least = None, np.inf
     for incidences, nodes in _REFINED:
@@ -96,11 +107,50 @@ def physical_file(brdf: BRDF, name: str, *, n_theta_i: int = 8, resolution: int 
         if least <= _AIM:
             break
     assert best is not None
-    return _dimmed(best)
+    return _dimmed(best, keeps_hue)
 
 
-def _dimmed(file: BsdfFile) -> BsdfFile:
-    """The file, bands that return more light than they get scaled."""
+class DimmedBRDF(ReciprocalBRDF):
+    """The same times s(theta_i) s(theta_o), with s just small enough that no albedo is above 0.99."""
+
+    def __init__(self, brdf: BRDF, keeps_hue: bool):
+        """Find s at elevations: s <- s sqrt(0.99 / albedo) where that is larger, as in symmetric Sinkhorn scaling.
+
+        Args:
+            brdf: what is dimmed.
+            keeps_hue: by one s for all bands, not one each.
+        """
+        super().__init__(brdf)
+        wi = from_spherical(_ELEVATIONS_RAD, 0.0)
+        count = len(wi)
+        self._scale = np.ones((count, brdf.bands.count))  # [T, B]
+        light = np.empty((count, count, brdf.bands.count))  # from wi to the elevations of wo
+        for k, w in enumerate(wi):
+            wo, measure = mirrored_quadrature(w)
+            light[k] = _hats(wo).T @ (measure[:, None] * self.eval_cos(w, wo))
+        for _ in range(_BALANCES):
+            albedo = self._scale * np.einsum("iob,ob->ib", light, self._scale)
+            if keeps_hue:
+                albedo = albedo.max(axis=1, keepdims=True)
+            self._scale *= np.sqrt(np.minimum(1.0, _ALBEDO / np.maximum(albedo, _ALBEDO)))
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B)."""
+        return super().eval(wi, wo) * (_hats(wi) @ self._scale) * (_hats(wo) @ self._scale)
+
+
+def _hats(w: Array) -> Array:
+    """Weights (..., T) of the elevations between which directions lie; constant beyond the last."""
+    theta = np.arccos(np.clip(np.asarray(w)[..., 2], 0.0, 1.0))
+    return np.stack([np.interp(theta, _ELEVATIONS_RAD, hat) for hat in np.eye(_ELEVATIONS_RAD.size)], axis=-1)
+
+
+def _dimmed(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
+    """The file, dimmed where it returns more light than it gets; what is left between nodes is scaled as a whole."""
+    if largest_albedo(MeasuredBRDF(file)).max() > _ALBEDO:
+        file = goniometer.remeasure(DimmedBRDF(MeasuredBRDF(file), keeps_hue), file)
     scale = np.minimum(1.0, _ALBEDO / np.maximum(largest_albedo(MeasuredBRDF(file)), _ALBEDO))
+    if keeps_hue:
+        scale[:] = scale.min()
     spectra = file.spectra * scale.astype(np.float32)[:, None, None]
     return goniometer.with_luminance(replace(file, spectra=spectra))

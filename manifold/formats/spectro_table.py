@@ -77,15 +77,14 @@ def read_table(
                 "such as 45as15, or of theta_i, phi_i, theta_o, phi_o"
             )
         rows = turned
-    order = sorted(header.bands, key=lambda column: header.bands[column])
+    order = sorted(header.bands, key=header.bands.__getitem__)
     nm = [header.bands[column] for column in order]
     if any(b <= a for a, b in pairwise(nm)):
         raise place.error(
             "two columns of the same wavelength, expected different ones", f"row {header.row + 1}"
         )
-    if header.unit == "unknown" and any(
-        _TITLE_IN_PERCENT.search(_text(c)) for r in rows[: header.row] for c in r
-    ):
+    titles = [_text(cell) for row in rows[: header.row] for cell in row]
+    if header.unit == "unknown" and any(map(_TITLE_IN_PERCENT.search, titles)):
         header = replace(header, unit="percent")
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
     last, percent = name, header.unit == "percent"

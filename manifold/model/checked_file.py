@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from manifold.brdf import goniometer
@@ -35,6 +36,7 @@ def write_checked(
     description: str,
     remedy: str,
     physical: bool = False,
+    keeps_hue: bool = False,
     force: bool = False,
     resolution: int = 32,
     n_theta_i: int = 8,
@@ -47,6 +49,7 @@ def write_checked(
         description: of the file.
         remedy: what to do about a file that returns more than 1.05 times its light, besides forcing it.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
+        keeps_hue: by dimming all bands alike, where one of them returns too much.
         force: write it however much light it returns.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
         n_theta_i: incident elevations; with `physical`, at least.
@@ -55,7 +58,7 @@ def write_checked(
     Raises:
         UsageError: it would return more than 1.05 times its light.
     """
-    measure = physical_file if physical else goniometer.measure
+    measure = partial(physical_file, keeps_hue=keeps_hue) if physical else goniometer.measure
     file = measure(
         brdf,
         material_name(output),
@@ -67,8 +70,8 @@ def write_checked(
     found = plausibility_of_file(file)
     if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
         raise UsageError(
-            f"{output}: would return {found.max_albedo:.2f} times its light at an incidence to 85 degrees, expected at "
-            f"most {diagnostics.MOST_ALBEDO}; {remedy}, or --force it"
+            f"{output}: would return {found.max_albedo:.2f} times its light at some incidence up to 85 degrees, "
+            f"expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or --force it"
         )
     write_bsdf(output, file)
     return found

@@ -95,6 +95,7 @@ def complete_readings(
     picture: Path | None = None,
     count: int = 0,
     instrument: str | None = None,
+    physical: bool = False,
     force: bool = False,
     resolution: int = 32,
     n_theta_i: int = 8,
@@ -109,9 +110,10 @@ def complete_readings(
         picture: of the ball, to render.
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
+        physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
         force: write a file, too, that returns more than 1.05 times its light.
-        resolution: nodes per axis of the outgoing grid.
-        n_theta_i: incident elevations.
+        resolution: nodes per axis of the outgoing grid; with `physical`, at least.
+        n_theta_i: incident elevations; with `physical`, at least.
         on_progress: called with how much is done.
     Raises:
         BandMismatchError: bands of readings and library do not go together.
@@ -135,7 +137,9 @@ def complete_readings(
         output,
         ClippedBRDF(found.brdf),
         description=_describe(found),
-        remedy="read more directions near the highlight",
+        remedy="scale it with --physical, read more directions near the highlight",
+        physical=physical,
+        keeps_hue=True,  # readings tell colours well, and how much light there is in all directions badly
         force=force,
         resolution=resolution,
         n_theta_i=n_theta_i,
@@ -143,9 +147,11 @@ def complete_readings(
     if picture is not None:
         settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
         renders.render(renders.file_source(output), picture, settings, stages.begin("rendering"))
+    notes = (*found.notes, *diagnostics.of_prediction(False, plausibility))
+    if physical:
+        notes += diagnostics.of_projection(plausibility)
     return Completed(
-        output, picture, found, hybrid, expected, plausibility, suggested,
-        (*found.notes, *diagnostics.of_prediction(False, plausibility)), time.perf_counter() - start,
+        output, picture, found, hybrid, expected, plausibility, suggested, notes, time.perf_counter() - start,
     )  # fmt: skip
 
 

@@ -526,7 +526,7 @@ def test_what_returns_too_much_light_can_be_made_physical_and_keeps_its_hue(libr
     monkeypatch.setattr(completions, "write_checked", write)
     hybrid = Hybrid(readings(np.full((12, 3), 0.5)), None, 0)
     made = completions.complete_readings(hybrid, library, tmp_path / "x.bsdf", physical=True)
-    assert asked["physical"] and asked["keeps_hue"]
+    assert (asked["physical"], asked["keeps_hue"]) == (True, True)
     assert "--physical" in asked["remedy"]
     assert any("still differ" in note for note in made.diagnostics)
 

@@ -92,6 +92,7 @@ def fit(
     Writes one JSON per material: parameters, residuals, all minima found, and how well the samples
     determine each parameter. Fits that are there already are kept.
     """
+    from manifold.formats import registry
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import fits
 
@@ -100,6 +101,12 @@ def fit(
     colour = ColourChoice(like, reflectance, srgb)
     if sources and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
+    for path in sources or () if picture else ():
+        if path.is_file() and (known := registry.identify(path)) is not None:
+            raise UsageError(
+                f"{path}: {known.name}, whose ball cannot be drawn; leave --picture, or make a .bsdf of it by "
+                "`manifold convert` or `manifold complete`"
+            )
     results = terminal.Results(json)
     settings = fits.FitSettings(
         family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method.value, metric=metric.value,

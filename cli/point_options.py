@@ -15,6 +15,7 @@ from .outputs import require_replaceable
 if TYPE_CHECKING:
     from manifold.workflows.many_points import Check, PointOutcome
 
+_MOST_WARNED = 5
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
 
 PointsOption = Annotated[
@@ -60,6 +61,11 @@ def show_points(
         [(o.path.name, _place(o), "kept" * o.was_there) for o in made],
     )
     results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")
+    warned = [(o.path.name, found) for o in made if (found := (o.result or {}).get("diagnostics"))]
+    for name, found in warned[:_MOST_WARNED]:
+        results.text(f"{name}: {'; '.join(found)}\n")
+    if warned[_MOST_WARNED:]:
+        results.text(f"and diagnostics of {len(warned) - _MOST_WARNED} more (--json lists them)\n")
     bad = [*failures, *((o.point.line, o.failure) for o in outcomes if o.failure is not None)]
     failed = [f"line {line}: {words}" for line, words in sorted(bad)]
     rows = [

@@ -603,6 +603,9 @@ def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tm
     status, _, err = run("fit", "few.csv", "-o", "few.fit.json", cwd=tmp_path)
     assert status == 1
     assert "expected 4 or more" in err
+    status, _, err = run("fit", "felt.csv", "-o", "again.fit.json", "--picture", cwd=tmp_path)
+    assert (status, "leave --picture" in err) == (2, True)
+    assert not (tmp_path / "again.fit.json").exists()
 
 
 def test_a_correction_that_is_no_text_is_refused_in_plain_words(tmp_path):

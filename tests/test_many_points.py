@@ -98,6 +98,12 @@ def test_bad_rows_are_named_by_their_lines_and_the_others_are_made(model, tmp_pa
     assert sorted(path.name for path in tmp_path.rglob("*.bsdf")) == ["good_rgb.bsdf"]
 
 
+def test_what_speaks_against_a_prediction_is_said_of_rows_too(model, tmp_path):
+    points = table(tmp_path, "x,y,name\n90,90,far\n")
+    result = run("predict", "--from", points, "-M", model, "-o", tmp_path / "out")
+    assert "far_rgb.bsdf: not supported by the data" in result.output
+
+
 def test_names_are_rows_numbers_where_there_are_none(tmp_path):
     read = read_points(table(tmp_path, "\ufeffx1,x2,x3\n\n1,2,3\n4,5,6\n"))
     assert [(p.line, p.name, p.place) for p in read.points] == [

@@ -183,6 +183,7 @@ def test_what_is_wrong_is_named(contents, name, old, new, words, tmp_path):
         (b"SCATFUN" + bytes(40), "Fourier BSDF"),
         (b"<?xml version='1.0'?><WindowElement/>", "Radiance"),
         (b"just words\n" * 9, "text file"),
+        (("15\u00b0, 25\u00b0\n" * 9).encode(), "text file"),
     ],
 )
 def test_foreign_files_are_named_for_what_they_are(content, words, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+
 # By how files begin.
 _FOREIGN = (
     (b"tensor_file\0", "an RGL file"),
@@ -36,6 +38,15 @@ def name_format(head: bytes) -> str:
     for words, name in _FOREIGN_WORDS:
         if any(word in text for word in words):
             return name
-    if all(byte in b"\t\n\r\f" or 32 <= byte < 127 for byte in head):
+    if not any(byte < 32 and byte not in b"\t\n\r\f" for byte in head) and _is_utf8(head):
         return "a text file"
     return "an unknown format"
+
+
+def _is_utf8(head: bytes) -> bool:
+    """Whether the beginning of a file is UTF-8, maybe cut off within a character."""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return False
+    return True

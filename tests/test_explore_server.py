@@ -44,7 +44,7 @@ def context(tmp_path):
 @pytest.fixture
 def served(context):
     server = ExplorerServer("<p>the page</p>", context, queue=Queue(context.folder, WRITES))
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread = threading.Thread(target=server.serve_forever, args=[0.01], daemon=True)
     thread.start()
     yield server
     server.shutdown()
@@ -250,7 +250,7 @@ def test_dropped_readings_are_completed_under_their_name_and_thrown_away(served,
 
 def test_parallel_requests_of_one_name_get_names_of_their_own(context):
     server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
     threads = [threading.Thread(target=request, args=(server, "POST", "/do/render", HERE)) for _ in range(20)]
     for thread in threads:
         thread.start()
@@ -293,7 +293,7 @@ def test_slow_and_broken_connections_leave_the_server_alive(served):
 
 def test_a_hundred_renders_are_queued_or_refused_and_can_be_cancelled(context):
     server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
     statuses = [request(server, "POST", "/do/render", HERE)[0] for _ in range(100)]
     assert statuses.count(202) in (MOST_WAITING, MOST_WAITING + 1)
     assert set(statuses) == {202, 400}
@@ -329,7 +329,7 @@ def test_a_taken_port_is_named(served, context):
 @pytest.mark.slow
 def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
     server = explore.server(small_model(tmp_path), folder=tmp_path)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
     with chromium() as browser:
         made = visit(browser, server.address)
         page = made.page

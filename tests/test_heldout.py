@@ -331,24 +331,37 @@ def test_standardised_errors_are_errors_over_expected_deviations(data):
 # -- real files --------------------------------------------------------------------------------------------
 
 
-def test_held_out_errors_on_the_real_files():
-    """The figures of docs/design/held-out.md; a few percent are left for other processors and libraries."""
+def errors_on_the_real_files(keys):
+    """Median and 90th percentile by method, as in docs/design/held-out.md."""
     folder = real_rgl_folder()
     files = [] if folder is None else sorted(folder.glob("*_rgb.bsdf"))
     if len(files) != 20:
         pytest.skip("needs the 20 real RGB files: set MANIFOLD_RGL_DIR to a folder of exactly those")
-    keys = ("monochrome_3_1", "monochrome_2_1", "gplvm_2", "published", "pca_6_identity", "oracle")
     data = Data.evaluate([MeasuredBRDF(read_bsdf(path)) for path in files], RusinkiewiczGrid.named("default"))
     errors = measure_errors([encode_all(data, METHODS[key]).combinations for key in keys], data.bands, [data])
     median = {key: np.median(e.linear) for key, e in zip(keys, errors, strict=True)}
     p90 = {key: np.percentile(e.linear, 90) for key, e in zip(keys, errors, strict=True)}
-    assert [METHODS[key].numbers(3) for key in keys[:2]] == [6, 5]
+    return median, p90
+
+
+# A few percent are left for other processors and libraries.
+
+
+def test_held_out_errors_on_the_real_files():
+    median, p90 = errors_on_the_real_files(("monochrome_3_1", "published", "pca_6_identity", "oracle"))
+    assert METHODS["monochrome_3_1"].numbers(3) == 6
     assert median["monochrome_3_1"] <= 0.13
     assert p90["monochrome_3_1"] <= 0.38
+    assert median["monochrome_3_1"] <= 0.25 * median["published"]
+    assert median["monochrome_3_1"] <= 0.4 * median["pca_6_identity"]
+    assert median["monochrome_3_1"] <= 0.5 * median["oracle"]
+
+
+@pytest.mark.slow
+def test_held_out_errors_of_fewer_numbers_on_the_real_files():
+    median, p90 = errors_on_the_real_files(("monochrome_2_1", "gplvm_2"))
+    assert METHODS["monochrome_2_1"].numbers(3) == 5
     assert median["monochrome_2_1"] <= 0.17
     assert p90["monochrome_2_1"] <= 0.42
     assert median["gplvm_2"] <= 0.34
     assert p90["gplvm_2"] <= 0.65
-    assert median["monochrome_3_1"] <= 0.25 * median["published"]
-    assert median["monochrome_3_1"] <= 0.4 * median["pca_6_identity"]
-    assert median["monochrome_3_1"] <= 0.5 * median["oracle"]

@@ -17,6 +17,7 @@ from manifold.brdf.plausibility import mirrored_quadrature, plausibility
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.brdf.synthetic.ggx import GGX
 from manifold.brdf.synthetic.microfacet import Plastic, RoughConductor
+from manifold.brdf.weighted_sums import WeightedSum
 from manifold.directions import from_spherical, hemisphere_quadrature
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.mapping import mapping_named
@@ -108,6 +109,39 @@ def test_measured_materials_are_combined_in_one_pass_as_one_by_one(measured_mate
     assert not np.any(fused[::7])
 
 
+@pytest.mark.parametrize("cube_root", [False, True])
+@pytest.mark.parametrize("count", [1, 4, 5, 9])
+def test_a_weighted_sum_is_that_of_its_materials(measured_materials, count, cube_root, rng):
+    """Other grids, symmetries and groups beside each other; neighbours in one cell, in one slice, below the horizon."""
+    theta, phi = np.deg2rad(rng.uniform(1.0, 89.0, 200)), rng.uniform(-np.pi, np.pi, 200)
+    wi = np.repeat(from_spherical(theta, phi), 5, axis=0)
+    wo = np.repeat(directions(rng, 200)[1], 5, axis=0) + 1e-3 * rng.normal(size=(1000, 3))
+    wo /= np.linalg.norm(wo, axis=1, keepdims=True)
+    wo[::7] *= [1.0, 1.0, -1.0]
+    materials = [measured_materials[k % len(measured_materials)] for k in range(count)]
+    weights = rng.normal(size=count)
+    found = np.zeros((1000, 3))
+    WeightedSum(materials, weights, cube_root=cube_root).add_to(found, DirectionPairs(wi, wo))
+    terms = np.array([material.eval(wi, wo) for material in materials])
+    terms = np.cbrt(terms) if cube_root else terms
+    # Values, weights and the sums of four materials are in single precision: about 6e-8 each, of the terms.
+    atol = 5e-7 * np.tensordot(np.abs(weights), np.abs(terms), 1)
+    assert np.all(np.abs(found - np.tensordot(weights, terms, 1)) <= atol)
+
+
+def test_a_slice_without_weight_is_not_read(measured_materials, rng):
+    file = measured("syn_satin_gold")
+    spectra = file.spectra.copy()
+    spectra[:, 1:] = np.nan  # all elevations but the normal
+    wo = directions(rng, 50)[1]
+    pairs = DirectionPairs(np.array([0.0, 0.0, 1.0]), wo)
+    found, expected = np.zeros((2, 50, 3))
+    WeightedSum([MeasuredBRDF(replace(file, spectra=spectra))], [1.0], cube_root=False).add_to(found, pairs)
+    WeightedSum([MeasuredBRDF(file)], [1.0], cube_root=False).add_to(expected, pairs)
+    np.testing.assert_array_equal(found, expected)
+    assert np.any(found > 0.0)
+
+
 def test_values_go_into_a_given_array(measured_materials, rng):
     wi, wo = directions(rng, 300)
     pairs = DirectionPairs(wi, wo)
@@ -118,7 +152,7 @@ def test_values_go_into_a_given_array(measured_materials, rng):
         with pytest.raises(ShapeError, match="array of values"):
             material.eval_into(pairs, np.empty((300, 2)))
         with pytest.raises(ShapeError, match="array of values"):
-            material.add_weighted(pairs, 1.0, np.empty((300, 3), dtype=np.float32), cube_root=True)
+            WeightedSum([material], [1.0], cube_root=True).add_to(np.empty((300, 3), np.float32), pairs)
 
 
 def test_the_compiled_cube_root_is_the_cube_root(rng):

@@ -14,6 +14,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.synthetic import corpus, fresnel
 from manifold.brdf.valleys import profile_pairs, valley_depth
+from manifold.brdf.weighted_sums import WeightedSum
 from manifold.gplvm import GPLVM
 from manifold.models.nonnegative import nonnegative_weights
 
@@ -35,7 +36,7 @@ def compile_rendering() -> None:
     pairs = DirectionPairs(wi, wo)
     total = np.zeros((len(pairs), measured.bands.count))
     measured.eval_into(pairs, total)
-    measured.add_weighted(pairs, 1.0, total, cube_root=True)
+    WeightedSum([measured], [1.0], cube_root=True).add_to(total, pairs)
 
 
 def compile_models() -> None:

@@ -10,7 +10,6 @@ import numba as nb
 import numpy as np
 
 from manifold.brdf import warp
-from manifold.brdf.cube_root import cube_root
 from manifold.brdf.pairs import elevation, locate, phi_to_u, signs, theta_to_u
 from manifold.system.parallel import in_turn
 
@@ -21,10 +20,11 @@ def _half_vector_jacobian(ux, theta_m, cos_im):
     return max(2.0 * np.pi * np.pi * ux * np.sin(theta_m), 1e-6) * 4.0 * cos_im
 
 
-_FASTMATH = {"contract", "reassoc", "nsz"}  # no assumption that values are finite: a masked cell may be NaN
+FASTMATH = {"contract", "reassoc", "nsz"}
+"""No assumption that values are finite: a masked cell may be NaN."""
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=_FASTMATH)
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
 def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     """All bands of one located pair above the horizon, into row (B,)."""
     _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
@@ -33,7 +33,7 @@ def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row)
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=_FASTMATH)
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
 def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row):
     """All bands of one half vector at (ux, uy), which the warp brings to (u, v), into row (B,)."""
     jacobian, ndf, sigma, _, _, _, _, _, spectra = tables
@@ -79,7 +79,7 @@ def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divid
 
 
 @in_turn
-@nb.njit(cache=True, parallel=True, fastmath=_FASTMATH)
+@nb.njit(cache=True, parallel=True, fastmath=FASTMATH)
 def eval_pairs(wi, wo, isotropic, reduction, divide, tables, out):
     """All bands of K pairs (K, 3), of f or, without `divide`, of f cos(theta_o), into out (K, B)."""
     for k in nb.prange(wi.shape[0]):
@@ -90,38 +90,15 @@ def eval_pairs(wi, wo, isotropic, reduction, divide, tables, out):
         _eval_row(theta_i, phi_i, ux, uy, wo[k, 2], divide, tables, out[k])
 
 
-# The next two run on one core and let go of the interpreter: their callers have several blocks to share out.
-
-
-@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
+@nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
 def eval_located(located, tables, out):
-    """f of K located pairs into out (K, B)."""
+    """f of K located pairs into out (K, B), on one core: callers have several blocks to share out."""
     for k in range(located.shape[0]):
         theta_i, phi_i, ux, uy, cos_o = located[k]
         if cos_o <= 0.0:
             out[k] = 0.0
             continue
         _eval_row(theta_i, phi_i, ux, uy, cos_o, True, tables, out[k])
-
-
-@nb.njit(cache=True, nogil=True, fastmath=_FASTMATH)
-def add_located(located, tables, weight, take_root, total):
-    """Add weight f, or weight times the cube root of f, of K located pairs to total (K, B).
-
-    Values are in single precision, as files have them; sums are not.
-    """
-    row = np.empty(total.shape[1], np.float32)  # stays in the first cache
-    for k in range(located.shape[0]):
-        theta_i, phi_i, ux, uy, cos_o = located[k]
-        if cos_o <= 0.0:
-            continue
-        _eval_row(theta_i, phi_i, ux, uy, cos_o, True, tables, row)
-        sums = total[k]
-        if take_root:  # in a loop of its own: beside sums in double precision, half as many roots at once
-            for b in range(row.shape[0]):
-                row[b] = cube_root(row[b])
-        for b in range(row.shape[0]):
-            sums[b] += weight * row[b]
 
 
 @in_turn

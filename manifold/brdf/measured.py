@@ -54,6 +54,19 @@ def _samplable(luminance: Array) -> Array:
     return np.where(black, 1.0, density)
 
 
+def require_rows(rows: Array, n_pairs: int, n_bands: int) -> None:
+    """Refuse what compiled loops cannot write to.
+
+    Raises:
+        ShapeError: rows is not (K, B), float64 and C-contiguous.
+    """
+    expected = (n_pairs, n_bands)
+    if rows.shape != expected or rows.dtype != np.float64 or not rows.flags.c_contiguous:
+        raise ShapeError(
+            f"array of values has shape {rows.shape} of {rows.dtype}, expected {expected} of float64, contiguous"
+        )
+
+
 class MeasuredBRDF:
     """The BRDF of an RGL file, all bands of a direction pair from one warp inversion.
 
@@ -108,7 +121,12 @@ class MeasuredBRDF:
         return self._isotropic
 
     @property
-    def _tables(self) -> tuple[Any, ...]:
+    def symmetry(self) -> tuple[bool, int]:
+        """What `DirectionPairs.located` asks for: whether it is isotropic, and how many times the azimuths repeat."""
+        return self._isotropic, self._reduction
+
+    @property
+    def tables(self) -> tuple[Any, ...]:
         """What `manifold.brdf.lookup` reads."""
         return (
             self._jacobian, self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
@@ -118,7 +136,7 @@ class MeasuredBRDF:
     def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self._bands.count))
-        lookup.eval_pairs(pairs.wi, pairs.wo, self._isotropic, self._reduction, divide, self._tables, out)
+        lookup.eval_pairs(pairs.wi, pairs.wo, self._isotropic, self._reduction, divide, self.tables, out)
         return out.reshape(*pairs.shape, out.shape[1])
 
     def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
@@ -132,31 +150,9 @@ class MeasuredBRDF:
         Raises:
             ShapeError: out is anything else.
         """
-        self._require_rows(pairs, out)
-        located = pairs.located(self._isotropic, self._reduction)
-        lookup.eval_located(located, self._tables, out)
-
-    def add_weighted(self, pairs: DirectionPairs, weight: float, total: Array, *, cube_root: bool) -> None:
-        """Add weight * f, or weight times the signed cube root of f, in one pass; threads as in `eval_into`.
-
-        Args:
-            pairs: K direction pairs; those below the horizon add nothing.
-            weight: the factor.
-            total: added to, float64, C-contiguous, shape (K, B).
-            cube_root: add the root instead of f.
-        Raises:
-            ShapeError: total is anything else.
-        """
-        self._require_rows(pairs, total)
-        located = pairs.located(self._isotropic, self._reduction)
-        lookup.add_located(located, self._tables, weight, cube_root, total)
-
-    def _require_rows(self, pairs: DirectionPairs, rows: Array) -> None:
-        expected = (len(pairs), self._bands.count)
-        if rows.shape != expected or rows.dtype != np.float64 or not rows.flags.c_contiguous:
-            raise ShapeError(
-                f"array of values has shape {rows.shape} of {rows.dtype}, expected {expected} of float64, contiguous"
-            )
+        require_rows(out, len(pairs), self._bands.count)
+        located = pairs.located(*self.symmetry)
+        lookup.eval_located(located, self.tables, out)
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B).
@@ -177,7 +173,7 @@ class MeasuredBRDF:
         pairs = DirectionPairs(wi, wo)
         out = np.empty(len(pairs))
         lookup.pdf_of_pairs(
-            pairs.wi, pairs.wo, self._isotropic, self._reduction, self._tables, self._luminance.data, out
+            pairs.wi, pairs.wo, self._isotropic, self._reduction, self.tables, self._luminance.data, out
         )
         return out.reshape(pairs.shape)
 
@@ -194,7 +190,7 @@ class MeasuredBRDF:
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
         lookup.sample_directions(
-            flat_wi, flat_u, self._isotropic, self._reduction, self._tables, self._luminance.tables, wo, pdf,
+            flat_wi, flat_u, self._isotropic, self._reduction, self.tables, self._luminance.tables, wo, pdf,
         )  # fmt: skip
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
@@ -206,5 +202,5 @@ class MeasuredBRDF:
         wi = require_directions(wi, "wi")
         flat = np.ascontiguousarray(wi.reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self._bands.count))
-        lookup.integrate(flat, self._isotropic, self._reduction, self._tables, sums)
+        lookup.integrate(flat, self._isotropic, self._reduction, self.tables, sums)
         return (sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2])

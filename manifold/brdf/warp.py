@@ -90,13 +90,19 @@ def cell(coordinate, n):
 
 
 @nb.njit(**UNCOUNTED)
+def bilinear_in_cell(table, i, j, ty, tx):
+    """Value of an (R, C) table in the cell of rows i, i + 1 and columns j, j + 1, at (tx, ty) in it."""
+    return (1 - ty) * ((1 - tx) * table[i, j] + tx * table[i, j + 1]) + ty * (
+        (1 - tx) * table[i + 1, j] + tx * table[i + 1, j + 1]
+    )
+
+
+@nb.njit(**UNCOUNTED)
 def bilinear(table, x, y):
     """Value of an (R, C) table at (x, y) in the unit square, clamped to it."""
     j, tx = cell(x, table.shape[1])
     i, ty = cell(y, table.shape[0])
-    return (1 - ty) * ((1 - tx) * table[i, j] + tx * table[i, j + 1]) + ty * (
-        (1 - tx) * table[i + 1, j] + tx * table[i + 1, j + 1]
-    )
+    return bilinear_in_cell(table, i, j, ty, tx)
 
 
 @in_turn
@@ -123,9 +129,15 @@ def density(data, slices, weights, x, y):
 @nb.njit(**UNCOUNTED)
 def invert(data, conditional, marginal, slices, weights, x, y):
     """The uniform variates that `sample` maps to (x, y), and the density there."""
+    j, tx = cell(x, data.shape[2])
+    i, ty = cell(y, data.shape[1])
+    return invert_in_cell(data, conditional, marginal, slices, weights, i, j, ty, tx)
+
+
+@nb.njit(**UNCOUNTED)
+def invert_in_cell(data, conditional, marginal, slices, weights, i, j, ty, tx):
+    """`invert` at (tx, ty) in the cell of rows i, i + 1 and columns j, j + 1."""
     n_rows, n_cols = data.shape[1], data.shape[2]
-    j, tx = cell(x, n_cols)
-    i, ty = cell(y, n_rows)
     c0 = (1 - ty) * _at3(data, slices, weights, i, j) + ty * _at3(data, slices, weights, i + 1, j)
     c1 = (1 - ty) * _at3(data, slices, weights, i, j + 1) + ty * _at3(data, slices, weights, i + 1, j + 1)
     pdf = ((1 - tx) * c0 + tx * c1) * (n_rows - 1) * (n_cols - 1)

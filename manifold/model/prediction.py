@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numba as nb
 import numpy as np
@@ -12,6 +13,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.synthetic.analytic import choose_lobe
+from manifold.brdf.weighted_sums import WeightedSum
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity
@@ -190,9 +192,9 @@ class PredictedBRDF:
         cosines = cosine_weight(pairs.wi, pairs.wo)
         if self._is_per_band:
             mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
-            for share, material, values in zip(self._sampling_weights, self._materials, mapped, strict=False):
+            for k, share in enumerate(self._sampling_weights[: len(self._materials)]):
                 if share > 0.0:
-                    self._add_mapped(material, 1.0, pairs, cosines, values)
+                    self._add_mapped(slice(k, k + 1), np.ones(1), pairs, cosines, mapped[k])
             samples = np.moveaxis(mapped, 1, 2).reshape(-1, len(pairs))  # [N B_s, K]
             if self._dictionary is None:
                 np.matmul(samples.T, self._weights.T, out=out)
@@ -201,22 +203,34 @@ class PredictedBRDF:
                 out[...] = self._dictionary.combine(self._weights, samples, lobe_roots).T
         else:
             out[...] = 0.0
-            for weight, material in zip(self._weights, self._materials, strict=True):
-                self._add_mapped(material, float(weight), pairs, cosines, out)
+            self._add_mapped(slice(None), self._weights, pairs, cosines, out)
         out[...] = self._mapping.inverse(out, cosines)
         out[cosines <= 0] = 0.0
 
+    @cached_property
+    def _sums(self) -> list[WeightedSum] | None:
+        """Sums in one pass, if they can be: of all materials, or of each by itself where bands have weights."""
+        measured = [material for material in self._materials if isinstance(material, MeasuredBRDF)]
+        if len(measured) < len(self._materials) or not isinstance(self._mapping, CubeRoot | Identity):
+            return None
+        is_root = isinstance(self._mapping, CubeRoot)
+        if self._is_per_band:
+            return [WeightedSum([material], [1.0], cube_root=is_root) for material in measured]
+        return [WeightedSum(measured, self._weights, cube_root=is_root)]
+
     def _add_mapped(
-        self, material: BRDF, weight: float, pairs: DirectionPairs, cosines: Array, out: Array
+        self, part: slice, weights: Array, pairs: DirectionPairs, cosines: Array, out: Array
     ) -> None:
-        """Add weight * T(f) of one material at K pairs to out (K, B)."""
-        if not isinstance(material, MeasuredBRDF):
-            out += weight * self._mapping.forward(material.eval(pairs.wi, pairs.wo), cosines)
-        elif isinstance(self._mapping, CubeRoot | Identity):  # in one pass
-            material.add_weighted(pairs, weight, out, cube_root=isinstance(self._mapping, CubeRoot))
-        else:
-            f = np.empty_like(out)
-            material.eval_into(pairs, f)
+        """Add the sum of weights * T(f) of all materials, or of one, at K pairs to out (K, B)."""
+        if self._sums is not None:
+            self._sums[part][0].add_to(out, pairs)
+            return
+        for material, weight in zip(self._materials[part], weights, strict=True):
+            if isinstance(material, MeasuredBRDF):
+                f = np.empty_like(out)
+                material.eval_into(pairs, f)
+            else:
+                f = material.eval(pairs.wi, pairs.wo)
             out += weight * self._mapping.forward(f, cosines)
 
 

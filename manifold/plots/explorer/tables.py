@@ -15,6 +15,7 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.weighted_sums import WeightedSum
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
@@ -171,8 +172,9 @@ def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
     """Cube roots of f cos(theta_i) cos(theta_o), the mean of both sides of the plane of the normal, (P, B')."""
     mirror = np.array([1.0, -1.0, 1.0])
     total = np.zeros((len(pairs.wi), material.bands.count))
+    half = WeightedSum([material], [0.5], cube_root=True)
     for side in (np.ones(3), mirror):
-        material.add_weighted(DirectionPairs(pairs.wi * side, pairs.wo * side), 0.5, total, cube_root=True)
+        half.add_to(total, DirectionPairs(pairs.wi * side, pairs.wo * side))
     return (np.maximum(total, 0.0) * pairs.amplitude[:, None]).astype(np.float32)
 
 

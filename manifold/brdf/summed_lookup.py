@@ -1,0 +1,237 @@
+"""Compiled loops that add up look-ups of several materials, pair by pair.
+
+A few direction pairs at a time, a tile: what all materials need of a pair is found once, sums of a tile stay in the
+first cache, and two neighbours that read the same cell of a material read it once. Values are in single precision, as
+files have them, and so are the sums of one group of materials; sums of groups are in double.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+
+from manifold.brdf import warp
+from manifold.brdf.cube_root import cube_root
+from manifold.brdf.lookup import FASTMATH
+from manifold.brdf.pairs import phi_to_u, theta_to_u
+
+GROUP = 4
+"""Materials of one call: more take long to compile, fewer carry sums to and fro."""
+
+_TILE = 32  # direction pairs; 195 bands of sums are 25 kB
+_LANES = 16  # rows of values are padded to whole vectors of singles
+
+
+@nb.njit(**warp.UNCOUNTED)
+def _are_equal(nodes, others):
+    """Whether two grids of one axis are the same."""
+    if nodes.shape != others.shape:
+        return False
+    different = 0
+    for k in range(nodes.shape[0]):
+        different += nodes[k] != others[k]
+    return different == 0
+
+
+@nb.njit(**warp.UNCOUNTED)
+def _share_grids(tables, others):
+    """Whether two materials have the same grids of incident directions, half vectors, `ndf` and `sigma`."""
+    _, ndf, sigma, data, _, _, phi_nodes, theta_nodes, _ = tables
+    _, other_ndf, other_sigma, other_data, _, _, other_phi, other_theta, _ = others
+    return (
+        _are_equal(phi_nodes, other_phi)
+        and _are_equal(theta_nodes, other_theta)
+        and ndf.shape == other_ndf.shape
+        and sigma.shape == other_sigma.shape
+        and data.shape == other_data.shape
+    )
+
+
+@nb.njit(**warp.UNCOUNTED)
+def _locate_tile(located, tables, slices, shares, nodes, offsets):
+    """What materials with the same grids share: slices around wi, cells of the grids of half vectors, ndf, sigma."""
+    _, ndf, sigma, data, _, _, phi_nodes, theta_nodes, _ = tables
+    for k in range(located.shape[0]):
+        theta_i, phi_i, x, y, cos_o = located[k]
+        if cos_o <= 0.0:
+            continue
+        s, w = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
+        for q in range(4):
+            # A slice without weight is not read: it may hold what is not a number.
+            slices[k, q] = s[q] if w[q] != 0.0 else s[q ^ 1]
+            shares[k, q] = w[q]
+        nodes[k, 0], offsets[k, 0] = warp.cell(y, data.shape[1])
+        nodes[k, 1], offsets[k, 1] = warp.cell(x, data.shape[2])
+        nodes[k, 2], offsets[k, 2] = warp.cell(y, ndf.shape[0])
+        nodes[k, 3], offsets[k, 3] = warp.cell(x, ndf.shape[1])
+        nodes[k, 4], offsets[k, 4] = warp.cell(phi_to_u(phi_i), sigma.shape[0])
+        nodes[k, 5], offsets[k, 5] = warp.cell(theta_to_u(theta_i), sigma.shape[1])
+
+
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+def _locate_spectra(located, tables, slices, shares, nodes, offsets, cells, corners):
+    """Where one material's spectra are read: cells (K, 2), and weights of their corners (K, 4, 4) in each slice."""
+    jacobian, ndf, sigma, data, conditional, marginal, _, _, spectra = tables
+    for k in range(located.shape[0]):
+        cos_o = located[k, 4]
+        if cos_o <= 0.0:
+            continue
+        s = (slices[k, 0], slices[k, 1], slices[k, 2], slices[k, 3])
+        w = (shares[k, 0], shares[k, 1], shares[k, 2], shares[k, 3])
+        u, v, _ = warp.invert_in_cell(
+            data, conditional, marginal, s, w, nodes[k, 0], nodes[k, 1], offsets[k, 0], offsets[k, 1]
+        )
+        scale = 1.0 / cos_o
+        if jacobian:
+            scale = warp.bilinear_in_cell(ndf, nodes[k, 2], nodes[k, 3], offsets[k, 2], offsets[k, 3]) / (
+                4.0
+                * cos_o
+                * warp.bilinear_in_cell(sigma, nodes[k, 4], nodes[k, 5], offsets[k, 4], offsets[k, 5])
+            )
+        i, ty = warp.cell(v, spectra.shape[1])
+        j, tx = warp.cell(u, spectra.shape[2])
+        cells[k, 0], cells[k, 1] = i, j
+        low, high = (1.0 - ty) * scale, ty * scale
+        for q in range(4 if w[2] != 0.0 or w[3] != 0.0 else 2):
+            corners[k, q, 0], corners[k, q, 1] = w[q] * (low * (1.0 - tx)), w[q] * (low * tx)
+            corners[k, q, 2], corners[k, q, 3] = w[q] * (high * (1.0 - tx)), w[q] * (high * tx)
+
+
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+def _read(spectra, a, b, i, j, at_a, at_b, is_first, row):
+    """Write, or after the first add, what two slices hold in one cell to row (B,)."""
+    a00, a01, a10, a11 = at_a[0], at_a[1], at_a[2], at_a[3]
+    b00, b01, b10, b11 = at_b[0], at_b[1], at_b[2], at_b[3]
+    # One name per row: the compiler then sees eight streams with stride one.
+    p00, p01, p10, p11 = (
+        spectra[a, i, j],
+        spectra[a, i, j + 1],
+        spectra[a, i + 1, j],
+        spectra[a, i + 1, j + 1],
+    )
+    q00, q01, q10, q11 = (
+        spectra[b, i, j],
+        spectra[b, i, j + 1],
+        spectra[b, i + 1, j],
+        spectra[b, i + 1, j + 1],
+    )
+    for k in range(spectra.shape[3]):
+        value = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
+            b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
+        )
+        row[k] = value if is_first else row[k] + value
+
+
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+def _read_two(spectra, a, b, i, j, at_a, at_b, next_a, next_b, row, next_row):
+    """`_read` of two pairs in the same cell of the same slices."""
+    a00, a01, a10, a11 = at_a[0], at_a[1], at_a[2], at_a[3]
+    b00, b01, b10, b11 = at_b[0], at_b[1], at_b[2], at_b[3]
+    c00, c01, c10, c11 = next_a[0], next_a[1], next_a[2], next_a[3]
+    d00, d01, d10, d11 = next_b[0], next_b[1], next_b[2], next_b[3]
+    p00, p01, p10, p11 = (
+        spectra[a, i, j],
+        spectra[a, i, j + 1],
+        spectra[a, i + 1, j],
+        spectra[a, i + 1, j + 1],
+    )
+    q00, q01, q10, q11 = (
+        spectra[b, i, j],
+        spectra[b, i, j + 1],
+        spectra[b, i + 1, j],
+        spectra[b, i + 1, j + 1],
+    )
+    for k in range(spectra.shape[3]):
+        row[k] = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
+            b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
+        )
+        next_row[k] = (c00 * p00[k] + c01 * p01[k] + c10 * p10[k] + c11 * p11[k]) + (
+            d00 * q00[k] + d01 * q01[k] + d10 * q10[k] + d11 * q11[k]
+        )
+
+
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+def _add_row(row, weight, take_root, sums):
+    """Add weight times a row, or times its cube roots, to sums, both padded."""
+    if take_root:
+        for b in range(row.shape[0]):
+            sums[b] += weight * cube_root(row[b])
+    else:
+        for b in range(row.shape[0]):
+            sums[b] += weight * row[b]
+
+
+@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+def _add_material(located, spectra, slices, shares, cells, corners, weight, take_root, rows, sums):
+    """Add one material, where its spectra are located, to the sums of a tile."""
+    k, n = 0, located.shape[0]
+    while k < n:
+        if located[k, 4] <= 0.0:
+            k += 1
+            continue
+        i, j, a, b = cells[k, 0], cells[k, 1], slices[k, 0], slices[k, 1]
+        m, count = k + 1, 1
+        if (
+            m < n
+            and located[m, 4] > 0.0
+            and cells[m, 0] == i
+            and cells[m, 1] == j
+            and slices[m, 0] == a
+            and slices[m, 1] == b
+        ):
+            count = 2
+            _read_two(
+                spectra,
+                a,
+                b,
+                i,
+                j,
+                corners[k, 0],
+                corners[k, 1],
+                corners[m, 0],
+                corners[m, 1],
+                rows[0],
+                rows[1],
+            )
+        else:
+            _read(spectra, a, b, i, j, corners[k, 0], corners[k, 1], True, rows[0])
+        for r in range(count):
+            if shares[k, 2] != 0.0 or shares[k, 3] != 0.0:
+                _read(spectra, slices[k, 2], slices[k, 3], i, j, corners[k, 2], corners[k, 3], False, rows[r])
+            _add_row(rows[r], weight, take_root, sums[k])
+            k += 1
+
+
+@nb.njit(cache=True, nogil=True, fastmath=FASTMATH)
+def add_located(located, group, weights, take_root, total):
+    """Add the sum of weights f, or of weights times cube roots of f, of K located pairs to total (K, B).
+
+    Args:
+        located: as `DirectionPairs.located` gives them, shape (K, 5).
+        group: `GROUP` materials' tables, of the same types.
+        weights: single precision, shape (GROUP,); a material with none is not read.
+        take_root: add cube roots.
+        total: double precision, shape (K, B).
+    """
+    width = -(-total.shape[1] // _LANES) * _LANES
+    slices, shares = np.zeros((_TILE, 4), np.int64), np.zeros((_TILE, 4))
+    nodes, offsets = np.zeros((_TILE, 6), np.int64), np.zeros((_TILE, 6))
+    cells, corners = np.zeros((_TILE, 2), np.int64), np.zeros((_TILE, 4, 4), np.float32)
+    rows, sums = np.zeros((2, width), np.float32), np.zeros((_TILE, width), np.float32)
+    for start in range(0, located.shape[0], _TILE):
+        tile = located[start : start + _TILE]
+        sums[:] = 0.0
+        known = -1  # whose grids the tile is located in
+        for m in range(len(group)):
+            if weights[m] == 0.0:
+                continue
+            if known < 0 or not _share_grids(group[m], group[known]):
+                _locate_tile(tile, group[m], slices, shares, nodes, offsets)
+                known = m
+            _locate_spectra(tile, group[m], slices, shares, nodes, offsets, cells, corners)
+            spectra = group[m][8]
+            _add_material(tile, spectra, slices, shares, cells, corners, weights[m], take_root, rows, sums)
+        for k in range(tile.shape[0]):
+            to, added = total[start + k], sums[k]
+            for b in range(to.shape[0]):
+                to[b] += added[b]

@@ -75,6 +75,8 @@ class Bands:
     def __str__(self) -> str:
         if self.wavelengths_nm is None:
             return "RGB"
+        if self.count == 1:
+            return f"1 band, {self.wavelengths_nm[0]:.1f} nm"
         return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
 
     def require_same(self, other: Bands, where: str, remedy: str) -> None:

@@ -162,6 +162,13 @@ def test_entities_that_grow_are_refused(tmp_path):
         ("csv", rb"\n45", b"\n95", "theta_i is 95"),
         ("astm", rb",\d\.\d+\n", b",1e250\n", "value of 1e"),
         ("cxf", rb"CxF3-core", b"CxF2-core", "older version"),
+        ("lighttools", rb"Wavelength \d+", b"Colour red", "told by Wavelength"),
+        (
+            "zemax",
+            rb"(?s)XYZ(.*)TristimulusX(.*)TristimulusY(.*)TristimulusZ",
+            rb"RGB\1Red\2Green\3Blue",
+            "SpectralContent RGB, expected",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(contents, name, old, new, words, tmp_path):

@@ -232,7 +232,9 @@ def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path)
 def test_the_wavelength_of_an_astm_table_of_one_band_may_stand_in_its_header(wavelength, head, nm, tmp_path):
     path = tmp_path / "black.astm"
     path.write_text(f"LAB_NAME x\n{wavelength}\n{head}\n0.5,3.14,0.4,0,0.02\n0.5,3.14,0.6,0,0.03\n")
-    np.testing.assert_allclose(registry.read_readings(path).bands.wavelengths_nm, [nm])
+    found = registry.read_readings(path).bands
+    np.testing.assert_allclose(found.wavelengths_nm, [nm])
+    assert str(found) == f"1 band, {nm:.1f} nm"
 
 
 CXF_SPELLINGS = {

@@ -176,7 +176,8 @@ def _stack(
         raise place.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
     if len(bands) * len(incidences) != len(blocks):
         raise place.error(
-            f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} incidences"
+            f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} "
+            "incidences, bands being told by Wavelength, or TristimulusValue TrisX, TrisY and TrisZ"
         )
     values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
     for b, label in zip(blocks, labels, strict=True):

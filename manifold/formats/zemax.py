@@ -90,9 +90,12 @@ def read(path: Path) -> list[Readings]:
     counts = {len(part) for part in parts.values()}
     if counts != {len(incidences)} or set(parts) not in ({0}, {0, 1, 2}):
         found = ", ".join(str(count) for count in sorted(counts)) or "no"
-        raise words.place.error(
-            f"{found} tables, expected {len(incidences)}, one per incidence: the file is cut off"
+        why = (
+            "the file is cut off"
+            if max(counts, default=0) <= len(incidences)
+            else (f"SpectralContent {header.get('spectralcontent', 'not said')}, expected Monochrome or XYZ")
         )
+        raise words.place.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
     return [_readings(path, incidences, lists, [np.array(parts[b]) for b in sorted(parts)])]
 
 

@@ -16,7 +16,7 @@ from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.formats import csv_table, merl, pab_opto, registry
+from manifold.formats import csv_table, lighttools, merl, pab_opto, registry
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import cube_root_error
 from manifold.records import Bands
@@ -118,6 +118,17 @@ def rgl_of(bands: Bands, path):
         path, goniometer.measure(smooth(bands), "smooth", resolution=48, n_theta_i=24, compensate=False)
     )
     return path
+
+
+def test_nodes_at_the_horizon_do_not_count_where_rgl_files_hold_no_f(tmp_path):
+    """Tables up to 90 degrees: an RGL file's f_cos over the cosine there is 1e10 times their f."""
+    theta = np.deg2rad(np.arange(0.0, 91.0, 10.0))
+    axes = (np.deg2rad([0.0, 30.0, 60.0]), np.array([np.pi]), theta, np.deg2rad(np.arange(0.0, 360.0, 30.0)))
+    table = dense(MINI_DIFF_BANDS, "incident-outgoing", axes)
+    lighttools.write(tmp_path / "full.bsdf", replace(table, values=np.nan_to_num(table.values, nan=0.01)))
+    error = convert([tmp_path / "full.bsdf"], tmp_path / "out.bsdf", options=Options(resolution=24)).error
+    assert error.cube_root < 0.03  # of 10 degrees and 24 nodes
+    assert error.percentile_95 < 0.2
 
 
 def test_merl_files_of_rgl_files_hold_linear_srgb_at_merls_nodes(tmp_path):

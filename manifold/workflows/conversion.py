@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
 from manifold.model.completion.correction_file import read_correction
 from manifold.records import Array, Bands
 from manifold.system import atomic
-from manifold.workflows.conversion_source import Source, open_source
+from manifold.workflows.conversion_source import LEAST_COSINE, Source, open_source
 from manifold.workflows.conversion_targets import TARGETS, Options, target_of
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
@@ -135,7 +136,11 @@ def _error(source: Source, back: Source) -> ConversionError:
         distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
         if np.all(distance < _SAME_PAIR):
             return ConversionError.between(nodes.wi, nodes.wo, nodes.values, back.nodes.values[row])
-    found = back.require_brdf().eval(nodes.wi, nodes.wo)
+    result = back.require_brdf()
+    is_high = np.minimum(nodes.wi[:, 2], nodes.wo[:, 2]) > LEAST_COSINE
+    if isinstance(result, MeasuredBRDF) and np.any(is_high):
+        nodes = nodes.select_pairs(np.flatnonzero(is_high))
+    found = result.eval(nodes.wi, nodes.wo)
     return ConversionError.between(nodes.wi, nodes.wo, nodes.values, found)
 
 

@@ -25,7 +25,8 @@ from manifold.records import Array, Bands, BsdfFile
 
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
-_LEAST_COSINE = np.sin(np.deg2rad(2.0))  # f = f_cos / cos of RGL cells says nothing nearer to the horizon
+LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
+"""Of both directions: f = f_cos / cos of RGL files says nothing nearer to the horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +162,8 @@ def _of_rgl(file: BsdfFile) -> Source:
             warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), file.spectra.shape[3:],
             is_isotropic=file.is_isotropic,
         )  # fmt: skip
-        keep = cells.is_above & file.measured_mask[p, t] & (cells.wo[..., 2] > _LEAST_COSINE)
-        keep &= cells.wi[2] > _LEAST_COSINE
+        keep = cells.is_above & file.measured_mask[p, t] & (cells.wo[..., 2] > LEAST_COSINE)
+        keep &= cells.wi[2] > LEAST_COSINE
         wo.append(cells.wo[keep])
         wi.append(np.broadcast_to(cells.wi, wo[-1].shape))
     all_wi, all_wo = np.concatenate(wi), np.concatenate(wo)

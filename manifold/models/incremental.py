@@ -192,9 +192,7 @@ def _make_move(X, K, P, work, state, i, q, target, moved):
     d, Pd, p = work[0], work[1], work[2]
     t, a, b, c = moved[:4]
     X[i, q] = target
-    for k in range(
-        4
-    ):  # a slice would be checked for its shape, and the message alone takes seconds to compile
+    for k in range(4):  # a slice's shape would be checked: the message alone takes seconds to compile
         state[k] = moved[4 + k]
     state[_MOVES] += 1
     for j in range(N):

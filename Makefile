@@ -2,6 +2,7 @@
 BIN := .venv/bin
 OUT ?= demo
 # Tests are shared out among processes, file by file, long files first; SHARED= runs them one after the other.
+# BLAS and Numba have one thread in each: where every core has a process, more threads only turn idly.
 SHARED ?= -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 SEED ?= 0
 MINUTES ?= 10
@@ -34,7 +35,7 @@ kernels: .venv/readydev
 	$(BIN)/python tools/kernels.py
 
 test: kernels
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
+	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(SHARED)
 
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow

@@ -18,7 +18,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
     )  # or programs that tests interrupt would ignore it, too
 
 SLOW_LEFT = pytest.StashKey[int]()
-LONGEST = ("stability_catalogue", "cli", "bsdf_plugin", "workflows", "brdf", "chart")
+LONGEST = (
+    "stability_catalogue", "cli", "budget", "bsdf_plugin", "workflows", "principled", "chart", "explore_page", "brdf",
+    "report", "model", "gplvm", "without_mitsuba", "store",
+)  # fmt: skip
 """Test files that take longest: first, or one process is left with them when the others are done."""
 
 

@@ -7,13 +7,15 @@ import pytest
 import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_library import NAMES, small_library
+from small_library import NAMES, measured, small_library
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError, UsageError
 from manifold.library.store import Library
+from manifold.model.blend_fitting import looks_of
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights
@@ -85,6 +87,21 @@ def test_places_inside_the_hull_are_drawn_evenly(rng):
     np.testing.assert_allclose(quarters / len(shares), 0.25, atol=0.05)  # four standard deviations of 1,500
     assert len(_inside_hull(X[:, :1], rng)) == 0
     assert len(_inside_hull(X * [1.0, 0.0], rng)) == 0
+
+
+def test_the_last_bits_of_values_do_not_change_what_is_laid_out(monkeypatch, rng):
+    """Which they are depends on the compiler; a layout, which is not smooth, would magnify them."""
+    materials = [MeasuredBRDF(measured(name)) for name in NAMES[:3]]
+    looks = looks_of(materials)
+    evaluate = MeasuredBRDF.eval
+
+    def disturbed(self, wi, wo):
+        f = evaluate(self, wi, wo)
+        return f * (1.0 + 4e-16 * rng.normal(size=f.shape))
+
+    monkeypatch.setattr(MeasuredBRDF, "eval", disturbed)
+    for name, array in vars(looks_of(materials)).items():
+        assert np.array_equal(array, getattr(looks, name))
 
 
 def test_a_layout_of_matrices_that_do_not_fit_is_refused():

@@ -87,12 +87,11 @@ def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = N
         shape *= np.median(difference[upper]) / median
     stacked = np.stack(profiles)
     some = evenly_spaced(stacked.shape[3], _PROFILE_BANDS)
-    return Looks(
-        0.5 * (difference + difference.T),
-        shape,
-        _valleys(stacked),
-        stacked[:, :, ::_PROFILE_STRIDE][..., some],
-    )
+    seen = (
+        0.5 * (difference + difference.T), shape, _valleys(stacked), stacked[:, :, ::_PROFILE_STRIDE][..., some],
+    )  # fmt: skip
+    # The last bits of look-ups depend on what compiled them, and a layout magnifies them: it is to be the same again.
+    return Looks(*(array.astype(np.float32).astype(np.float64) for array in seen))
 
 
 def _valleys(profiles: Array) -> Array:

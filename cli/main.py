@@ -60,7 +60,11 @@ def _options(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
     ),
     debug: bool = typer.Option(False, "--debug", help="Show a traceback where something goes wrong."),
-    strict: bool = typer.Option(False, "--strict", help="Refuse where there would be a warning. Diagnostics are no warnings, but results."),
+    strict: bool = typer.Option(
+        False,
+        "--strict",
+        help="Refuse where there would be a warning. Diagnostics are no warnings, but results.",
+    ),
 ) -> None:
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
 

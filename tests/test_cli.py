@@ -348,12 +348,6 @@ def test_a_far_latent_is_called_unsupported(run, folder):
     assert "not supported by the data" in out
 
 
-@pytest.fixture(scope="module")
-def structures(tmp_path_factory):
-    """A folder with `library.zarr` and a monochrome `model.h5`."""
-    return small_model(tmp_path_factory.mktemp("structures")).parent
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -363,14 +357,14 @@ def structures(tmp_path_factory):
         (["--srgb", "0.5,0.6,0.7", "--physical"], "sRGB 0.5,0.6,0.7"),
     ],
 )
-def test_a_structure_is_predicted_in_the_colour_asked_for(run, structures, arguments, words):
-    code, out, _ = run("predict", "--latent", "0.1,0.1", "-o", "p.bsdf", *arguments, cwd=structures)
+def test_a_structure_is_predicted_in_the_colour_asked_for(run, folder, arguments, words):
+    code, out, _ = run("predict", "--latent", "0.1,0.1", "-o", "p.bsdf", *arguments, cwd=folder)
     assert code == 0
     assert words in out
-    assert words in read_bsdf(structures / "p.bsdf").description
+    assert words in read_bsdf(folder / "p.bsdf").description
 
 
-def test_a_physical_prediction_is_physical(run, structures):
+def test_a_physical_prediction_is_physical(run, folder):
     arguments = (
         "predict",
         "--latent",
@@ -383,7 +377,7 @@ def test_a_physical_prediction_is_physical(run, structures):
         "--json",
         "-",
     )
-    _, out, _ = run(*arguments, cwd=structures)
+    _, out, _ = run(*arguments, cwd=folder)
     found = json.loads(out)["plausibility"]
     assert found["negative_share"] == 0
     assert found["reciprocity_error"] <= 0.05
@@ -399,8 +393,8 @@ def test_a_physical_prediction_is_physical(run, structures):
         (["--reflectance", "absent.txt"], "absent.txt"),
     ],
 )
-def test_colours_that_are_none_are_usage_errors(run, structures, arguments, words):
-    code, out, err = run("predict", "--latent", "0,0", *arguments, cwd=structures)
+def test_colours_that_are_none_are_usage_errors(run, folder, arguments, words):
+    code, out, err = run("predict", "--latent", "0,0", *arguments, cwd=folder)
     assert (code, out) == (2, "")
     assert words in err
     assert len(err.splitlines()) == 1
@@ -413,9 +407,9 @@ def test_colours_of_whole_materials_are_usage_errors(run, folder):
     assert "--kind blend" in err
 
 
-def test_a_file_of_the_library_is_located_at_its_material(run, structures):
-    file = structures / "files" / "syn_satin_gold_rgb.bsdf"
-    code, out, _ = run("locate", file, "--json", "-", cwd=structures)
+def test_a_file_of_the_library_is_located_at_its_material(run, folder):
+    file = folder / "files" / "syn_satin_gold_rgb.bsdf"
+    code, out, _ = run("locate", file, "--json", "-", cwd=folder)
     found = json.loads(out)
     assert code == 0
     assert found["nearest"][0][0] == "syn_satin_gold"

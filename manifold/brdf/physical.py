@@ -28,7 +28,7 @@ RECIPROCITY_ERROR = 0.05
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are dimmed by different factors afterwards
 _ALBEDO = 0.99  # at most: quadratures of sharp highlights at 85 degrees err by 1 %
 _ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, where it is found how much to dim
-_BALANCES = 30
+_BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
 _AVERAGES = 6  # of a file with its exchanged self, at most, before its grids are refined
 _GAIN = 0.97  # of the error: what another average has to gain
 _REFINED = (
@@ -111,7 +111,7 @@ def physical_file(
 
 
 class DimmedBRDF(ReciprocalBRDF):
-    """The same times s(theta_i) s(theta_o), with s just small enough that no albedo is above 0.99."""
+    """The same times s(theta_i) s(theta_o), with s just small enough that no albedo is above about 0.99."""
 
     def __init__(self, brdf: BRDF, keeps_hue: bool):
         """Find s at elevations: s <- s sqrt(0.99 / albedo) where that is larger, as in symmetric Sinkhorn scaling.
@@ -119,6 +119,7 @@ class DimmedBRDF(ReciprocalBRDF):
         Args:
             brdf: what is dimmed.
             keeps_hue: by one s for all bands, not one each.
+        Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
         """
         super().__init__(brdf)
         wi = from_spherical(_ELEVATIONS_RAD, 0.0)

@@ -194,7 +194,7 @@ class PredictedBRDF:
             mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
             for k, share in enumerate(self._sampling_weights[: len(self._materials)]):
                 if share > 0.0:
-                    self._add_mapped(slice(k, k + 1), np.ones(1), pairs, cosines, mapped[k])
+                    self._add_mapped(k, pairs, cosines, mapped[k])
             samples = np.moveaxis(mapped, 1, 2).reshape(-1, len(pairs))  # [N B_s, K]
             if self._dictionary is None:
                 np.matmul(samples.T, self._weights.T, out=out)
@@ -203,29 +203,37 @@ class PredictedBRDF:
                 out[...] = self._dictionary.combine(self._weights, samples, lobe_roots).T
         else:
             out[...] = 0.0
-            self._add_mapped(slice(None), self._weights, pairs, cosines, out)
+            self._add_mapped(0, pairs, cosines, out)
         out[...] = self._mapping.inverse(out, cosines)
         out[cosines <= 0] = 0.0
 
     @cached_property
+    def _parts(self) -> list[tuple[Sequence[BRDF], Array]]:
+        """Materials added up together, and their weights: all, or each by itself where bands have weights."""
+        if self._is_per_band:
+            return [([material], np.ones(1)) for material in self._materials]
+        return [(self._materials, self._weights)]
+
+    @cached_property
     def _sums(self) -> list[WeightedSum] | None:
-        """Sums in one pass, if they can be: of all materials, or of each by itself where bands have weights."""
-        measured = [material for material in self._materials if isinstance(material, MeasuredBRDF)]
-        if len(measured) < len(self._materials) or not isinstance(self._mapping, CubeRoot | Identity):
+        """The parts as sums in one pass, if they can be."""
+        if not isinstance(self._mapping, CubeRoot | Identity):
             return None
         is_root = isinstance(self._mapping, CubeRoot)
-        if self._is_per_band:
-            return [WeightedSum([material], [1.0], cube_root=is_root) for material in measured]
-        return [WeightedSum(measured, self._weights, cube_root=is_root)]
+        sums = []
+        for materials, weights in self._parts:
+            measured = [material for material in materials if isinstance(material, MeasuredBRDF)]
+            if len(measured) < len(materials):
+                return None
+            sums.append(WeightedSum(measured, weights, cube_root=is_root))
+        return sums
 
-    def _add_mapped(
-        self, part: slice, weights: Array, pairs: DirectionPairs, cosines: Array, out: Array
-    ) -> None:
-        """Add the sum of weights * T(f) of all materials, or of one, at K pairs to out (K, B)."""
+    def _add_mapped(self, k: int, pairs: DirectionPairs, cosines: Array, out: Array) -> None:
+        """Add the sum of weights * T(f) of the k-th part at K pairs to out (K, B)."""
         if self._sums is not None:
-            self._sums[part][0].add_to(out, pairs)
+            self._sums[k].add_to(out, pairs)
             return
-        for material, weight in zip(self._materials[part], weights, strict=True):
+        for material, weight in zip(*self._parts[k], strict=True):
             if isinstance(material, MeasuredBRDF):
                 f = np.empty_like(out)
                 material.eval_into(pairs, f)

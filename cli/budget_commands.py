@@ -11,6 +11,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import options, terminal
+from .application import app
 
 if TYPE_CHECKING:
     from manifold.workflows.budgets import Budget
@@ -19,15 +20,11 @@ _WIDTH = 80
 _NAME = 16  # columns of a material's name in the table; below it stands in full
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command(
-        "budget",
-        short_help="The cheapest representation of a scene's materials that keeps its picture.",
-        epilog="Example: manifold budget --example felt, or manifold budget scene.xml --max-delta-e 0.5 -o lean",
-    )(budget)
-
-
+@app.command(
+    "budget",
+    short_help="The cheapest representation of a scene's materials that keeps its picture.",
+    epilog="Example: manifold budget --example felt, or manifold budget scene.xml --max-delta-e 0.5 -o lean",
+)
 def budget(
     scene: Annotated[
         Path | None, typer.Argument(help="Mitsuba scene, .xml or .json.", metavar="[SCENE]")

@@ -11,6 +11,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import options, terminal
+from .application import app
 
 if TYPE_CHECKING:
     from manifold.experiments.chart.experiment import Chart
@@ -18,15 +19,11 @@ if TYPE_CHECKING:
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command(
-        "chart",
-        short_help="Speed against accuracy of many settings on one library.",
-        epilog="Example: manifold chart --library library.zarr -o chart.png --json chart.json",
-    )(chart)
-
-
+@app.command(
+    "chart",
+    short_help="Speed against accuracy of many settings on one library.",
+    epilog="Example: manifold chart --library library.zarr -o chart.png --json chart.json",
+)
 def chart(
     library: Annotated[
         Path | None,

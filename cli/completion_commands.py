@@ -10,7 +10,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import options, terminal
-from .instrument_commands import CorrectionOption
+from .application import app
 from .outputs import or_default, require_replaceable
 
 if TYPE_CHECKING:
@@ -22,20 +22,11 @@ InstrumentOption = Annotated[
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "complete",
-        short_help="Complete a few readings of a material to a full BRDF.",
-        epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture --suggest 3",
-    )(complete)
-    app.command(
-        "calibrate",
-        short_help="Learn an instrument's colour correction from samples that a better one read too.",
-        epilog="Example: manifold calibrate red.xlsx red.astm blue.xlsx blue.astm -o mini-diff.json",
-    )(calibrate)
-
-
+@app.command(
+    "complete",
+    short_help="Complete a few readings of a material to a full BRDF.",
+    epilog="Example: manifold complete sample.xlsx -o sample_spec.bsdf --picture --suggest 3",
+)
 def complete(
     readings: Annotated[
         list[Path] | None,
@@ -55,7 +46,7 @@ def complete(
     sample: Annotated[
         str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
     ] = None,
-    correction: CorrectionOption = None,
+    correction: options.CorrectionOption = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
     ] = False,
@@ -139,6 +130,11 @@ def complete(
     results.document(made.to_json())
 
 
+@app.command(
+    "calibrate",
+    short_help="Learn an instrument's colour correction from samples that a better one read too.",
+    epilog="Example: manifold calibrate red.xlsx red.astm blue.xlsx blue.astm -o mini-diff.json",
+)
 def calibrate(
     pairs: Annotated[
         list[Path],

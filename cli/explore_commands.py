@@ -10,17 +10,14 @@ from typing import Annotated
 import typer
 
 from . import options, terminal
+from .application import app
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "explore",
-        short_help="Explore the map in a page: drag a point and look.",
-        epilog="Example: manifold explore, or manifold explore --html map.html",
-    )(explore)
-
-
+@app.command(
+    "explore",
+    short_help="Explore the map in a page: drag a point and look.",
+    epilog="Example: manifold explore, or manifold explore --html map.html",
+)
 def explore(
     output: Annotated[
         Path | None,

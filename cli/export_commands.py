@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,6 +11,7 @@ from manifold.errors import UsageError
 from manifold.system import atomic
 
 from . import options, terminal
+from .application import app
 from .outputs import Force, or_default
 from .point_options import count_words, raise_failed
 
@@ -19,29 +19,24 @@ if TYPE_CHECKING:
     from manifold.workflows.exports import ExportOutcome
 
 
-class TargetName(StrEnum):
-    """Choices of --target."""
-
-    gltf = "gltf"
-    openpbr = "openpbr"
-    standard_surface = "standard-surface"
-    usd = "usd"
-    usd_materialx = "usd-materialx"
-    blender = "blender"
-    blender_json = "blender-json"
-    unreal = "unreal"
-    unity = "unity"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command(
-        "export",
-        short_help="Write a material for engines: glTF, MaterialX, USD, Blender, Unreal, Unity.",
-        epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
-    )(export)
+TargetName = Literal[
+    "gltf",
+    "openpbr",
+    "standard-surface",
+    "usd",
+    "usd-materialx",
+    "blender",
+    "blender-json",
+    "unreal",
+    "unity",
+]
 
 
+@app.command(
+    "export",
+    short_help="Write a material for engines: glTF, MaterialX, USD, Blender, Unreal, Unity.",
+    epilog="Example: manifold export satin_gold_spec.bsdf -o satin_gold.glb",
+)
 def export(
     source: Annotated[
         Path | None,
@@ -99,14 +94,14 @@ def export(
     if source is not None and source.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
-        many = TARGETS[target.value if target else "gltf"]
+        many = TARGETS[target or "gltf"]
         folder = output or Path("exports")
         with terminal.progress("Exporting") as step:
             outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct)
         _show_all(results, outcomes, folder)
         return
     path = or_default(output, "material.glb", "export", force)
-    chosen = target_of(None if target is None else target.value, path)
+    chosen = target_of(target, path)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
         stages = Stages(step, {"": 8, "evaluating the target's model": 2})

@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
+from .application import app
 
 if TYPE_CHECKING:
     from manifold.model.colours import ColourChoice
     from manifold.workflows.fits import FitOutcome
 
 
-class Method(StrEnum):
-    """Choices of --method."""
-
-    gauss_newton = "gauss-newton"
-    adam = "adam"
-    swarm = "swarm"
+Method = Literal["gauss-newton", "adam", "swarm"]
+Metric = Literal["cube-root", "linear", "log"]
 
 
-class Metric(StrEnum):
-    """Choices of --metric."""
-
-    cube_root = "cube-root"
-    linear = "linear"
-    log = "log"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command(
-        "fit",
-        short_help="Fit the parameters of a BSDF, by default principled.",
-        epilog="Example: manifold fit satin_gold_spec.bsdf -o satin_gold.fit.json",
-    )(fit)
-
-
+@app.command(
+    "fit",
+    short_help="Fit the parameters of a BSDF, by default principled.",
+    epilog="Example: manifold fit satin_gold_spec.bsdf -o satin_gold.fit.json",
+)
 def fit(
     sources: Annotated[
         list[Path] | None,
@@ -61,8 +45,8 @@ def fit(
     ] = None,
     method: Annotated[
         Method, typer.Option(help="Gauss-Newton from many starts, or an earlier method to compare with.")
-    ] = Method.gauss_newton,
-    metric: Annotated[Metric, typer.Option(help="Domain in which residuals are minimised.")] = Metric.cube_root,
+    ] = "gauss-newton",
+    metric: Annotated[Metric, typer.Option(help="Domain in which residuals are minimised.")] = "cube-root",
     free: Annotated[
         str | None,
         typer.Option(help="Parameters of principled to fit, commas between; others stay fixed.", metavar="NAMES"),
@@ -109,7 +93,7 @@ def fit(
             )
     results = terminal.Results(json)
     settings = fits.FitSettings(
-        family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method.value, metric=metric.value,
+        family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method, metric=metric,
         noise=noise, wide_colours=wide_colours,
     )  # fmt: skip
     if latent is not None:

@@ -8,26 +8,14 @@ from typing import Annotated
 import typer
 
 from . import options, terminal
-
-CorrectionOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--correction",
-        help="Correct readings in three bands by this file of `manifold calibrate`.",
-        metavar="FILE",
-    ),
-]
+from .application import app
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "convert",
-        short_help="Convert between RGL, MERL, UTIA, LightTools, Zemax, ASTM and CSV files.",
-        epilog="Example: manifold convert satin_rgb.bsdf -o satin.binary",
-    )(convert)
-
-
+@app.command(
+    "convert",
+    short_help="Convert between RGL, MERL, UTIA, LightTools, Zemax, ASTM and CSV files.",
+    epilog="Example: manifold convert satin_rgb.bsdf -o satin.binary",
+)
 def convert(
     inputs: Annotated[
         list[Path],
@@ -54,7 +42,7 @@ def convert(
     sample: Annotated[
         str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
     ] = None,
-    correction: CorrectionOption = None,
+    correction: options.CorrectionOption = None,
     resolution: Annotated[
         int,
         typer.Option(help="Of RGL files: nodes per axis of the outgoing grid.", metavar="N", min=2, max=512),

@@ -8,32 +8,14 @@ from typing import Annotated
 import typer
 
 from . import options, terminal
+from .application import app
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "corpus",
-        short_help="Write the built-in synthetic corpus.",
-        epilog="Example: manifold corpus rgl_like --seed 7",
-    )(corpus)
-    app.command(
-        "fetch",
-        short_help="Download files of the RGL database.",
-        epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
-    )(fetch)
-    app.command(
-        "import",
-        short_help="Import files or folders into a library.",
-        epilog="Example: manifold import rgl --library library.zarr",
-    )(import_)
-    app.command(
-        "info",
-        short_help="Show what a file, a library or a model holds.",
-        epilog="Example: manifold info library.zarr --verify",
-    )(info)
-
-
+@app.command(
+    "corpus",
+    short_help="Write the built-in synthetic corpus.",
+    epilog="Example: manifold corpus rgl_like --seed 7",
+)
 def corpus(
     folder: Annotated[
         Path, typer.Argument(help="Where to write the files; made if missing.", metavar="FOLDER")
@@ -72,7 +54,6 @@ def corpus(
 
     Or, with --neural, fits of about 150 real materials (Sztrajman et al. 2021), which you download yourself.
     """
-    from manifold import __version__
     from manifold.brdf.synthetic import instruments
     from manifold.brdf.synthetic.corpus import write
     from manifold.brdf.synthetic.neural import write_neural
@@ -106,7 +87,6 @@ def corpus(
     results.rows(f"{what} in {folder}", {"files": len(paths), "size": terminal.megabytes(size), **origin})
     results.document(
         {
-            "program": f"manifold {__version__}",
             **origin,
             "bytes": size,
             "files": [str(path) for path in paths],
@@ -114,6 +94,11 @@ def corpus(
     )
 
 
+@app.command(
+    "fetch",
+    short_help="Download files of the RGL database.",
+    epilog="Example: manifold fetch satin_gold paper_blue --to rgl",
+)
 def fetch(
     names: Annotated[
         list[str] | None,
@@ -160,6 +145,11 @@ def fetch(
     )
 
 
+@app.command(
+    "import",
+    short_help="Import files or folders into a library.",
+    epilog="Example: manifold import rgl --library library.zarr",
+)
 def import_(
     sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.", metavar="SOURCE")],
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
@@ -200,6 +190,11 @@ def import_(
         raise LibraryError(_shortened(list(result.failed.values()), "left out"))
 
 
+@app.command(
+    "info",
+    short_help="Show what a file, a library or a model holds.",
+    epilog="Example: manifold info library.zarr --verify",
+)
 def info(
     path: Annotated[
         Path, typer.Argument(help="A .bsdf or instrument's file, a library, or a model.", metavar="PATH")

@@ -7,6 +7,7 @@ import os
 import sys
 import traceback
 import warnings
+from importlib import import_module
 from typing import TextIO
 
 import typer
@@ -14,34 +15,8 @@ import typer
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
 
-from . import (
-    budget_commands,
-    chart_commands,
-    completion_commands,
-    explore_commands,
-    export_commands,
-    fit_commands,
-    instrument_commands,
-    library_commands,
-    model_commands,
-    picture_commands,
-    render_commands,
-    report_commands,
-    stability_commands,
-    terminal,
-)
-from .outputs import GuardedTyper
-
-app = GuardedTyper(
-    name="manifold",
-    help="Turn measured spectral BRDFs into a manifold of materials, and predict materials nobody measured.",
-    epilog="Start with `manifold demo`, which runs everything on the built-in synthetic corpus.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+from . import terminal
+from .application import app
 
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
@@ -69,19 +44,11 @@ def _options(
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
 
 
-library_commands.register(app)
-model_commands.register(app)
-report_commands.register(app)
-picture_commands.register(app)
-explore_commands.register(app)
-fit_commands.register(app)
-export_commands.register(app)
-render_commands.register(app)
-budget_commands.register(app)
-chart_commands.register(app)
-stability_commands.register(app)
-completion_commands.register(app)
-instrument_commands.register(app)
+for _commands in (
+    "library", "model", "report", "picture", "explore", "fit", "export", "render", "budget", "chart", "stability",
+    "completion", "instrument",
+):  # fmt: skip  # in the order of the help
+    import_module(f".{_commands}_commands", __package__)
 
 
 def run(arguments: list[str] | None = None) -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from manifold.errors import UsageError
 
 from . import options, terminal
+from .application import app
 from .outputs import or_default
 from .point_options import PointsOption, folder_or_default, replacing, show_points
 
@@ -20,50 +20,16 @@ if TYPE_CHECKING:
 AUTO = "auto"
 
 
-class Kind(StrEnum):
-    """Choices of --kind."""
-
-    blend = "blend"
-    monochrome = "monochrome"
-    material = "material"
+Kind = Literal["blend", "monochrome", "material"]
+Optimizer = Literal["dls", "l-bfgs", "multistart"]
+Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
 
 
-class Optimizer(StrEnum):
-    """Choices of --optimizer."""
-
-    dls = "dls"
-    lbfgs = "l-bfgs"
-    multistart = "multistart"
-
-
-class Criterion(StrEnum):
-    """Choices of --criterion."""
-
-    decoded = "decoded"
-    cube_root = "cube-root"
-    mapped = "mapped"
-    likelihood = "likelihood"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "embed",
-        short_help="Fit a manifold to a library.",
-        epilog="Example: manifold embed --latent-dim 2 --mapping cube-root",
-    )(embed)
-    app.command(
-        "predict",
-        short_help="Write the material at a latent coordinate.",
-        epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
-    )(predict)
-    app.command(
-        "locate",
-        short_help="Find the latent of a measured file.",
-        epilog="Example: manifold locate my_paint_spec.bsdf",
-    )(locate)
-
-
+@app.command(
+    "embed",
+    short_help="Fit a manifold to a library.",
+    epilog="Example: manifold embed --latent-dim 2 --mapping cube-root",
+)
 def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     model: options.ModelOption = options.DEFAULT_MODEL,
@@ -73,7 +39,7 @@ def embed(
             help="blend: every place a non-negative combination of the materials around. monochrome: structure on "
             "the map, colour apart. material: whole materials as points, as published."
         ),
-    ] = Kind.blend,
+    ] = "blend",
     latent_dim: Annotated[
         str,
         typer.Option(
@@ -120,7 +86,7 @@ def embed(
             "in colour), the residual in the mapped domain, or that weighed by the posterior's variance. Blends have "
             "cube-root only."
         ),
-    ] = Criterion.cube_root,
+    ] = "cube-root",
     json: options.JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
@@ -129,10 +95,10 @@ def embed(
 
     results = terminal.Results(json)
     given = {
-        "optimizer": optimizer and optimizer.value,
+        "optimizer": optimizer,
         "mu": mu,
         "kernel": kernel,
-        "criterion": criterion.value,
+        "criterion": criterion,
     }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
@@ -141,7 +107,7 @@ def embed(
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
     made = pipeline.embed(
-        library, model, Settings(kind=kind.value, **chosen),
+        library, model, Settings(kind=kind, **chosen),
         auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
     )  # fmt: skip
     fitted, settings = made.model, made.model.settings
@@ -162,9 +128,9 @@ def embed(
         f"Model {model}",
         {
             "materials": len(fitted.names),
-            "kind": kind.value,
+            "kind": kind,
             "latent dimensions": f"{settings.latent_dim}"
-            + ", and a colour per band" * (kind is Kind.monochrome),
+            + ", and a colour per band" * (kind == "monochrome"),
             "mapping": settings.mapping,
             "kernel": settings.kernel,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
@@ -195,6 +161,11 @@ def parse_latent_dim(text: str) -> int:
     return int(text)
 
 
+@app.command(
+    "predict",
+    short_help="Write the material at a latent coordinate.",
+    epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
+)
 def predict(
     latent: Annotated[
         str | None,
@@ -295,6 +266,11 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     results.rows(f"Predicted {made.path}", rows)
 
 
+@app.command(
+    "locate",
+    short_help="Find the latent of a measured file.",
+    epilog="Example: manifold locate my_paint_spec.bsdf",
+)
 def locate(
     path: Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")],
     model: options.ModelOption = options.DEFAULT_MODEL,

@@ -42,6 +42,14 @@ SrgbOption = Annotated[
 PlaceOption = Annotated[
     str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
 ]
+CorrectionOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--correction",
+        help="Correct readings in three bands by this file of `manifold calibrate`.",
+        metavar="FILE",
+    ),
+]
 PhysicalOption = Annotated[
     bool,
     typer.Option(

@@ -2,48 +2,29 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from manifold.errors import UsageError
 
 from . import options, terminal
+from .application import app
 
 PictureOption = Annotated[
     Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
 ]
 
 
-class SliceKind(StrEnum):
-    """Choices of --kind."""
-
-    angles = "angles"
-    image = "image"
-    spectra = "spectra"
+SliceKind = Literal["angles", "image", "spectra"]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "map",
-        short_help="Draw the map of materials as rendered balls.",
-        epilog="Example: manifold map --mark -0.3,1.2 -o map.png",
-    )(latent_map)
-    app.command(
-        "walk",
-        short_help="Draw the path between two materials.",
-        epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
-    )(walk)
-    app.command(
-        "slices",
-        short_help="Draw BRDF values over angles or wavelengths.",
-        epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
-    )(slices)
-
-
+@app.command(
+    "map",
+    short_help="Draw the map of materials as rendered balls.",
+    epilog="Example: manifold map --mark -0.3,1.2 -o map.png",
+)
 def latent_map(
     mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y|NAME")] = None,
     like: options.LikeOption = None,
@@ -58,7 +39,6 @@ def latent_map(
 
     Balls are rendered once and remembered by the library.
     """
-    from manifold import __version__
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
 
@@ -75,7 +55,6 @@ def latent_map(
     results.rows(f"Drawn {output}", rows | (drawn.diagnosis.rows if drawn.diagnosis is not None else {}))
     results.document(
         {
-            "program": f"manifold {__version__}",
             "picture": str(output),
             "marked": marked,
             "left_out": list(drawn.left_out),
@@ -84,6 +63,11 @@ def latent_map(
     )
 
 
+@app.command(
+    "walk",
+    short_help="Draw the path between two materials.",
+    epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
+)
 def walk(
     start: Annotated[str, typer.Argument(help="The first material.", metavar="FROM")],
     end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
@@ -94,7 +78,6 @@ def walk(
     json: options.JsonOption = None,
 ) -> None:
     """Draw the path between two materials along the manifold, and below it their linear interpolation."""
-    from manifold import __version__
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
@@ -112,13 +95,17 @@ def walk(
     results.rows(f"Drawn {output}", rows | ({"diagnostics": diagnosed} if diagnosed else {}))
     results.document(
         {
-            "program": f"manifold {__version__}",
             "picture": str(output),
             "predictions": [step.to_json() for step in between],
         }
     )
 
 
+@app.command(
+    "slices",
+    short_help="Draw BRDF values over angles or wavelengths.",
+    epilog="Example: manifold slices gold_spec.bsdf felt_spec.bsdf --bands 450,650 -o slices.png",
+)
 def slices(
     names: Annotated[
         list[str] | None,
@@ -133,7 +120,7 @@ def slices(
     kind: Annotated[
         SliceKind,
         typer.Option(help="Plane of incidence; Rusinkiewicz theta_h and theta_d; or spectra."),
-    ] = SliceKind.angles,
+    ] = "angles",
     bands: Annotated[
         str | None, typer.Option(help="Wavelengths in nm in place of R, G, B: 450,550,650.", metavar="NM,NM")
     ] = None,
@@ -143,7 +130,6 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold import __version__
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.plots import figures
     from manifold.workflows import pictures
@@ -158,7 +144,7 @@ def slices(
     wavelengths = parse_wavelengths(bands) if bands is not None else []
     latents = [options.parse_latent(text) for text in latent or []]
     drawn = pictures.sources(names or [], latents, model, library, colour)
-    pictures.slices(drawn, output, kind=kind.value, wavelengths_nm=wavelengths)
+    pictures.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
     predictions = {source.label: source.diagnosis for source in drawn if source.diagnosis is not None}
@@ -166,7 +152,6 @@ def slices(
         results.rows(label[:1].upper() + label[1:], diagnosis.rows)
     results.document(
         {
-            "program": f"manifold {__version__}",
             "picture": str(output),
             "materials": labels,
             "predictions": {label: diagnosis.to_json() for label, diagnosis in predictions.items()},

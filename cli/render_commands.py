@@ -10,6 +10,7 @@ import typer
 from manifold.errors import UsageError
 
 from . import options, terminal
+from .application import app
 from .outputs import Force, or_default
 from .point_options import PointsOption, folder_or_default, replacing, show_points
 
@@ -37,20 +38,11 @@ SeedOption = Annotated[
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "render",
-        short_help="Picture of a ball of a measured or predicted material.",
-        epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
-    )(render)
-    app.command(
-        "compare",
-        short_help="How two pictures, or two rendered materials, differ.",
-        epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
-    )(compare)
-
-
+@app.command(
+    "render",
+    short_help="Picture of a ball of a measured or predicted material.",
+    epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
+)
 def render(
     file: Annotated[
         Path | None, typer.Argument(help="A .bsdf file, or the JSON of a fit.", metavar="[FILE]")
@@ -158,6 +150,11 @@ def _show(results: terminal.Results, made: Rendered) -> None:
     results.document(made.to_json())
 
 
+@app.command(
+    "compare",
+    short_help="How two pictures, or two rendered materials, differ.",
+    epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
+)
 def compare(
     a: Annotated[Path, typer.Argument(help="A picture, a .bsdf file, or the JSON of a fit.", metavar="A")],
     b: Annotated[Path, typer.Argument(help="Another of the same kind.", metavar="B")],

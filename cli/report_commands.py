@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from . import options, terminal
+from .application import app
 from .model_commands import show_prediction
 
-
-class Grid(StrEnum):
-    """Choices of --grid."""
-
-    default = "default"
-    hikichi = "hikichi"
+Grid = Literal["default", "hikichi"]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command(
-        "report",
-        short_help="Evaluate a model.",
-        epilog="Example: manifold report --json report.json --picture map.png",
-    )(report)
-    app.command(
-        "demo", short_help="Run everything on the built-in corpus.", epilog="Example: manifold demo demo"
-    )(demo)
-
-
+@app.command(
+    "report",
+    short_help="Evaluate a model.",
+    epilog="Example: manifold report --json report.json --picture map.png",
+)
 def report(
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     grid: Annotated[
         Grid,
         typer.Option(help="12,420 direction pairs, or the 1,458,000 of Hikichi & Iwasaki, eq. 22 (minutes)."),
-    ] = Grid.default,
+    ] = "default",
     json: options.JsonOption = None,
     compare: Annotated[
         bool,
@@ -67,13 +55,16 @@ def report(
     results = terminal.Results(json)
     with terminal.progress("Evaluating") as step:
         made = pipeline.report(
-            model, library=library, grid=grid.value, compare=compare, all_bands=all_bands, anchors=anchor or (),
+            model, library=library, grid=grid, compare=compare, all_bands=all_bands, anchors=anchor or (),
             picture=picture, on_progress=step,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())
 
 
+@app.command(
+    "demo", short_help="Run everything on the built-in corpus.", epilog="Example: manifold demo demo"
+)
 def demo(
     folder: Annotated[
         Path, typer.Argument(help="Where to put everything; made if missing.", metavar="FOLDER")

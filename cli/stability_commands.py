@@ -8,17 +8,14 @@ from typing import Annotated
 import typer
 
 from . import options, terminal
+from .application import app
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command(
-        "stability",
-        short_help="Where methods fail, and whether they say so.",
-        epilog="Example: manifold stability --only duplicates --picture stability.png",
-    )(stability)
-
-
+@app.command(
+    "stability",
+    short_help="Where methods fail, and whether they say so.",
+    epilog="Example: manifold stability --only duplicates --picture stability.png",
+)
 def stability(
     only: Annotated[
         list[str] | None, typer.Option(help="A failure mode's name; may be repeated.", metavar="NAME")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.colour import ball_colours
@@ -49,8 +48,8 @@ class Located:
     diagnostics: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
-        return {"program": f"manifold {__version__}", **vars(self), "path": str(self.path)}
+        """Plain values."""
+        return vars(self) | {"path": str(self.path)}
 
 
 def locate(

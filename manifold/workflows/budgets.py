@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from manifold import __version__
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
 from manifold.experiments.budget.output_folder import OutputFolder
@@ -119,10 +118,9 @@ class Budget:
         return sum(one.full_size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
+        """Plain values."""
         materials = [asdict(one) | {"asset": _text(one.asset), "bsdf": dict(one.bsdf)} for one in self.chosen]
         return {
-            "program": f"manifold {__version__}",
             "scene": self.scene,
             "tolerance": asdict(self.tolerance),
             "settings": asdict(self.settings),

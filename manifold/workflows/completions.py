@@ -65,10 +65,9 @@ class Completed:
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
+        """Plain values."""
         found = self.found
         return {
-            "program": f"manifold {__version__}",
             "path": str(self.path),
             "picture": None if self.picture is None else str(self.picture),
             "sample": found.readings.name,

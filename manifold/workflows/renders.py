@@ -278,8 +278,8 @@ class Comparison:
     flip_ball: Summary | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
-        return {"program": f"manifold {__version__}", **asdict(self), "path": str(self.path)}
+        """Plain values."""
+        return asdict(self) | {"path": str(self.path)}
 
 
 def compare(

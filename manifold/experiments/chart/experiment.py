@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from manifold import __version__
 from manifold.errors import RendererError, UsageError
 from manifold.experiments.chart import fits, instruments, pareto
 from manifold.experiments.chart.held_out import HeldOut
@@ -65,10 +64,10 @@ class Chart:
     skipped: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
-        """The chart as plain values, with the program's version."""
+        """The chart as plain values."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
         rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.rows]
-        return {"program": f"manifold {__version__}", "reference": reference, **asdict(self), "rows": rows}
+        return {"reference": reference, **asdict(self), "rows": rows}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
         """The settings on a front, cheapest first."""

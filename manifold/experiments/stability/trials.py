@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
 from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
@@ -168,7 +167,6 @@ class Stability:
         """Plain values, with what the modes are; numbers that are not finite become None."""
         tried = {row.mode for row in self.rows}
         return {
-            "program": f"manifold {__version__}",
             "silently_wrong": len(self.wrong),
             "false_alarms": len(self.false_alarms),
             "early_warnings": self.early_warnings,

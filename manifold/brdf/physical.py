@@ -17,10 +17,10 @@ from manifold.brdf.plausibility import (
     largest_albedo,
     mirrored_quadrature,
     plausibility,
-    quadrature_albedo,
 )
+from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import from_spherical
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, BsdfFile
 
 RECIPROCITY_ERROR = 0.05
 """The most that a physical file has."""
@@ -40,27 +40,12 @@ _REFINED = (
 )  # incidences and outgoing nodes, of those asked for
 
 
-class ReciprocalBRDF:
+class ReciprocalBRDF(WrappedBRDF):
     """A BRDF and the one with directions exchanged, averaged by their cosines, negative values cut to zero.
 
     `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value counts by the cosine that it was
     measured with. Files extrapolate to the horizon, where the other value, divided by a vanishing cosine, is huge.
     """
-
-    def __init__(self, brdf: BRDF):
-        """Wrap a BRDF."""
-        self._brdf = brdf
-        self.sample, self.pdf = brdf.sample, brdf.pdf
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._brdf.bands
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether the BRDF is."""
-        return self._brdf.is_isotropic
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, at least 0 and the same for exchanged directions, shape (..., B)."""
@@ -69,14 +54,6 @@ class ReciprocalBRDF:
         both = np.maximum(self._brdf.eval_cos(wi, wo), 0.0) + np.maximum(self._brdf.eval_cos(wo, wi), 0.0)
         cosines = (wi[..., 2] + wo[..., 2])[..., None]
         return np.divide(both, cosines, out=np.zeros_like(both), where=is_above)
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
-        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
-
-    def albedo(self, wi: Array, resolution: int = 32) -> Array:
-        """Directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""
-        return quadrature_albedo(self, wi, resolution)
 
 
 def physical_file(

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 
-from manifold.brdf.pairs import DirectionPairs, flat_samples
-from manifold.directions import from_spherical, hemisphere_quadrature, require_directions, to_rusinkiewicz
+from manifold.brdf.synthetic.analytic import AnalyticBRDF
+from manifold.directions import from_spherical, hemisphere_quadrature, to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
-from manifold.records import Array, Bands
+from manifold.records import Array
 
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
@@ -22,54 +20,18 @@ _DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highl
 _LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets from growing further
 
 
-class TabulatedBRDF(ABC):
+class TabulatedBRDF(AnalyticBRDF):
     """What tables of both kinds share; values below the horizon are 0. Sampling is by the cosine."""
 
-    _bands: Bands
     _isotropic: bool
-
-    @abstractmethod
-    def _interpolate(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr of flat pairs (n, 3) above the horizon, shape (n, B)."""
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._bands
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether turning both directions about the normal changes nothing."""
         return self._isotropic
 
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
-        pairs = DirectionPairs(wi, wo)
-        above = (pairs.wi[:, 2] > 0.0) & (pairs.wo[:, 2] > 0.0)
-        f = np.zeros((len(pairs), self._bands.count))
-        f[above] = self._interpolate(pairs.wi[above], pairs.wo[above])
-        return f.reshape(*pairs.shape, self._bands.count)
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., B)."""
-        return self.eval(wi, wo) * np.maximum(np.asarray(wo, float)[..., 2], 0.0)[..., None]
-
-    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Directions (..., 3) by the cosine for uniform variates (..., 2), and their pdf (...) in 1/sr."""
-        _, u, shape = flat_samples(wi, u)
-        wo = from_spherical(np.arcsin(np.sqrt(u[:, 0])), 2.0 * np.pi * u[:, 1])
-        return wo.reshape(*shape, 3), wo[:, 2].reshape(shape) / np.pi
-
-    def pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `sample` in 1/sr, shape (...)."""
-        pairs = DirectionPairs(wi, wo)
-        return (np.maximum(pairs.wo[:, 2], 0.0) / np.pi).reshape(pairs.shape)
-
-    def albedo(self, wi: Array) -> Array:
-        """Directional albedo, shape (..., B)."""
+    def _albedo(self, wi: Array) -> Array:
         nodes, weights = hemisphere_quadrature(32, 64)
-        wi = require_directions(wi, "wi")
-        return np.einsum("k,...kb->...b", weights, self.eval_cos(wi[..., None, :], nodes))
+        return np.einsum("k,nkb->nb", weights, self.eval_cos(wi[:, None], nodes))
 
 
 class DenseBRDF(TabulatedBRDF):
@@ -88,10 +50,10 @@ class DenseBRDF(TabulatedBRDF):
         if not np.all(measured):
             nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
             values = values[tuple(nearest)]
-        self._bands, self._isotropic = table.bands, table.is_isotropic
+        self.bands, self._isotropic = table.bands, table.is_isotropic
         self._coordinates, self._axes, self._values = table.coordinates, table.axes, values
 
-    def _interpolate(self, wi: Array, wo: Array) -> Array:
+    def _eval(self, wi: Array, wo: Array) -> Array:
         if self._coordinates == "half-difference":
             theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
             return self._blend([(theta_h, None), (theta_d, None), (phi_d, np.pi)])
@@ -112,7 +74,7 @@ class DenseBRDF(TabulatedBRDF):
                 for index, weight in corners
                 for end, w in ((low, 1 - t), (high, t))
             ]
-        flat = self._values.reshape(-1, self._bands.count)
+        flat = self._values.reshape(-1, self.bands.count)
         return np.asarray(sum(weight[:, None] * flat[index] for index, weight in corners))
 
 
@@ -149,7 +111,7 @@ class ReadingsBRDF(TabulatedBRDF):
         keys = np.round(np.stack([theta, phi], axis=1), 5)
         incidences, group = np.unique(keys, axis=0, return_inverse=True)
         group = group.reshape(-1)
-        self._bands = readings.bands
+        self.bands = readings.bands
         oblique = incidences[incidences[:, 0] > 1e-6]
         self._isotropic = len(np.unique(oblique[:, 0])) == len(oblique)
         self._slices = []
@@ -166,14 +128,14 @@ class ReadingsBRDF(TabulatedBRDF):
         self._thetas = np.unique(incidences[:, 0])
         self._phis = incidences[:, 1]
 
-    def _interpolate(self, wi: Array, wo: Array) -> Array:
+    def _eval(self, wi: Array, wo: Array) -> Array:
         swap = (wi[:, 2] < np.cos(self._thetas[-1]) - 1e-9) & (wo[:, 2] > wi[:, 2])
         wi, wo = np.where(swap[:, None], wo, wi), np.where(swap[:, None], wi, wo)
         theta, phi = _angles(wi)
         h = wi + wo
         h /= np.linalg.norm(h, axis=1, keepdims=True)
         low, high, t = _bracket(self._thetas, theta, None)
-        f = np.zeros((len(wi), self._bands.count))
+        f = np.zeros((len(wi), self.bands.count))
         for ring in range(len(self._rings)):
             weight = (1 - t) * (low == ring) + t * (high == ring)
             rows = np.flatnonzero(weight > 0)
@@ -192,7 +154,7 @@ class ReadingsBRDF(TabulatedBRDF):
             wo = _mirrored(from_spherical(theta, phi), h)
             return self._slices[members[0]](_disk(wo, -phi), np.cos(theta) * wo[:, 2] / cosines)
         low, high, t = _bracket(self._phis[members], phi, 2 * np.pi)
-        f = np.zeros((len(phi), self._bands.count))
+        f = np.zeros((len(phi), self.bands.count))
         for k, member in enumerate(members):
             weight = (1 - t) * (low == k) + t * (high == k)
             rows = np.flatnonzero(weight > 0)

@@ -14,6 +14,7 @@ from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.brdf.synthetic.analytic import choose_lobe
 from manifold.brdf.weighted_sums import WeightedSum
+from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Identity
@@ -242,25 +243,15 @@ class PredictedBRDF:
             out += weight * self._mapping.forward(f, cosines)
 
 
-class ClippedBRDF:
+class ClippedBRDF(WrappedBRDF):
     """A BRDF with negative values cut to zero, as files must have them; counts what it cut."""
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF."""
-        self._brdf = brdf
+        super().__init__(brdf)
         self._seen = 0
         self._cut = 0
-        self.sample, self.pdf, self.albedo = brdf.sample, brdf.pdf, brdf.albedo
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._brdf.bands
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether the BRDF is."""
-        return self._brdf.is_isotropic
+        self.albedo = brdf.albedo  # type: ignore[assignment, method-assign]
 
     @property
     def clipped_share(self) -> float:
@@ -273,7 +264,3 @@ class ClippedBRDF:
         self._seen += f.size
         self._cut += int(np.count_nonzero(f < 0))
         return np.maximum(f, 0.0)
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, at least 0, shape (..., B)."""
-        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]

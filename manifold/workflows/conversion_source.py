@@ -13,6 +13,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.warp import Warp
+from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour.conversion import to_srgb
 from manifold.errors import UsageError
 from manifold.formats import registry
@@ -54,42 +55,17 @@ class Source:
         return self.brdf
 
 
-class SrgbBRDF:
+class SrgbBRDF(WrappedBRDF):
     """A spectral BRDF in linear sRGB under D65, through colour-science."""
-
-    def __init__(self, brdf: BRDF) -> None:
-        """Wrap a BRDF; an RGB one stays as it is."""
-        self._brdf = brdf
 
     @property
     def bands(self) -> Bands:
         """The three channels."""
         return Bands(None)
 
-    @property
-    def is_isotropic(self) -> bool:
-        """As of the BRDF."""
-        return self._brdf.is_isotropic
-
     def eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, shape (..., 3)."""
         return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
-
-    def eval_cos(self, wi: Array, wo: Array) -> Array:
-        """f * cos(theta_o) in 1/sr, shape (..., 3)."""
-        return to_srgb(self._brdf.eval_cos(wi, wo), self._brdf.bands)
-
-    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """As of the BRDF."""
-        return self._brdf.sample(wi, u)
-
-    def pdf(self, wi: Array, wo: Array) -> Array:
-        """As of the BRDF."""
-        return self._brdf.pdf(wi, wo)
-
-    def albedo(self, wi: Array) -> Array:
-        """Directional albedo, shape (..., 3)."""
-        return to_srgb(self._brdf.albedo(wi), self._brdf.bands)
 
 
 def open_source(

@@ -21,32 +21,32 @@ from manifold.records import Array, Bands
 class AnalyticBRDF(ABC):
     """Validation, broadcasting and horizon handling that all models share.
 
-    Subclasses hold `bands` and implement `_eval`, `_sample`, `_pdf` and `_albedo` for flat arrays (n, 3) of
-    directions above the horizon.
+    Subclasses hold `bands` and implement `_eval` and `_albedo` for flat arrays (n, 3) of directions above the horizon;
+    `_sample` and `_pdf` where the cosine is no good density, and `is_isotropic` where it may be false.
     """
 
     bands: Bands
 
     @property
-    @abstractmethod
     def is_isotropic(self) -> bool:
         """Whether turning both directions about the normal changes nothing."""
+        return True
 
     @abstractmethod
     def _eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, shape (n, B) or (n, 1) where all bands agree."""
 
     @abstractmethod
-    def _sample(self, wi: Array, u: Array) -> Array:
-        """Directions (n, 3), possibly below the horizon."""
-
-    @abstractmethod
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        """Density of `_sample` in 1/sr, shape (n,)."""
-
-    @abstractmethod
     def _albedo(self, wi: Array) -> Array:
         """Directional albedo, shape (n, B) or (n, 1)."""
+
+    def _sample(self, wi: Array, u: Array) -> Array:
+        """Directions (n, 3), possibly below the horizon."""
+        return cosine_hemisphere(u)
+
+    def _pdf(self, wi: Array, wo: Array) -> Array:
+        """Density of `_sample` in 1/sr, shape (n,)."""
+        return wo[:, 2] / np.pi
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF value f in 1/sr, shape (..., B); 0 where a direction is at or below the horizon.
@@ -118,18 +118,8 @@ class Lambert(AnalyticBRDF):
     def __post_init__(self) -> None:
         set_field(self, "reflectance", per_band(self.reflectance, self.bands, "reflectance", 0.0, 1.0))
 
-    @property
-    def is_isotropic(self) -> bool:
-        return True
-
     def _eval(self, wi: Array, wo: Array) -> Array:
         return np.broadcast_to(self.reflectance / np.pi, (wi.shape[0], self.reflectance.size))
-
-    def _sample(self, wi: Array, u: Array) -> Array:
-        return cosine_hemisphere(u)
-
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        return wo[:, 2] / np.pi
 
     def _albedo(self, wi: Array) -> Array:
         return np.broadcast_to(self.reflectance, (wi.shape[0], self.reflectance.size))
@@ -158,10 +148,6 @@ class Sheen(AnalyticBRDF):
         if not 0.05 <= self.roughness <= 1.0:
             raise UsageError(f"roughness is {self.roughness}, expected a number from 0.05 to 1")
         set_field(self, "colour", per_band(self.colour, self.bands, "colour", 0.0, 1.0))
-
-    @property
-    def is_isotropic(self) -> bool:
-        return True
 
     def _eval(self, wi: Array, wo: Array) -> Array:
         scale = 1.0 / max(float(_sheen_albedo(self.roughness).max()), 1.0)

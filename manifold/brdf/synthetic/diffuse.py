@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.brdf.synthetic.analytic import AnalyticBRDF, cosine_hemisphere, per_band, set_field
+from manifold.brdf.synthetic.analytic import AnalyticBRDF, per_band, set_field
 from manifold.errors import UsageError
 from manifold.records import Array, Bands
 
@@ -35,10 +35,6 @@ class RoughDiffuse(AnalyticBRDF):
         if not 0.0 <= self.roughness <= 1.0:
             raise UsageError(f"roughness is {self.roughness}, expected a number from 0 to 1")
         set_field(self, "reflectance", per_band(self.reflectance, self.bands, "reflectance", 0.0, 1.0))
-
-    @property
-    def is_isotropic(self) -> bool:
-        return True
 
     @property
     def _scale(self) -> float:
@@ -71,12 +67,6 @@ class RoughDiffuse(AnalyticBRDF):
             lost = (1.0 - self._single(wi)) * (1.0 - self._single(wo)) / np.pi
             f += lost[:, None] * self._multiple
         return f
-
-    def _sample(self, wi: Array, u: Array) -> Array:
-        return cosine_hemisphere(u)
-
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        return wo[:, 2] / np.pi
 
     def _albedo(self, wi: Array) -> Array:
         single = self._single(wi)[:, None]

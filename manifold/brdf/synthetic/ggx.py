@@ -129,18 +129,6 @@ class GGX:
         # <w_std, n>^4 / <w_m, n>^4 = 1 / |M^T w_m|^4, without the division by a grazing cosine.
         return np.where(wm[..., 2] > 0, self._determinant / (np.pi * stretched**2), 0.0)
 
-    def G1(self, w: Array) -> Array:
-        """Smith's masking: the visible fraction of facets seen from `w`, shape (...); 0 below the horizon."""
-        z = w[..., 2] / self.stretched_length(w)
-        return np.where(z > 0, 2.0 * z / (1.0 + np.maximum(z, 0.0)), 0.0)
-
-    def G2(self, wi: Array, wo: Array) -> Array:
-        """Height-correlated masking and shadowing, 1 / (1 + Lambda(wi) + Lambda(wo)), shape (...)."""
-        zi = np.maximum(wi[..., 2] / self.stretched_length(wi), 0.0)
-        zo = np.maximum(wo[..., 2] / self.stretched_length(wo), 0.0)
-        # Lambda = (1 - z) / (2 z) gives 2 zi zo / (zi + zo).
-        return 2.0 * zi * zo / np.where(zi + zo > 0, zi + zo, 1.0)
-
     def reflection_factor(self, wi: Array, wo: Array) -> Array:
         """D G2 / (4 cos_i cos_o) in 1/sr, shape (...), for directions above the horizon; symmetric."""
         d = self.D(half_vector(wi, wo))
@@ -148,7 +136,7 @@ class GGX:
         return d / (2.0 * (wi[..., 2] * self.stretched_length(wo) + wo[..., 2] * self.stretched_length(wi)))
 
     def sample_visible_normal(self, wi: Array, u: Array) -> Array:
-        """Normals (..., 3) distributed as `pdf_visible`, of `wi` (..., 3) above the horizon and u (..., 2).
+        """Normals (..., 3) that `wi` (..., 3) above the horizon sees, of density G1 <wi, wm> D / cos_i, for u (..., 2).
 
         Source: Dupuy & Benyoub 2023, listing 3.
         """
@@ -158,13 +146,6 @@ class GGX:
         r = np.sqrt(np.clip(1.0 - z * z, 0.0, 1.0))
         h = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1) + w
         return normalize(h @ self._inverse)  # M^-T h, row vectors
-
-    def pdf_visible(self, wi: Array, wm: Array) -> Array:
-        """Density in 1/sr of the normals visible from `wi`: G1(wi) max(<wi, wm>, 0) D(wm) / cos_i."""
-        facing = np.maximum(np.sum(wi * wm, axis=-1), 0.0)
-        # G1 / cos_i = 2 / (|M^-1 w| + cos_i)
-        density = 2.0 * facing * self.D(wm) / (self.stretched_length(wi) + wi[..., 2])
-        return np.where(wi[..., 2] > 0, density, 0.0)
 
     def pdf_reflection(self, wi: Array, wo: Array) -> Array:
         """Density in 1/sr of the directions that visible normals mirror `wi` to, shape (...)."""

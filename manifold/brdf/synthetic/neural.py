@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.plausibility import quadrature_albedo
-from manifold.brdf.synthetic.analytic import AnalyticBRDF, cosine_hemisphere
+from manifold.brdf.synthetic.analytic import AnalyticBRDF
 from manifold.brdf.synthetic.corpus import rgl_bands, write_files
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, to_rusinkiewicz
@@ -42,10 +42,6 @@ class NeuralBRDF(AnalyticBRDF):
     bands: Bands = RGB
     albedo_limits: tuple[Array, Array] | None = None
 
-    @property
-    def is_isotropic(self) -> bool:
-        return True
-
     def plausible(self) -> NeuralBRDF:
         """The same material, both sides of the plane of incidence averaged, reflecting at most the light that arrives.
 
@@ -76,12 +72,6 @@ class NeuralBRDF(AnalyticBRDF):
         for kernel, bias in self.weights.layers:
             x = np.maximum(x @ kernel + bias, 0.0)  # at the end too: max(exp(z) - 1, 0) is exp(max(z, 0)) - 1
         return np.expm1(x)
-
-    def _sample(self, wi: Array, u: Array) -> Array:
-        return cosine_hemisphere(u)
-
-    def _pdf(self, wi: Array, wo: Array) -> Array:
-        return wo[:, 2] / np.pi
 
     def _albedo(self, wi: Array) -> Array:
         return quadrature_albedo(self, wi, _ALBEDO_RESOLUTION)

@@ -104,10 +104,6 @@ class Retroreflection(AnalyticBRDF):
             raise UsageError("found an anisotropic BRDF to turn back to the light, expected an isotropic one")
         set_field(self, "bands", self.brdf.bands)
 
-    @property
-    def is_isotropic(self) -> bool:
-        return True
-
     def _eval(self, wi: Array, wo: Array) -> Array:
         return self.brdf.eval(_half_turn(wi), wo)
 

@@ -1,0 +1,42 @@
+"""What BRDFs that change the values of another one have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF
+from manifold.brdf.plausibility import quadrature_albedo
+from manifold.records import Array, Bands
+
+
+class WrappedBRDF(ABC):
+    """A BRDF with its values changed by `eval`, sampled as it was."""
+
+    def __init__(self, brdf: BRDF):
+        """Wrap a BRDF."""
+        self._brdf = brdf
+        self.sample, self.pdf = brdf.sample, brdf.pdf
+
+    @property
+    def bands(self) -> Bands:
+        """The spectral axis."""
+        return self._brdf.bands
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether the BRDF is."""
+        return self._brdf.is_isotropic
+
+    @abstractmethod
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B)."""
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
+
+    def albedo(self, wi: Array, resolution: int = 32) -> Array:
+        """Directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""
+        return quadrature_albedo(self, wi, resolution)

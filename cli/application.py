@@ -4,7 +4,7 @@ from .outputs import GuardedTyper
 
 app = GuardedTyper(
     name="manifold",
-    help="Turn measured spectral BRDFs into a manifold of materials, and predict materials nobody measured.",
+    help="Learn a manifold of materials from measured spectral BRDFs, and predict BRDFs that were not measured.",
     epilog="Start with `manifold demo`, which runs everything on the built-in synthetic corpus.",
     no_args_is_help=True,
     add_completion=False,

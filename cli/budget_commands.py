@@ -34,16 +34,16 @@ def budget(
         typer.Option(help="Instead of a scene: felt, paint or chrome.", metavar="NAME"),
     ] = None,
     max_delta_e: Annotated[
-        float, typer.Option(help="Most mean CIEDE2000 over the pixels of a material.", metavar="X")
+        float, typer.Option(help="Largest mean CIEDE2000 over the pixels of a material.", metavar="X")
     ] = 1.0,
     max_flip: Annotated[
-        float | None, typer.Option(help="Most mean FLIP over the pixels of a material.", metavar="X")
+        float | None, typer.Option(help="Largest mean FLIP over the pixels of a material.", metavar="X")
     ] = None,
     max_bytes: Annotated[
-        int | None, typer.Option(help="Most bytes of all materials together.", metavar="N")
+        int | None, typer.Option(help="Largest size of all materials together.", metavar="N")
     ] = None,
     max_ms: Annotated[
-        float | None, typer.Option(help="Most ms per million evaluations of a material.", metavar="X")
+        float | None, typer.Option(help="Largest time of a million evaluations of a material.", metavar="X")
     ] = None,
     output: Annotated[
         Path | None,
@@ -60,14 +60,15 @@ def budget(
     seed: Annotated[int, typer.Option(help="Fixes the noise.", metavar="N", min=0)] = 0,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", help="Also draw both renders and what every representation costs.", metavar="FILE"),
+        typer.Option("--picture", help="Also draw both renders and the cost of every "
+        "representation.", metavar="FILE"),
     ] = None,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Find the cheapest representation of each measured material that keeps the rendered picture.
 
-    The scene's BSDFs of the types measured and manifold become a few numbers, fewer bands, fewer angles, or stay whole.
-    A CIEDE2000 of 1 is about the least that people notice side by side.
+    BSDFs of the types measured and manifold are replaced by a parametric fit, by fewer bands or by fewer angles,
+    or are kept. A CIEDE2000 of 1 is about the just noticeable difference side by side.
     """
     from manifold.experiments.budget.search import Tolerance
     from manifold.workflows import budgets

@@ -54,10 +54,11 @@ def chart(
     ] = False,
     json: options.JsonOption = None,
 ) -> None:
-    """Leave materials out in ten folds with every setting: errors beside time to predict, bytes, and time to fit.
+    """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
 
-    Times are in those of one evaluation of a synthetic material, in the same run. P, B, F: on the Pareto front of an
-    error against time to predict, bytes, or time to fit. Fits see their materials, and are on no front.
+    Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
+    an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
+    front.
     """
     from manifold.plots import figures, plot_chart
     from manifold.workflows import charts

@@ -53,7 +53,7 @@ def complete(
     suggest: Annotated[
         int,
         typer.Option(
-            help="Also name this many directions to read next; without READINGS, to begin with.",
+            help="Also suggest this many directions to measure next; without READINGS, to measure first.",
             metavar="K",
             min=0,
             max=100,
@@ -61,31 +61,32 @@ def complete(
     ] = 0,
     instrument: InstrumentOption = None,
     physical: options.PhysicalOption = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write it even if it returns more than 1.05 times its light.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write it even if its albedo exceeds 1.05.")] = False,
     resolution: Annotated[
         int, typer.Option(help="Nodes per axis of the outgoing grid.", metavar="N", min=2, max=512)
     ] = 32,
     incidences: Annotated[int, typer.Option(help="Incident elevations.", metavar="N", min=2, max=512)] = 8,
     json: options.JsonOption = None,
 ) -> None:
-    """Complete readings of one material to a full BRDF, by what the materials of a library are like.
+    """Complete readings of one material to a full BRDF, with a library of materials as prior.
 
-    Says what error to expect, how well the readings are met, and which other materials would meet them as well.
+    Reports the expected error, the residual of the readings, and other materials that agree with them equally
+    well.
     """
     from manifold.workflows import completions
 
     results = terminal.Results(json)
     if not readings:
         if not suggest:
-            raise UsageError("no file of readings; name one, or say --suggest K for directions to begin with")
+            raise UsageError(
+                "no file of readings; name one, or give --suggest K for the directions to measure first"
+            )
         first = completions.suggest_first(library, suggest, instrument)
         _show_suggested(results, first, "Read first")
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
     if instrument is not None and not suggest:
-        raise UsageError("--instrument chooses among directions to read next; say --suggest K, too")
+        raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     taken = completions.read(readings, sample, correction)
     target = or_default(output, completions.file_name(taken.readings), "complete", force)
     ball = target.with_suffix(".png") if picture else None
@@ -132,23 +133,24 @@ def complete(
 
 @app.command(
     "calibrate",
-    short_help="Learn an instrument's colour correction from samples that a better one read too.",
+    short_help="Fit the colour correction of an instrument to a reference instrument.",
     epilog="Example: manifold calibrate red.xlsx red.astm blue.xlsx blue.astm -o mini-diff.json",
 )
 def calibrate(
     pairs: Annotated[
         list[Path],
         typer.Argument(
-            help="Of every sample the reference's file, then the other's.", metavar="REF OTHER ..."
+            help="For every sample the reference's file, then the other's.", metavar="REF OTHER ..."
         ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="The correction to write, as JSON.", metavar="FILE")
     ] = Path("correction.json"),
 ) -> None:
-    """Learn to correct the colours of a camera-like instrument by a spectrophotometer, across samples.
+    """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 
-    Linear, root-polynomial and Cheung's polynomial forms are tried; the best on samples left out is taken.
+    Compares linear, root-polynomial and Cheung's polynomial forms, and selects the one with the least
+    leave-one-out error.
     """
     from manifold.workflows import completions
 

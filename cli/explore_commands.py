@@ -15,7 +15,7 @@ from .application import app
 
 @app.command(
     "explore",
-    short_help="Explore the map in a page: drag a point and look.",
+    short_help="Explore the map in a web page or notebook.",
     epilog="Example: manifold explore, or manifold explore --html map.html",
 )
 def explore(
@@ -28,17 +28,20 @@ def explore(
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     folder: Annotated[
-        Path, typer.Option(help="Where what the page is asked for is written.", metavar="FOLDER")
+        Path, typer.Option(help="Folder for the files that the page writes.", metavar="FOLDER")
     ] = Path(),
-    port: Annotated[int, typer.Option(help="To listen on; 0 is any that is free.", min=0, max=65535)] = 0,
+    port: Annotated[
+        int, typer.Option(help="Port of the server; 0 selects a free one.", min=0, max=65535)
+    ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
 ) -> None:
-    """Open a page of the map: drag a point, and see the ball, slices, reflectance and neighbours of the prediction.
+    """Explore the map in a web page: drag a point, and see the ball, slices, reflectance and neighbours of the
+    prediction.
 
-    Served on the loopback interface only, until Ctrl-C; there the page also writes .bsdf files, renders, fits,
-    exports, locates files and completes readings. In notebooks the page is a widget: docs/explorer.md.
+    The page is served on the loopback interface only, until Ctrl-C; it can also write .bsdf files, render, fit,
+    export, locate files and complete readings. For the notebook widget, see docs/explorer.md.
     """
     from manifold.workflows import explore
 

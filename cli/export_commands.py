@@ -54,13 +54,13 @@ def export(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="The file: .glb, .mtlx, .usda, .py, .json; of many materials, the folder.",
+            "--output", "-o", help="The file: .glb, .mtlx, .usda, .py, .json; for many materials, a folder.",
             metavar="FILE",
         ),
     ] = None,
     target: Annotated[
         TargetName | None,
-        typer.Option(help="What it is for, where the suffix does not tell. [default for folders: gltf]"),
+        typer.Option(help="The target, where the suffix is ambiguous. [default for folders: gltf]"),
     ] = None,
     against: Annotated[
         Path | None,
@@ -69,16 +69,17 @@ def export(
     direct: Annotated[
         bool,
         typer.Option(
-            "--direct", help="Fit the target's own model to the material; closer, and some seconds each."
+            "--direct", help="Fit the target's own model to the material; more accurate, a few seconds each."
         ),
     ] = False,
     force: Force = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
-    """Write materials as parameters of engines, and say what each engine's own shading model loses.
+    """Export materials to rendering engines, and report the error of each engine's shading model.
 
-    The loss is the mean CIEDE2000 on the ball between the material and the target's model, evaluated as its
-    specification says; beside it is that of Mitsuba's principled, from whose parameters those of the target are made.
+    The error is the mean CIEDE2000 on the ball between the material and the target's model, evaluated by its
+    specification. It is shown beside that of Mitsuba's principled, from whose parameters the target's are
+    computed.
     """
     from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.model.colours import NEAREST, ColourChoice

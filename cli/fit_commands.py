@@ -29,7 +29,8 @@ Metric = Literal["cube-root", "linear", "log"]
 def fit(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(help="Files: .bsdf, or readings; or folders of .bsdf, at every depth.", metavar="FILE"),
+        typer.Argument(help=".bsdf files, files of readings, or folders of .bsdf files (searched "
+        "recursively).", metavar="FILE"),
     ] = None,
     latent: options.PlaceOption = None,
     like: options.LikeOption = None,
@@ -44,12 +45,14 @@ def fit(
         ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="Gauss-Newton from many starts, or an earlier method to compare with.")
+        Method, typer.Option(help="gauss-newton: from many starts; adam and swarm: earlier methods, for "
+        "comparison.")
     ] = "gauss-newton",
     metric: Annotated[Metric, typer.Option(help="Domain in which residuals are minimised.")] = "cube-root",
     free: Annotated[
         str | None,
-        typer.Option(help="Parameters of principled to fit, commas between; others stay fixed.", metavar="NAMES"),
+        typer.Option(help="Parameters of principled to fit, separated by commas; the others are "
+        "fixed.", metavar="NAMES"),
     ] = None,
     bsdf: Annotated[
         Path | None,
@@ -58,7 +61,7 @@ def fit(
     ] = None,
     wide_colours: Annotated[
         bool,
-        typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines take 0 to 1."),
+        typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines accept 0 to 1."),
     ] = False,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
@@ -71,10 +74,10 @@ def fit(
     ] = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
-    """Fit measured files, or a predicted material, by a BSDF that Mitsuba renders.
+    """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
     Writes one JSON per material: parameters, residuals, all minima found, and how well the samples
-    determine each parameter. Fits that are there already are kept.
+    determine each parameter. Fits that are up to date are kept.
     """
     from manifold.formats import registry
     from manifold.model.colours import NEAREST, ColourChoice
@@ -88,8 +91,8 @@ def fit(
     for path in sources or () if picture else ():
         if path.is_file() and (known := registry.identify(path)) is not None:
             raise UsageError(
-                f"{path}: {known.name}, whose ball cannot be drawn; leave --picture, or make a .bsdf of it by "
-                "`manifold convert` or `manifold complete`"
+                f"{path}: {known.name}, which cannot be rendered; leave --picture out, or write a .bsdf with "
+                f"`manifold convert` or `manifold complete`"
             )
     results = terminal.Results(json)
     settings = fits.FitSettings(

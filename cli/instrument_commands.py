@@ -36,7 +36,7 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="rgl, merl, utia, lighttools, zemax, astm or csv, where the name of OUT does not tell.",
+            help="rgl, merl, utia, lighttools, zemax, astm or csv, where the suffix of OUT is ambiguous.",
         ),
     ] = None,
     sample: Annotated[
@@ -55,10 +55,10 @@ def convert(
     ] = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Convert a BRDF or readings into another format, and show the error that this costs.
+    """Convert a BRDF or readings into another format, and report the conversion error.
 
     Reads RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12 workbooks,
-    CSV and CxF3, told apart by their content. The result is read back and compared at the file's own nodes.
+    CSV and CxF3, recognised by their content. The result is read back and compared at the file's own nodes.
     """
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options

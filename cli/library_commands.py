@@ -23,7 +23,7 @@ def corpus(
     seed: Annotated[
         int,
         typer.Option(
-            help="Number that fixes the measurement noise: same seed, same bytes.", metavar="N", min=0
+            help="Seed of the measurement noise; equal seeds give identical files.", metavar="N", min=0
         ),
     ] = 0,
     anisotropic: Annotated[
@@ -43,7 +43,7 @@ def corpus(
     instrument: Annotated[
         str | None,
         typer.Option(
-            help="Write instead what an instrument would say of each material, with its noise: ma-t12 (workbooks of "
+            help="Write instead simulated measurements of each material, with noise: ma-t12 (workbooks of "
             "12 geometries) or mini-diff (ASTM tables).",
             metavar="NAME",
         ),
@@ -52,7 +52,8 @@ def corpus(
 ) -> None:
     """Write the built-in corpus: 51 synthetic materials, measured by a virtual goniometer.
 
-    Or, with --neural, fits of about 150 real materials (Sztrajman et al. 2021), which you download yourself.
+    With --neural: published neural fits of about 150 measured materials (Sztrajman et al. 2021), which must be
+    downloaded separately.
     """
     from manifold.brdf.synthetic import instruments
     from manifold.brdf.synthetic.corpus import write
@@ -154,13 +155,13 @@ def import_(
     sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.", metavar="SOURCE")],
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Exchange materials whose file has changed.")
+        bool, typer.Option("--replace", help="Replace materials whose file has changed.")
     ] = False,
     json: options.JsonOption = None,
 ) -> None:
-    """Import .bsdf files or folders into a library, which is made if missing.
+    """Import .bsdf files or folders into a library, which is created if missing.
 
-    A material appears in one step, when it is whole; what is there already is skipped.
+    Materials are added atomically; those already in the library are skipped.
     """
     from manifold.errors import LibraryError
     from manifold.library.importing import import_files
@@ -192,7 +193,7 @@ def import_(
 
 @app.command(
     "info",
-    short_help="Show what a file, a library or a model holds.",
+    short_help="Show what a file, a library or a model contains.",
     epilog="Example: manifold info library.zarr --verify",
 )
 def info(
@@ -203,15 +204,15 @@ def info(
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
     ] = False,
     renderer: Annotated[
-        bool, typer.Option("--renderer", help="Show instead what Mitsuba runs on, and try it again.")
+        bool, typer.Option("--renderer", help="Show the backend of Mitsuba instead, and test it again.")
     ] = False,
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Show what a file, a library, or a model holds.
+    """Show what a file, a library, or a model contains.
 
     Files may be RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12
-    workbooks, CSV and CxF3; they are told apart by their content.
+    workbooks, CSV and CxF3; formats are recognised by their content.
     """
     from manifold.errors import LibraryError
     from manifold.workflows import inspection

@@ -34,11 +34,11 @@ def _options(
     version: bool = typer.Option(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
     ),
-    debug: bool = typer.Option(False, "--debug", help="Show a traceback where something goes wrong."),
+    debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
     strict: bool = typer.Option(
         False,
         "--strict",
-        help="Refuse where there would be a warning. Diagnostics are no warnings, but results.",
+        help="Treat warnings as errors. Diagnostics of predictions are results, not warnings.",
     ),
 ) -> None:
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
@@ -78,7 +78,7 @@ def run(arguments: list[str] | None = None) -> None:
         _fail(str(error), debug)
     except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
         if leaving.code == _EXIT_INTERRUPTED:
-            print("manifold: interrupted; what was finished is kept", file=sys.stderr)
+            print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
         raise
     except BrokenPipeError:
         # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
@@ -124,7 +124,7 @@ def _show_warning(message, category, filename, lineno, file=None, line=None) -> 
 def _refuse_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
     """Warnings of this package as errors."""
     if category.__module__.startswith("manifold"):
-        raise ManifoldError(f"{_one_line(message)} (refused, since --strict)")
+        raise ManifoldError(f"{_one_line(message)} (an error because of --strict)")
 
 
 def _nowhere() -> TextIO:

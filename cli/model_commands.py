@@ -36,8 +36,8 @@ def embed(
     kind: Annotated[
         Kind,
         typer.Option(
-            help="blend: every place a non-negative combination of the materials around. monochrome: structure on "
-            "the map, colour apart. material: whole materials as points, as published."
+            help="blend: non-negative combinations of the surrounding materials. monochrome: a GPLVM of single "
+            "bands, with separate colour coordinates. material: a GPLVM of whole materials (Hikichi & Iwasaki)."
         ),
     ] = "blend",
     latent_dim: Annotated[
@@ -52,39 +52,40 @@ def embed(
     mapping: Annotated[
         str,
         typer.Option(
-            help="How values are compressed: identity, cube-root, log, log-relative, or auto.", metavar="NAME"
+            help="Mapping of BRDF values: identity, cube-root, log, log-relative, or auto.", metavar="NAME"
         ),
     ] = "cube-root",
     optimizer: Annotated[
         Optimizer | None,
         typer.Option(
-            help="How latents are found from principal components. dls: direct local search without gradients (Hikichi "
-            "& Iwasaki, section 3.4). l-bfgs: along the gradient. multistart: the best of several of both. "
-            "[default: dls for materials; the others have l-bfgs only]"
+            help="Optimiser of the latents, started from principal components. dls: direct local search without "
+            "gradients (Hikichi & Iwasaki, section 3.4). l-bfgs: quasi-Newton. multistart: the best of several "
+            "runs of both. [default: dls for kind material; the others support l-bfgs only]"
         ),
     ] = None,
     mu: Annotated[
         float | None,
         typer.Option(
-            help="Noise filter: height of the kernel's delta, from 1e-10. [default: 0.0001; monochrome 0.001]",
+            help="Observation noise: height of the kernel's delta term, at least "
+            "1e-10. [default: 0.0001; monochrome 0.001]",
             metavar="MU",
         ),
     ] = None,
     kernel: Annotated[
         str,
         typer.Option(
-            help="How alike neighbours on the map are: se (the smoothest, as published), matern52, matern32, rq; each "
-            "also with +linear, which carries trends beyond the materials. Of blends it only tells how far the data "
-            "reach: their weights stay the same.",
+            help="Covariance function: se (squared exponential, as published), matern52, matern32, rq (rational "
+            "quadratic); each also with +linear, a linear term. For blends it determines the posterior variance "
+            "only, not the weights.",
             metavar="NAME",
         ),
     ] = "se",
     criterion: Annotated[
         Criterion,
         typer.Option(
-            help="By which new materials are found on the map: the error of what is decoded, of its cube roots (truest "
-            "in colour), the residual in the mapped domain, or that weighed by the posterior's variance. Blends have "
-            "cube-root only."
+            help="Objective that locates new materials: the linear error of the prediction, its cube-root error "
+            "(most accurate in colour), the residual of mapped values, or the negative log likelihood. Blends "
+            "support cube-root only."
         ),
     ] = "cube-root",
     json: options.JsonOption = None,
@@ -170,7 +171,7 @@ def predict(
     latent: Annotated[
         str | None,
         typer.Option(
-            help="Where on the map: numbers with commas between, no spaces; or a material's name.",
+            help="Latent coordinates separated by commas, without spaces; or a material's name.",
             metavar="X,Y|NAME",
         ),
     ] = None,
@@ -185,7 +186,7 @@ def predict(
         bool,
         typer.Option(
             "--force",
-            help="Write it where it returns more than 1.05 times its light, too, and over files of another kind.",
+            help="Write it even if its albedo exceeds 1.05, and allow overwriting files of another kind.",
         ),
     ] = False,
     output: Annotated[
@@ -210,8 +211,8 @@ def predict(
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
-    The colour is that of the place, unless --like, --reflectance or --srgb chooses another; on a monochrome manifold,
-    whose latent is the structure alone (gloss, layers), it is that of the nearest material.
+    The colour is that of the latent, unless --like, --reflectance or --srgb chooses another; on a monochrome
+    manifold, whose latent describes structure only (gloss, layers), it is that of the nearest material.
     """
     from manifold.model import predicted_file
     from manifold.model.colours import NEAREST, ColourChoice
@@ -220,7 +221,7 @@ def predict(
     colour = ColourChoice(like, reflectance, srgb)
     if points is not None:
         if latent is not None or colour != NEAREST:
-            raise UsageError("found --from and a place or colour; write these into columns of the table")
+            raise UsageError("found --from and a latent or colour; write these into columns of the table")
         from manifold.workflows import (  # with Mitsuba, which one prediction does without
             many_points,
             point_table,
@@ -234,7 +235,9 @@ def predict(
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
     if latent is None:
-        raise UsageError("found no place; say --latent X,Y or --latent NAME, or --from a table of places")
+        raise UsageError(
+            "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
+        )
     coordinates = options.parse_latent(latent)
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
@@ -277,7 +280,7 @@ def locate(
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Embed a new material: its latent on the fitted manifold, and its colours in the JSON."""
+    """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON."""
     from manifold.model import located
     from manifold.model.diagnostics import in_words
 
@@ -288,7 +291,7 @@ def locate(
         "latent": ",".join(found.coordinates),
         "reconstruction error": [
             f"{found.ball:.1f} CIEDE2000 of the ball",
-            f"{found.cube_root_error:.0%} of cube roots",
+            f"{found.cube_root_error:.0%} cube-root error",
             f"{found.relative_error:.0%} linear",
         ],
         "expected error there": in_words(found.expected_ball, found.expected_cube_root),

@@ -17,12 +17,12 @@ DEFAULT_MODEL = Path("model.h5")
 LibraryOption = Annotated[Path, typer.Option("--library", "-L", help="The library.", metavar="FOLDER")]
 MovedLibraryOption = Annotated[
     Path | None,
-    typer.Option("--library", "-L", help="Where the model's library is, if it has moved.", metavar="FOLDER"),
+    typer.Option("--library", "-L", help="The model's library, if it was moved.", metavar="FOLDER"),
 ]
 JsonOption = Annotated[
     Path | None,
     typer.Option(
-        "--json", help="Also write the results as JSON; with - stdout holds nothing else.", metavar="FILE"
+        "--json", help="Also write the results as JSON; with -, write only JSON to stdout.", metavar="FILE"
     ),
 ]
 ModelOption = Annotated[Path, typer.Option("--model", "-M", help="The model.", metavar="FILE")]
@@ -40,7 +40,8 @@ SrgbOption = Annotated[
     str | None, typer.Option(help="Take an sRGB colour: #rrggbb, or r,g,b from 0 to 1.", metavar="COLOUR")
 ]
 PlaceOption = Annotated[
-    str | None, typer.Option(help="Instead of files: a place on the map.", metavar="X,Y|NAME")
+    str | None,
+    typer.Option(help="Instead of files: a latent coordinate, or a material's name.", metavar="X,Y|NAME"),
 ]
 CorrectionOption = Annotated[
     Path | None,
@@ -54,7 +55,8 @@ PhysicalOption = Annotated[
     bool,
     typer.Option(
         "--physical",
-        help="Make the file reciprocal within 5 %, without negative values, albedo at most 1; refines its grids.",
+        help="Project the result: no negative values, albedo at most 1, reciprocal within 5 %; refines its "
+        "grids.",
     ),
 ]
 

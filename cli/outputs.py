@@ -17,9 +17,7 @@ _NAMES = ("output", "picture", "markdown", "json")  # of parameters that are fil
 _HEAD = 1 << 16
 _PICTURES = {".png": b"\x89PNG", ".exr": b"\x76\x2f\x31\x01", ".pdf": b"%PDF", ".svg": b"<svg"}
 
-Force = Annotated[
-    bool, typer.Option("--force", help="Write also over inputs, and over files of another kind.")
-]
+Force = Annotated[bool, typer.Option("--force", help="Allow overwriting inputs and files of another kind.")]
 
 
 class GuardedTyper(typer.Typer):
@@ -86,10 +84,10 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
         if not path.is_file():
             continue
         if any(os.path.realpath(source) == target or _is_same(source, path) for source in inputs):
-            raise UsageError(f"{path}: this command reads it; name another file to write, or --force it")
+            raise UsageError(f"{path}: is an input of this command; name another output, or use --force")
         if not _is_own_kind(command, name, path, values.get("to")):
             raise UsageError(
-                f"{path}: there already, and not what this command writes; name another file, or --force it"
+                f"{path}: exists, and was not written by this command; name another file, or use --force"
             )
 
 
@@ -117,7 +115,7 @@ def _require_outside_libraries(path: Path) -> None:
     for folder in Path(os.path.realpath(path)).parents:
         if (folder / "zarr.json").is_file():
             raise UsageError(
-                f"{path}: lies in the library {folder}, which it would damage; name another place"
+                f"{path}: lies in the library {folder}, which it would damage; name another path"
             )
 
 

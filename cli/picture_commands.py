@@ -26,7 +26,9 @@ SliceKind = Literal["angles", "image", "spectra"]
     epilog="Example: manifold map --mark -0.3,1.2 -o map.png",
 )
 def latent_map(
-    mark: Annotated[str | None, typer.Option(help="Also show a prediction.", metavar="X,Y|NAME")] = None,
+    mark: Annotated[
+        str | None, typer.Option(help="Also show the prediction at this latent.", metavar="X,Y|NAME")
+    ] = None,
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,
     srgb: options.SrgbOption = None,
@@ -37,7 +39,7 @@ def latent_map(
 ) -> None:
     """Draw the first two latent dimensions: every material as a rendered ball, over the expected error.
 
-    Balls are rendered once and remembered by the library.
+    Balls are rendered once and cached in the library.
     """
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
@@ -119,7 +121,10 @@ def slices(
     srgb: options.SrgbOption = None,
     kind: Annotated[
         SliceKind,
-        typer.Option(help="Plane of incidence; Rusinkiewicz theta_h and theta_d; or spectra."),
+        typer.Option(
+            help="angles: in the plane of incidence; image: over Rusinkiewicz theta_h and theta_d; "
+            "spectra: over wavelength."
+        ),
     ] = "angles",
     bands: Annotated[
         str | None, typer.Option(help="Wavelengths in nm in place of R, G, B: 450,550,650.", metavar="NM,NM")

@@ -22,8 +22,8 @@ PointsOption = Annotated[
     Path | None,
     typer.Option(
         "--from",
-        help="Many at once: a CSV table with columns x,y,... or latent or material, and maybe name, like, srgb, "
-        "reflectance. The output is a folder; files of an earlier run that fit their rows are kept.",
+        help="Several latents: a CSV table with columns x,y,... or latent or material, and optionally name, like, "
+        "srgb, reflectance. The output is a folder; files of an earlier run that match their rows are kept.",
         metavar="CSV",
     ),
 ]  # fmt: skip

@@ -27,20 +27,18 @@ IlluminantOption = Annotated[
 ]
 EnvironmentOption = Annotated[
     Path | None,
-    typer.Option(
-        help="Picture of the surroundings, latitude by longitude; a studio if none.", metavar="FILE"
-    ),
+    typer.Option(help="Environment map, latitude by longitude; a studio light if none.", metavar="FILE"),
 ]
 SizeOption = Annotated[int, typer.Option(help="Pixels per side.", metavar="N", min=16, max=8192)]
 SamplesOption = Annotated[int, typer.Option(help="Light paths per pixel.", metavar="N", min=1, max=1 << 20)]
 SeedOption = Annotated[
-    int, typer.Option(help="Fixes the noise: same seed, same picture.", metavar="N", min=0)
+    int, typer.Option(help="Seed of the noise; equal seeds give equal pictures.", metavar="N", min=0)
 ]
 
 
 @app.command(
     "render",
-    short_help="Picture of a ball of a measured or predicted material.",
+    short_help="Render a ball of a measured or predicted material.",
     epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
 )
 def render(
@@ -49,7 +47,10 @@ def render(
     ] = None,
     latent: Annotated[
         str | None,
-        typer.Option(help="Instead of a file: where on the map, like -0.3,1.2", metavar="X,Y|NAME"),
+        typer.Option(
+            help="Instead of a file: latent coordinates, like -0.3,1.2, or a material's name.",
+            metavar="X,Y|NAME",
+        ),
     ] = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
@@ -80,7 +81,7 @@ def render(
 ) -> None:
     """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
 
-    Spectral materials are rendered spectrally, RGB ones in RGB. White is adapted to the light (Bradford).
+    Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.rendering import images
@@ -93,7 +94,7 @@ def render(
     if len(given) != 1:
         raise UsageError(
             f"found {' and '.join(given) or 'nothing to render'}, expected a file, --latent X,Y or --latent NAME, or "
-            "--from a table of places"
+            "--from with a table of latents"
         )
     colour = ColourChoice(like, reflectance, srgb)
     if latent is None and colour != NEAREST:
@@ -152,7 +153,7 @@ def _show(results: terminal.Results, made: Rendered) -> None:
 
 @app.command(
     "compare",
-    short_help="How two pictures, or two rendered materials, differ.",
+    short_help="Compare two pictures, or two rendered materials.",
     epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
 )
 def compare(
@@ -170,9 +171,9 @@ def compare(
 ) -> None:
     """Put two pictures side by side, with maps of CIEDE2000 and FLIP; .bsdf files are rendered alike first.
 
-    CIEDE2000 of 1, and Delta E_ITP of 1 on a display whose white has 100 cd/m2, is about the least that people notice
-    side by side. FLIP runs from 0 to 1 and leaves out what is
-    too fine to be seen. Both see the noise of renders: few samples make everything differ.
+    A CIEDE2000 of 1, or a Delta E_ITP of 1 on a display with a white of 100 cd/m2, is about the just noticeable
+    difference side by side. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include
+    the noise of the renders, which decreases with --samples.
     """
     from manifold.workflows import renders
 

@@ -30,7 +30,8 @@ def report(
     compare: Annotated[
         bool,
         typer.Option(
-            "--compare", help="Also refit the large models without each material (minutes for 195 bands)."
+            "--compare",
+            help="Also refit the Gaussian-process models without each material (minutes for 195 bands).",
         ),
     ] = False,
     all_bands: Annotated[
@@ -40,7 +41,8 @@ def report(
         list[str] | None,
         typer.Option(
             "--anchor",
-            help="Also show fits of the very materials: principled, or neural fits in a folder or zip file.",
+            help="Also show fits to the evaluated materials themselves: principled, or neural fits in a folder or "
+            "zip file.",
             metavar="principled|PATH",
         ),
     ] = None,

@@ -13,7 +13,7 @@ from .application import app
 
 @app.command(
     "stability",
-    short_help="Where methods fail, and whether they say so.",
+    short_help="Test known failure modes, and whether they are detected.",
     epilog="Example: manifold stability --only duplicates --picture stability.png",
 )
 def stability(
@@ -22,18 +22,20 @@ def stability(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option("--picture", "-o", help="Draw error against severity here.", metavar="FILE.png"),
+        typer.Option(
+            "--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"
+        ),
     ] = None,
     markdown: Annotated[
-        Path | None, typer.Option(help="Write what happened and what to do here.", metavar="FILE.md")
+        Path | None, typer.Option(help="Write the results and advice into this file.", metavar="FILE.md")
     ] = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Try a catalogue of failure modes on built-in plastics whose truth is known: minutes in all.
+    """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
 
-    Undetected: the largest error about which nothing was said; above its limit it is silently wrong. A false alarm is a
-    warning or a refusal where the inputs are harmless. Both are defects of this program: then the exit status is 1.
-    Fine, warned and refused are in order of severity.
+    Undetected: the largest error without a warning or an error message; above its limit the result is silently
+    wrong. A false alarm is a warning or a refusal for harmless inputs. Both are defects of this program and make
+    the exit status 1. Outcomes are listed in order of severity.
     """
     from manifold.experiments.stability import advice_page
     from manifold.experiments.stability.catalogue import MODES

@@ -173,7 +173,7 @@ def test_files_that_stay_count_among_the_bytes(tmp_path):
     assert made.size == made.chosen[0].size + stays
     assert made.full_size == grey.stat().st_size + stays
     assert made.to_json()["unseen"] == [{"material": "hidden", "bytes": stays}]
-    with pytest.raises(UsageError, match=f"takes {made.size} bytes, at most {stays} are wanted"):
+    with pytest.raises(UsageError, match=f"needs {made.size} bytes, expected at most {stays}"):
         budgets.budget_scene(content, Tolerance(5.0, size=stays), BudgetSettings(16, 4))
 
 
@@ -361,7 +361,7 @@ def test_an_original_behind_a_link_in_the_output_is_never_overwritten(tmp_path):
         budgets.budget_scene(
             scene(a=sphere(0.0, link)), Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out"
         )
-    with pytest.raises(UsageError, match="already there"):
+    with pytest.raises(UsageError, match="exists, and was not"):
         budgets.budget_scene(
             scene(a=sphere(0.0, path)), Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out"
         )

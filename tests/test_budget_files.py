@@ -209,7 +209,7 @@ def test_includes_that_cannot_be_followed_say_why(tmp_path):
         assert "\n" not in str(caught.value)
 
     fails(UsageError, r"none.xml: no such file; .*scene.xml includes it", '<include filename="none.xml"/>')
-    fails(FileFormatError, "include each other, scene.xml last", '<include filename="scene.xml"/>')
+    fails(FileFormatError, "nested includes, scene.xml last", '<include filename="scene.xml"/>')
     (tmp_path / "torn.xml").write_text("<scene><shape", encoding="utf-8")
     fails(FileFormatError, r"torn.xml: .*expected a Mitsuba scene", '<include filename="torn.xml"/>')
 
@@ -239,15 +239,15 @@ def test_properties_that_would_be_ignored_are_refused(kind, name, value):
 
 def test_a_file_that_no_earlier_budget_wrote_is_not_replaced(tmp_path):
     (tmp_path / "scene.xml").write_text("mine", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"scene.xml: already there, and not from an earlier budget"):
+    with pytest.raises(UsageError, match=r"scene.xml: exists, and was not written by an earlier budget"):
         OutputFolder(tmp_path, "scene.xml", [])
     (tmp_path / "scene.xml.budget.json").write_text("[" * 100_000, encoding="utf-8")  # nobody's list
-    with pytest.raises(UsageError, match="already there"):
+    with pytest.raises(UsageError, match="exists, and was not"):
         OutputFolder(tmp_path, "scene.xml", [])
     original = tmp_path / "original"
     original.touch()
     (tmp_path / "grey_spec.bsdf").symlink_to(tmp_path / "gone")
-    with pytest.raises(UsageError, match=r"grey_spec.bsdf: already there"):
+    with pytest.raises(UsageError, match=r"grey_spec.bsdf: exists, and was not"):
         OutputFolder(tmp_path, "other.xml", ["grey_spec.bsdf"])
 
 
@@ -263,7 +263,7 @@ def test_a_later_budget_of_the_scene_replaces_the_files_of_the_earlier_alone(tmp
     assert again.copy(source, "a.bsdf").read_bytes() == b"second"
     listed = json.loads((tmp_path / "out" / "scene.xml.budget.json").read_text(encoding="utf-8"))
     assert listed["files"] == ["a.bsdf", "scene.xml", "scene.xml.budget.json"]
-    with pytest.raises(UsageError, match=r"a.bsdf: already there"):
+    with pytest.raises(UsageError, match=r"a.bsdf: exists, and was not"):
         OutputFolder(tmp_path / "out", "another.xml", ["a.bsdf"])
 
 
@@ -285,7 +285,7 @@ def test_a_file_that_is_read_through_a_link_in_the_folder_is_noticed(tmp_path):
     link = tmp_path / "out" / "a.bsdf"
     link.symlink_to("../original/a.bsdf")
     for folder in ("out", "original"):
-        with pytest.raises(UsageError, match=r"a.bsdf: might be overwritten"):
+        with pytest.raises(UsageError, match=r"a.bsdf: could be overwritten"):
             output_folder.require_apart(tmp_path / folder, [str(link)])
     output_folder.require_apart(tmp_path, [str(link)])
 

@@ -112,7 +112,7 @@ def test_limits_of_time_leave_slow_candidates_out(rng):
 
 
 def test_a_limit_of_bytes_that_cannot_be_kept_says_what_it_takes(rng):
-    with pytest.raises(UsageError, match="takes 1000 bytes, at most 500 are wanted"):
+    with pytest.raises(UsageError, match="needs 1000 bytes, expected at most 500"):
         search({"a": some_candidates(rng)}, Tolerance(1e-3, size=500), verify_with(0.0))
 
 

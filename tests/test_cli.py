@@ -114,7 +114,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
 @pytest.mark.parametrize(
     ("arguments", "expected", "words"),
     [
-        (["info"], 2, "nothing there"),
+        (["info"], 2, "no such path"),
         (["embed"], 1, "manifold import"),
         (["predict", "--latent", "0,0"], 1, "manifold embed"),
         (["report"], 1, "manifold embed"),
@@ -125,7 +125,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["info", "x.txt"], 1, "found a text file"),
         (["info", "."], 1, "without zarr.json"),
         (["embed", "-L", "x.txt"], 1, "which is a folder"),
-        (["report", "-M", "x.txt"], 1, "no HDF5 file"),
+        (["report", "-M", "x.txt"], 1, "unknown or damaged header"),
         (["report", "-M", "."], 1, "a folder, expected a model"),
         (["demo", "x.txt"], 1, "x.txt"),
         (["corpus", "x.txt/sub"], 2, "cannot make this folder"),

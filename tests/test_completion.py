@@ -534,7 +534,7 @@ def test_what_returns_too_much_light_can_be_made_physical_and_keeps_its_hue(libr
 def test_options_that_would_be_ignored_are_usage_errors(run, library, tmp_path):
     for arguments, what in (
         (("complete", "-L", library), "no file of readings"),
-        (("complete", "felt.csv", "-L", library, "--instrument", "ma-t12"), "say --suggest K"),
+        (("complete", "felt.csv", "-L", library, "--instrument", "ma-t12"), "give --suggest K"),
         (("chart", "--readings", "--model", "model.h5"), "leave --model"),
     ):
         status, _, err = run(*arguments, cwd=tmp_path)
@@ -545,7 +545,7 @@ def test_a_file_named_like_the_sample_is_not_replaced(run, library, tmp_path):
     csv_table.write(tmp_path / "read.csv", readings(np.full((12, 3), 0.1)))
     (tmp_path / "sample.bsdf").write_bytes(b"tensor_file of somebody")
     status, _, err = run("complete", "read.csv", "-L", library, cwd=tmp_path)
-    assert (status, "there already" in err) == (2, True)
+    assert (status, "exists, and was not" in err) == (2, True)
     assert (tmp_path / "sample.bsdf").read_bytes() == b"tensor_file of somebody"
 
 

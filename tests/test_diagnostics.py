@@ -26,7 +26,7 @@ def test_a_sound_result_has_no_diagnostics():
             (False, Plausibility(0.0, 0.0, 0.9, 0.3)),
             "dark hole or ring near the mirror direction: 30 % below",
         ),
-        ((False, SOUND, 0.3), "missed by up to 0.30"),
+        ((False, SOUND, 0.3), "error up to 0.30"),
     ],
 )
 def test_each_defect_of_a_prediction_has_its_diagnostic(arguments, said):

@@ -399,7 +399,7 @@ def test_a_redirect_to_a_local_file_is_refused(server: Server, tmp_path: Path) -
 
 def test_a_file_without_checksum_must_at_least_be_valid(server: Server, tmp_path: Path) -> None:
     server.behaviours["aniso"] = Behaviour()
-    with pytest.raises(FetchError, match="no checksum known, and the content is no valid file"):
+    with pytest.raises(FetchError, match="no checksum known, and the content is not a valid file"):
         fetch(["aniso"], tmp_path, base_url=server.url, table={"aniso": Entry("aniso", None, None, False)})
     assert files(tmp_path) == set()
 

@@ -100,7 +100,7 @@ def test_only_libraries_can_be_verified(folder):
 
 
 def test_nothing_at_a_path_is_a_usage_error(tmp_path):
-    with pytest.raises(UsageError, match="nothing there"):
+    with pytest.raises(UsageError, match="no such path"):
         inspect(tmp_path / "absent")
 
 

@@ -656,7 +656,7 @@ def test_what_is_no_file_is_one_error(tmp_path: Path) -> None:
     (tmp_path / "loop.bsdf").symlink_to(tmp_path / "loop.bsdf")
     for name, words in {
         "missing.bsdf": "No such file",
-        "folder.bsdf": "no regular file",
+        "folder.bsdf": "not a regular file",
         "empty.bsdf": "0 bytes",
         "loop.bsdf": "symbolic links",
         "x" * 300 + ".bsdf": "too long",
@@ -672,9 +672,9 @@ def test_what_is_no_file_is_one_error(tmp_path: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_pipes_and_devices_do_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.bsdf")
-    assert "no regular file" in error_of(tmp_path / "pipe.bsdf")
+    assert "not a regular file" in error_of(tmp_path / "pipe.bsdf")
     for device in (Path("/dev/zero"), Path("/dev/null")):
-        assert "no regular file" in error_of(device)
+        assert "not a regular file" in error_of(device)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read everything")

@@ -162,7 +162,7 @@ def test_files_of_others_are_not_replaced(model, tmp_path):
     words = ["predict", "--from", table(tmp_path, "x,y,name\n0,0,a\n"), "-M", model, "-o", folder]
     result = run(*words)
     assert "line 2" in str(result.exception)
-    assert "not what this command writes" in str(result.exception)
+    assert "was not written by this command" in str(result.exception)
     assert (folder / "a_rgb.bsdf").read_bytes() == b"of somebody else"
     assert run(*words, "--force").exit_code == 0
     (folder / "predictions.json").write_text("{}")
@@ -192,7 +192,7 @@ def test_an_interrupted_run_keeps_what_it_made(model, tmp_path):
     os.kill(process.pid, signal.SIGINT)
     _, complained = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert "interrupted; what was finished is kept" in complained
+    assert "interrupted; finished outputs are kept" in complained
     noted = json.loads((out / "predictions.json").read_text())["predictions"]
     assert len(noted) >= 1
     assert all(read_bsdf(out / name).name for name in noted)

@@ -450,6 +450,6 @@ def test_a_material_that_is_too_bright_to_be_one_is_named(tmp_path):
     for file in (*files, bright):
         write_bsdf(tmp_path / f"{file.name}_rgb.bsdf", file)
     import_files(tmp_path / "library.zarr", [tmp_path])
-    with pytest.warns(BrightMaterialWarning, match=r"^bright returns [0-9.]+ times its light") as caught:
+    with pytest.warns(BrightMaterialWarning, match=r"^bright has a directional albedo of [0-9.]+") as caught:
         Manifold.fit(Library.open(tmp_path / "library.zarr"), Settings(latent_dim=1))
     assert len(caught) == 1

@@ -36,14 +36,14 @@ def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folde
     os.link(folder / "model.h5", folder / "second_name.h5")
     before = _content(folder)
     for words, arguments in {
-        "this command reads it": ("info", "model.h5", "--json", "model.h5"),
-        "reads it; name": ("info", "model.h5", "--json", "link"),
-        "reads it": ("info", "model.h5", "--json", "second_name.h5"),
+        "is an input of this command": ("info", "model.h5", "--json", "model.h5"),
+        "an input of this": ("info", "model.h5", "--json", "link"),
+        "an input": ("info", "model.h5", "--json", "second_name.h5"),
         "lies in the library": ("info", "library.zarr", "--json", "library.zarr/zarr.json"),
         "lies in the": ("info", "library.zarr", "--json", "library.zarr/materials/new.json"),
-        "not what this command writes": ("info", "library.zarr", "--json", "model.h5"),
-        "not what this": ("embed", "-M", file),
-        "not what": ("predict", "--latent", "0,0", "-o", file),
+        "was not written by this command": ("info", "library.zarr", "--json", "model.h5"),
+        "not written by this": ("embed", "-M", file),
+        "not written by": ("predict", "--latent", "0,0", "-o", file),
         "name two files": ("report", "--picture", "x.png", "--json", "x.png"),
     }.items():
         status, _, err = run(*arguments, cwd=folder)
@@ -134,7 +134,7 @@ def test_conversions_are_written_again_over_their_own_format_only(run, folder, n
     before = (folder / name).read_bytes()
     status, _, err = run(*convert, name, "--format", other, cwd=folder)
     assert status == 2
-    assert "not what this command writes" in one_line(err)
+    assert "was not written by this command" in one_line(err)
     assert (folder / name).read_bytes() == before
 
 
@@ -143,5 +143,5 @@ def test_a_format_of_binary_values_replaces_its_own_kind(tmp_path):
     path.write_bytes(np.array(merl.SHAPE, "<i4").tobytes() + bytes(8 * 3 * int(np.prod(merl.SHAPE))))
     require_replaceable("convert", {"output": path, "to": None})
     path.write_bytes(b"notes of mine")
-    with pytest.raises(UsageError, match="not what this command writes"):
+    with pytest.raises(UsageError, match="was not written by this command"):
         require_replaceable("convert", {"output": path, "to": None})

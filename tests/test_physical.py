@@ -135,7 +135,7 @@ def test_what_returns_more_light_than_it_gets_is_not_written(tmp_path, monkeypat
     monkeypatch.setattr(Manifold, "combination", lambda *_: brighter)
     output = tmp_path / "bright.bsdf"
     with pytest.raises(
-        UsageError, match=r"bright\.bsdf: would return .* times its light .* at most 1\.05; .*--force"
+        UsageError, match=r"bright\.bsdf: would have a directional albedo of .* at most 1\.05; .*--force"
     ):
         predict(model, x, output)
     assert not output.exists()

@@ -357,7 +357,7 @@ def test_unknown_picture_formats_are_refused(model, tmp_path, suffix):
 
 
 def test_blends_are_judged_by_the_files_with_their_negative_values(tmp_path):
-    """Colours outside of sRGB have some; blends combine materials without them."""
+    """Colours outside sRGB have some; blends combine materials without them."""
     for name in NAMES[:4]:
         file = measured(name)
         write_bsdf(tmp_path / f"{name}_rgb.bsdf", replace(file, spectra=file.spectra - np.float32(0.02)))

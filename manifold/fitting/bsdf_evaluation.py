@@ -121,8 +121,8 @@ def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
     bsdf = _load(mi, bsdf_dict(family, defaults))
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
         raise UsageError(
-            f"BSDF {family.type} reflects in single directions only, which samples cannot show; take a rough one, "
-            "such as roughconductor"
+            f"BSDF {family.type} reflects into discrete directions only (delta lobe), which cannot be fitted; use "
+            "a rough one, such as roughconductor"
         )
     keys = mi.traverse(bsdf).keys()
     slots = {}

@@ -143,7 +143,7 @@ class BsdfFamily:
         if not _is_word(self.type):
             raise UsageError(f"BSDF {self.type!r}: expected the name of a Mitsuba plugin as its type")
         if _holds_none(self.fixed):  # which ends Mitsuba's process
-            raise UsageError(f"BSDF {self.type}: fixed holds a null, expected values; leave that entry out")
+            raise UsageError(f"BSDF {self.type}: fixed contains null, expected a value; remove that entry")
         names = [parameter.name for parameter in self.parameters]
         if not names or len(set(names)) != len(names) or set(names) & set(self.fixed):
             raise UsageError(

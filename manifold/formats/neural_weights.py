@@ -124,7 +124,7 @@ def _keep(arrays: dict[str, Array], name: str, item: object, most: int) -> None:
         if item.external is not None or item.is_virtual:
             raise ValueError(f"dataset '{name}' lies in other files")
         if item.nbytes > most:
-            raise ValueError(f"dataset '{name}' announces {item.nbytes} bytes, more than the file has")
+            raise ValueError(f"dataset '{name}' declares {item.nbytes} bytes, more than the file has")
         arrays[name] = np.asarray(item[...], dtype=np.float64)
 
 

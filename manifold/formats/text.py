@@ -35,7 +35,7 @@ def read_bytes(path: Path, limit: int = LARGEST_TEXT) -> bytes:
     try:
         status = os.stat(path)
         if not stat.S_ISREG(status.st_mode):
-            raise UsageError(f"{path}: is no regular file; name the file itself")
+            raise UsageError(f"{path}: is not a regular file; name a file")
         if status.st_size > limit:
             raise FileFormatError(
                 f"{path.name}: has {status.st_size / 1e6:.0f} MB, expected at most {limit / 1e6:.0f}; "

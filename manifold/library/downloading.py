@@ -195,7 +195,7 @@ def verify(path: Path, entry: Entry) -> None:
         try:
             read_bsdf(path)
         except ManifoldError as error:
-            raise FetchError(f"no checksum known, and the content is no valid file: {error}") from error
+            raise FetchError(f"no checksum known, and the content is not a valid file: {error}") from error
         return
     with disk(path.parent), path.open("rb") as stream:
         found = hashlib.file_digest(stream, "sha256").hexdigest()

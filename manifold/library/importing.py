@@ -244,8 +244,8 @@ def _store(
     name = source.name
     if spellings.get(alike(name), name) != name:
         raise UsageError(
-            f"{source.path.name}: the library has '{spellings[alike(name)]}', which some systems do not tell from "
-            f"'{name}'; rename the file"
+            f"{source.path.name}: the library has '{spellings[alike(name)]}', which some file systems do not "
+            f"distinguish from '{name}'; rename the file"
         )
     known = library.attributes(name) if name in library else None
     if known and known.sha256 == source.sha256:
@@ -253,8 +253,7 @@ def _store(
     if known and not replace:
         raise UsageError(
             f"{source.path.name}: '{name}' is in the library with SHA-256 {known.sha256[:12]}..., "
-            f"this file has {source.sha256[:12]}...; replace it on purpose (replace=True, --replace), "
-            "or rename the file"
+            f"this file has {source.sha256[:12]}...; replace it (replace=True, --replace), or rename the file"
         )
     folder = staged / name
     write_material(folder, source.read(), source.path.name, source.sha256)

@@ -85,7 +85,9 @@ class Library:
         if folder.exists() and not folder.is_dir():
             raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
         if not folder.is_dir():
-            raise LibraryError(f"{path}: no such library; `manifold import FILES --library {path}` makes one")
+            raise LibraryError(
+                f"{path}: no such library; create it with `manifold import FILES --library {path}`"
+            )
         staging.recover(folder)
         return cls(folder, read_bands(folder, path))
 

@@ -109,5 +109,5 @@ def _require_file(path: Path, least: int, most: int, lack: str) -> None:
         reason = "" if isinstance(error, FileNotFoundError) else f" ({error.strerror})"
         raise LookupError(lack + reason) from error
     if not stat.S_ISREG(status.st_mode) or not least <= status.st_size <= most:
-        found = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "no regular file"
+        found = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "not a regular file"
         raise LookupError(f"{path.parent.name}/{path.name} has {found}, expected {least} to {most} bytes")

@@ -72,8 +72,8 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
     if not model.space.takes_colours:
         if choice != NEAREST:
             raise UsageError(
-                "the materials of this manifold carry their colours with them; leave the colour out, or "
-                "embed with --kind blend to choose it"
+                "colours cannot be chosen on a manifold of kind material; leave the colour out, or embed with "
+                "--kind blend"
             )
         return UNCHOSEN
     if choice == NEAREST and not model.space.needs_colours:

@@ -85,7 +85,7 @@ def diagnose(
     ball, cube_root = (None, None) if expected is None else (float(expected.ball), float(expected.cube_root))
     why = f"the nearest material is {nearest[0][1]:.1f} length scales away"
     if ball is not None:
-        why += f", the error to expect {ball:.0f} CIEDE2000 of the ball"
+        why += f", expected error {ball:.0f} CIEDE2000 of the ball"
     judged = found if negative_share is None else replace(found, negative_share=negative_share)
     if model.space.training_index(x, colours) is not None:
         sentences = of_measured(judged)
@@ -108,13 +108,13 @@ def in_words(ball: float | None, cube_root: float | None) -> list[str]:
         return ["none: a measured material"]
     return [
         f"{ball:.1f} CIEDE2000 of the ball",
-        f"{cube_root:.0%} of cube roots",
-        "nine in ten below twice that",
+        f"{cube_root:.0%} cube-root error",
+        "90 % of errors below twice these",
     ]
 
 
 def of_prediction(
-    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "all materials are far"
+    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "far from all materials"
 ) -> tuple[str, ...]:
     """Of a prediction.
 
@@ -126,7 +126,7 @@ def of_prediction(
     """
     diagnostics = []
     if is_extrapolation:
-        diagnostics.append(f"not supported by the data: {why}; stay nearer to the materials")
+        diagnostics.append(f"not supported by the data: {why}; choose a latent nearer to the materials")
     if found.negative_share > MOST_NEGATIVE:
         diagnostics.append(
             f"{100.0 * found.negative_share:.2g} % of the values were negative; the data do not support this point"
@@ -142,12 +142,12 @@ def of_prediction(
         )
     if found.highlight_valley > MOST_VALLEY:
         diagnostics.append(
-            f"dark hole or ring near the mirror direction: {100.0 * found.highlight_valley:.0f} % below what is on its "
-            "two sides, where measured materials have at most 7 %"
+            f"dark hole or ring near the mirror direction: {100.0 * found.highlight_valley:.0f} % below both "
+            "sides (measured materials: at most 7 %)"
         )
     if missed > MOST_MISSED:
         diagnostics.append(
-            f"requested reflectance out of reach at this structure: missed by up to {missed:.2f}"
+            f"requested reflectance cannot be reached at this structure: error up to {missed:.2f}"
         )
     return tuple(diagnostics)
 
@@ -159,7 +159,7 @@ def of_measured(found: Plausibility) -> tuple[str, ...]:
     negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
     if found.negative_share > MOST_NEGATIVE:
         diagnostics.append(
-            f"{negative:.2g} % of the measured values are negative: noise, or colours outside of sRGB"
+            f"{negative:.2g} % of the measured values are negative: noise, or colours outside sRGB"
         )
     if found.highlight_valley > MOST_VALLEY:
         diagnostics.append(

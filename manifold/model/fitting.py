@@ -70,8 +70,8 @@ def _warn_of_bright(materials: MaterialCache) -> None:
     for name, most in zip(materials.names, albedo.tolist(), strict=True):
         if most > _MOST_ALBEDO:
             warnings.warn(
-                f"{name} returns {most:.3g} times its light, expected at most 1: mind its unit, 1/sr, or leave it out; "
-                "the map is fitted to it as it is",
+                f"{name} has a directional albedo of {most:.3g}, expected at most 1: check its unit, 1/sr, or "
+                "exclude it; it is fitted unchanged",
                 BrightMaterialWarning,
                 stacklevel=4,
             )

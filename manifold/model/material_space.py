@@ -70,9 +70,7 @@ class MaterialSpace(ProcessSpace):
         Raises:
             UsageError: always.
         """
-        raise UsageError(
-            "the materials of this manifold carry their colours with them; embed with --kind blend to choose colours"
-        )
+        raise UsageError("colours cannot be chosen on a manifold of kind material; embed with --kind blend")
 
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material."""

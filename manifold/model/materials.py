@@ -26,7 +26,7 @@ class MaterialCache:
         library: where they are read from.
         names: in the order of the latents, N of them.
         is_nonnegative: whether negative values are taken for 0 where materials are combined; RGB files have some,
-            colours outside of sRGB.
+            colours outside sRGB.
     """
 
     def __init__(self, library: Library, names: Sequence[str], *, is_nonnegative: bool = False) -> None:

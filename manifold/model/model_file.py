@@ -80,15 +80,15 @@ def read_model(path: Path) -> ModelRecord:
         ModelError: no such file, no model of this package, another version, or damaged.
     """
     if not path.exists():
-        raise ModelError(f"{path}: no such model; `manifold embed --model {path}` makes one")
+        raise ModelError(f"{path}: no such model; create it with `manifold embed --model {path}`")
     if path.is_dir():
-        raise ModelError(f"{path}: a folder, expected a model; `manifold embed` makes one")
+        raise ModelError(f"{path}: a folder, expected a model; create one with `manifold embed`")
     try:
         content = small_files.read_bytes(path, advice="name a model", most=_MOST_BYTES)
     except UsageError as error:
         raise ModelError(str(error)) from error
     if not content.startswith(MAGIC):
-        what = "an HDF5 file" if content.startswith(HDF5_MAGIC) else "no HDF5 file, or damaged at its start"
+        what = "an HDF5 file" if content.startswith(HDF5_MAGIC) else "unknown or damaged header"
         raise ModelError(
             f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; embed again with this version"
         )
@@ -145,7 +145,7 @@ def _opened(content: bytes, path: Path) -> ModelRecord:
             f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
         )
     if content[_DIGEST] != _digest(content):
-        raise ValueError("its bytes do not have the hash that they were written with")
+        raise ValueError("its hash does not match its content")
     values = json.loads(content[offset : offset + length], parse_constant=_refuse)
     names = [str(name) for name in values["names"]]
     if len(set(names)) < len(names):
@@ -185,7 +185,7 @@ def _plain(value: Any) -> Any:
 
 
 def _refuse(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _finite(values: Any, name: str) -> Any:

@@ -54,7 +54,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise UsageError(f"no kind of manifold is called '{self.kind}', expected {' or '.join(KINDS)}")
+            raise UsageError(f"kind '{self.kind}', expected {' or '.join(KINDS)}")
         for name, value in _KIND_DEFAULTS[self.kind].items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)

@@ -196,9 +196,9 @@ class GPWeights:
         elif self.is_linear:
             span = np.ptp(self.X, axis=0).max()
             warnings.warn(
-                f"the map is linear, no more than principal components: the latents span {span:.2g} (length scale "
-                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), too little for the kernel to bend; lower "
-                "the length scale, the prior or mu",
+                f"the map is linear, as that of PCA: the latents span only {span:.2g} (length scale "
+                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}); lower the length scale, the prior or "
+                "mu",
                 FlatModelWarning,
                 stacklevel=3,
             )
@@ -206,8 +206,8 @@ class GPWeights:
         if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
             warnings.warn(
                 f"{alone} of {self.n_samples} latents are far from all others (length scale "
-                f"{self.kernel.length_scale:g}): between them the mean is predicted; take more materials, fewer "
-                "dimensions, a longer length scale or a nearer start",
+                f"{self.kernel.length_scale:g}): predictions between them are the mean; use more materials, fewer "
+                "dimensions, a longer length scale or a better start",
                 IsolatedLatentsWarning,
                 stacklevel=3,
             )

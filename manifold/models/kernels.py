@@ -222,7 +222,8 @@ def require_mu(mu: float) -> None:
     """Raise UsageError unless a fit can use a noise filter."""
     if not SMALLEST_MU <= mu <= LARGEST_MU:
         raise UsageError(
-            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: K must stay definite, and tell samples apart"
+            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: smaller values make K singular, larger ones "
+            "leave only noise"
         )
 
 

@@ -150,7 +150,9 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         if not self.n_inducing >= 1:
             raise UsageError(f"n_inducing = {self.n_inducing}, expected at least 1")
         if not self.mu >= _SMALLEST_MU:
-            raise UsageError(f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K_uu must stay definite")
+            raise UsageError(
+                f"mu = {self.mu}, expected at least {_SMALLEST_MU}: K_uu must be positive definite"
+            )
         if not self.prior >= 0:
             raise UsageError(f"prior = {self.prior}, expected a weight >= 0")
 

@@ -79,7 +79,7 @@ def read_image(path: Path) -> Array:
         plain = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
     except Exception as error:  # Mitsuba raises bare RuntimeErrors
         raise FileFormatError(
-            f"{path}: no picture that can be read ({_reason(error)}); expected .exr, .hdr, .pfm, .png or .jpg"
+            f"{path}: not a readable picture ({_reason(error)}); expected .exr, .hdr, .pfm, .png or .jpg"
         ) from error
     linear = np.array(plain, dtype=np.float64)
     if linear.ndim != 3 or not np.all(np.isfinite(linear)):
@@ -114,7 +114,8 @@ def require_size(path: Path) -> None:
         most = max(_MOST_PIXELS, 8 * path.stat().st_size)
         if abs(width * height) > most:
             raise FileFormatError(
-                f"{path}: announces {width} x {height} pixels, expected at most {most} for its size; export it again"
+                f"{path}: declares {width} x {height} pixels, expected at most {most} for its file size; export "
+                "it again"
             )
 
 

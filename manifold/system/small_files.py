@@ -74,7 +74,7 @@ def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _cannot_read(path: Path, reason: str, advice: str) -> UsageError:

@@ -56,7 +56,7 @@ def server(
         UsageError: the map is no map of blends, the folder is not writable, or the port is taken.
     """
     if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise UsageError(f"{folder}: no folder that can be written to; name another --folder")
+        raise UsageError(f"{folder}: not a writable folder; name another --folder")
     loaded = _load(model, library)
     context = Context(
         folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],

@@ -81,7 +81,9 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     """
     if path.suffix.lower() == ".bsdf":
         if against is not None:
-            raise UsageError(f"--against goes with the JSON of a fit; {path} is compared with itself")
+            raise UsageError(
+                f"--against needs the JSON of a fit, found {path}, which is compared with itself"
+            )
         return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
     content = fit_json.read(path)
     source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}

@@ -23,7 +23,8 @@ from manifold.workflows.instrument_inspection import inspect_instrument_file
 def inspect(
     path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
 ) -> Inspection:
-    """Look at a file of a BRDF or of an instrument, a library folder, or a model file, told apart by their content.
+    """Look at a file of a BRDF or of an instrument, a library folder, or a model file, recognised by their
+    content.
 
     Args:
         path: what to look at.
@@ -36,7 +37,7 @@ def inspect(
     """
     if not path.exists():
         raise UsageError(
-            f"{path}: nothing there; name a file of a BRDF or an instrument, a library, or a model"
+            f"{path}: no such path; name a file of a BRDF or an instrument, a library, or a model"
         )
     if path.is_dir():
         return _inspect_library(path, verify, on_progress)

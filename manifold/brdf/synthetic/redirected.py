@@ -101,7 +101,7 @@ class Retroreflection(AnalyticBRDF):
 
     def __post_init__(self) -> None:
         if not self.brdf.is_isotropic:
-            raise UsageError("found an anisotropic BRDF to turn back to the light, expected an isotropic one")
+            raise UsageError("found an anisotropic BRDF as retro-reflective, expected an isotropic one")
         set_field(self, "bands", self.brdf.bands)
 
     def _eval(self, wi: Array, wo: Array) -> Array:

@@ -31,7 +31,7 @@ def require_apart(folder: Path, read: Iterable[str]) -> None:
     for name in read:
         path = Path(name)
         if path.is_file() and folder in (path.resolve().parent, path.parent.resolve()):
-            raise UsageError(f"{name}: might be overwritten; name another --output than the scene's folder")
+            raise UsageError(f"{name}: could be overwritten; name another --output than the scene's folder")
 
 
 def asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
@@ -64,7 +64,7 @@ class OutputFolder:
         for name in (scene, self._list.name, *assets):
             if os.path.lexists(path / name) and name not in self._own:
                 raise UsageError(
-                    f"{path / name}: already there, and not from an earlier budget of this scene; "
+                    f"{path / name}: exists, and was not written by an earlier budget of this scene; "
                     "name another --output, or move it away"
                 )
 

@@ -88,7 +88,8 @@ class SceneDocument:
                 content = json.loads(json.dumps(dict(scene)))
             except (TypeError, ValueError, RecursionError) as error:
                 raise UsageError(
-                    f"the scene holds what is no plain value ({error}); expected numbers, texts, lists and dictionaries"
+                    f"the scene contains an object that is not plain data ({error}); expected numbers, strings, "
+                    "lists and dictionaries"
                 ) from error
             return cls(scene_files.require_scene(content, "the scene"), "the scene", Path())
         return cls(scene_files.read_tree(scene), str(scene), scene.parent.absolute())
@@ -206,7 +207,7 @@ def _require_harmless(path: Path, origin: str) -> None:
     if path.is_dir():
         return
     if not path.is_file():
-        raise UsageError(f"{origin}: {path} is no regular file; name one")
+        raise UsageError(f"{origin}: {path} is not a regular file; name one")
     if (
         path.suffix.lower() in (".spd", ".txt", ".csv", ".xml")
         and path.stat().st_size > small_files.MOST_TEXT

@@ -45,7 +45,7 @@ def require_scene(content: Any, origin: str) -> dict[str, Any]:
             f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
         )
     if _holds_none(content):  # which ends Mitsuba's process
-        raise FileFormatError(f"{origin}: a null in the scene, expected values; leave that entry out")
+        raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")
     return content
 
 
@@ -98,7 +98,7 @@ class _Expansion:
         self._files += 1
         if depth > _MOST_INCLUDES:
             raise FileFormatError(
-                f"{self._scene}: more than {_MOST_INCLUDES} files include each other, {name} last; end the circle"
+                f"{self._scene}: more than {_MOST_INCLUDES} nested includes, {name} last; remove the cycle"
             )
         if self._files > _MOST_FILES:
             raise FileFormatError(

@@ -128,7 +128,8 @@ def search(
             _require_size(choice, tolerance, others)
             return Answer(choice, seen[names], alone)
     raise UsageError(
-        f"no choice keeps a CIEDE2000 of {tolerance.delta_e:g} with all materials together; raise the tolerance"
+        f"no combination meets a CIEDE2000 of {tolerance.delta_e:g} with all materials together; raise the "
+        "tolerance"
     )
 
 
@@ -151,12 +152,16 @@ def _first(
         ):
             return candidate
     if not candidates:
-        raise UsageError(f"nothing evaluates in {tolerance.milliseconds:g} ms per million; raise --max-ms")
+        raise UsageError(
+            f"no representation evaluates a million times within {tolerance.milliseconds:g} ms; "
+            "raise --max-ms"
+        )
     best = min(candidates, key=lambda candidate: candidate.predicted)
     found = look(key, best)
     raise UsageError(
-        f"nothing within {tolerance.milliseconds or 0:g} ms keeps a CIEDE2000 of {scale * tolerance.delta_e:.3g}; "
-        f"closest is '{best.name}' with {found.delta_e:.2f}; raise --max-ms or --max-delta-e"
+        f"no representation within {tolerance.milliseconds or 0:g} ms meets a CIEDE2000 of "
+        f"{scale * tolerance.delta_e:.3g}; closest is '{best.name}' with {found.delta_e:.2f}; raise --max-ms or "
+        "--max-delta-e"
     )
 
 
@@ -164,6 +169,6 @@ def _require_size(choice: Choice, tolerance: Tolerance, others: int) -> None:
     total = others + sum(candidate.size for candidate in choice.values())
     if tolerance.size is not None and total > tolerance.size:
         raise UsageError(
-            f"a CIEDE2000 of {tolerance.delta_e:g} takes {total} bytes, at most {tolerance.size} are wanted; "
+            f"a CIEDE2000 of {tolerance.delta_e:g} needs {total} bytes, expected at most {tolerance.size}; "
             "raise --max-bytes or --max-delta-e"
         )

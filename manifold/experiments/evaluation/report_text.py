@@ -92,13 +92,13 @@ def _errors(methods: Sequence[MethodResult]) -> list[str]:
     return [
         *_table(head, rows),
         "",
-        "Reconstructions see the material they predict, the mix of two sees it to choose",
-        "the two. Latents kept, or others kept: fitted with the material among the data,",
-        "predicted without it. All other methods have not seen it when they are fitted.",
+        "Reconstructions use the material they predict; the mix of two uses it to choose",
+        "the two. Latents kept, or others kept: latents fitted with the material, which",
+        "is then predicted without it. All other methods are fitted without the material.",
         "a + b per band: a coordinates that all bands share, and b of every band.",
         "Medians and 90th percentiles of materials. linear: relative, cosine-weighted,",
-        "which highlights rule; cube root: the same of cube roots, closer to what an eye",
-        "sees; ball dE: mean CIEDE2000 of a ball in a studio, D65.",
+        "dominated by highlights; cube root: the same of cube roots, closer to perceived",
+        "differences; ball dE: mean CIEDE2000 of a ball in a studio, D65.",
     ]
 
 

@@ -58,15 +58,16 @@ def markdown(made: Stability, modes: Sequence[Mode]) -> str:
     """A page: what every mode is, what happened, and what a user should do."""
     tried = {row.mode for row in made.rows}
     parts = [
-        "# Where methods fail, and what to do",
+        "# Failure modes, and what to do",
         "",
         "Written by `manifold stability --markdown docs/stability.md -o docs/images/stability.png`; do not edit.",
         "",
-        "Every failure mode is made worse step by step. A trial is *fine* where its number stays below the limit, "
-        "*warned* where the package spoke up of its own accord, *refused* where it ended with a clear error, and "
-        "*silently wrong* where neither happened. A warning or a refusal at the first severity, which is harmless, is "
-        "a *false alarm*. Both are defects, which fail the tests. A warning below the limit at a later severity is an "
-        "*early warning*. *Undetected* is the largest number about which nothing was said.",
+        "Every failure mode is applied with increasing severity. A trial is *fine* if its error stays below the "
+        "limit, *warned* if the package issued a warning or a diagnostic, *refused* if it ended with an error "
+        "message, and *silently wrong* if the error exceeds the limit without any of these. The first severity "
+        "is harmless: a warning or a refusal there is a *false alarm*. False alarms and silently wrong results "
+        "are defects and fail the tests. A warning at a later severity although the error is below the limit is "
+        "an *early warning*. *Undetected* is the largest error without a warning or an error message.",
         "",
         "![Error against severity of every failure mode](images/stability.png)",
         "",
@@ -85,7 +86,7 @@ def _chapter(mode: Mode, rows: Sequence[Row]) -> list[str]:
         "",
         f"{_sentence(mode.concerns)} Severity: {mode.severity} ({', '.join(f'{s:g}' for s in mode.severities)}).",
         "",
-        f"Number: {mode.limit.quantity}; limit {mode.limit.value:g}: {_cell(mode.limit.reason)}.",
+        f"Error: {mode.limit.quantity}; limit {mode.limit.value:g}: {_cell(mode.limit.reason)}.",
         "",
         f"**What to do.** {_sentence(mode.advice)}",
         "",

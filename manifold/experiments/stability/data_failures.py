@@ -27,7 +27,7 @@ from manifold.records import Array, BsdfFile
 _AS_A_FILE = Limit(
     "relative difference to the result of whole files (of the roughness for the fit)",
     0.1,
-    "a file of the usual resolution is itself some 9 % off between its nodes: no worse than another instrument",
+    "a file of the usual resolution has an interpolation error of about 9 % between its nodes",
 )
 
 _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
@@ -213,12 +213,12 @@ def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
 
 MODES: tuple[Mode, ...] = (
     _unmeasured(
-        "exact_zeros", "cells that were lost and hold zeros, though they count as measured", _zeroed,
-        "Look at `manifold info FILE` before importing; measure again what has large unmeasured areas.",
+        "exact_zeros", "cells that contain zeros although they are marked as measured", _zeroed,
+        "Check `manifold info FILE` before importing; repeat measurements with large unmeasured areas.",
     ),
     _unmeasured(
-        "masked_cells", "cells that are marked as not measured and hold half of their value", _masked,
-        "Keep the mask of the instrument in the file: marked cells are closed from their rims.",
+        "masked_cells", "cells that are marked as not measured and contain half of their value", _masked,
+        "Keep the instrument's mask in the file: marked cells are filled from their neighbours.",
     ),
     Mode(
         "grazing", "incidence near the horizon, where files interpolate towards 90 degrees",
@@ -226,11 +226,11 @@ MODES: tuple[Mode, ...] = (
         Limit(
             "relative error of the directional albedo",
             0.1,
-            "a tenth of the light is a step of 2 (at mid grey) to 4 (at white) in CIELAB lightness: seen beside the "
-            "truth only",
+            "a tenth of the light is a step of 2 (at mid grey) to 4 (at white) in CIELAB lightness, visible only "
+            "side by side",
         ),
         {"file": _grazing_file, "prediction": _grazing_prediction},
-        "Beyond 87 degrees trust silhouettes less, or measure more elevations.",
+        "Beyond 87 degrees predictions are less reliable; measure more elevations if silhouettes matter.",
     ),
     Mode(
         "sharp_lobe", "nearly mirror-like materials on an outgoing grid of 32 x 32", "GGX roughness alpha",
@@ -238,10 +238,11 @@ MODES: tuple[Mode, ...] = (
         Limit(
             "relative error over the lobe, the worst of 0, 30 and 60 degrees",
             0.2,
-            "chosen after the results were known: the highlight keeps its shape, and polished metals differ by more",
+            "chosen after the results were known: the shape of the highlight is preserved, and polished metals "
+            "differ by more",
         ),
         {"file": _sharp_file},
-        "Files carry lobes down to alpha 0.01; take more incident elevations where highlights are compared.",
+        "Files represent lobes down to alpha 0.01; use more incident elevations where highlights are compared.",
     ),
     Mode(
         "mixed_resolution", "a library half of whose files have a coarser outgoing grid",
@@ -251,21 +252,21 @@ MODES: tuple[Mode, ...] = (
             "prediction between materials": _predicted(_coarse, 0.5),
             "prediction at a material": _predicted(_coarse, 0.0),
         },
-        "Mix resolutions freely from 16 nodes up; a prediction is as fine as the files around it.",
+        "Resolutions can be mixed from 16 nodes upwards; a prediction has the resolution of the files around it.",
     ),
     Mode(
-        "mixed_versions", "files of pipelines whose bits of `valid` mean measured, or not measured",
-        "share of the measured cells that are marked as lost", (0.0, 0.15, 0.3),
+        "mixed_versions", "files of pipelines whose `valid` bits mean measured, or not measured",
+        "share of the measured cells that are marked as not measured", (0.0, 0.15, 0.3),
         Limit(
-            "share of the cells that are read the wrong way round",
+            "share of the cells whose mask is inverted",
             0.01,
-            "real files disagree in as many anyway",
+            "masks of real files are inconsistent in as many cells",
         ),
         {"mask": _misread_mask},
-        "Leave the version of a file as its pipeline wrote it; files of all versions share a library.",
+        "Keep the version that the pipeline wrote; files of all versions can share a library.",
     ),
     Mode(
-        "single_precision", "values of fewer bits than single precision has (13 fewer are half precision)",
+        "single_precision", "values in fewer bits than single precision (13 fewer are half precision)",
         "bits of the mantissa that are lost", (1.0, 13.0),
         replace(
             SAME_RESULT,
@@ -276,6 +277,6 @@ MODES: tuple[Mode, ...] = (
             "embedding a file": _embedded(_rounded),
             "Principled fit": _fitted(_rounded),
         },
-        "Single precision is more than measurements need; half precision is enough for storage.",
+        "Single precision exceeds the accuracy of measurements; half precision suffices for storage.",
     ),
 )  # fmt: skip

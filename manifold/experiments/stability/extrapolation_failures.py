@@ -76,7 +76,8 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "outside_materials", "predictions outside the materials", "length scales from the outermost material",
         (0.0, 0.25, 0.5, 1.0, 2.0),
-        Limit("CIEDE2000 of the ball beside the nearest plastic's", BALL.value, BALL.reason),
+        Limit("CIEDE2000 between the balls of the prediction and of the nearest "
+        "plastic", BALL.value, BALL.reason),
         {
             "material": _outside(_from_outermost("material")),
             "raw values": _outside(_from_outermost("material", "identity")),
@@ -84,10 +85,11 @@ MODES: tuple[Mode, ...] = (
             "blend": _outside(_from_outermost("blend")),
             "brighter": _outside(_brighter),
         },
-        "Stay between the materials, or let --physical cut negative values, scale the albedo and make f reciprocal.",
+        "Stay between the materials, or use --physical, which clips negative values, scales the albedo and makes "
+        "f reciprocal.",
     ),
     Mode(
-        "across_classes", "walk between a smooth and a rough material", "ratio of roughness",
+        "across_classes", "wath between a smooth and a rough material", "ratio of roughness",
         (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
         HALF_OF_NEAREST,
         {
@@ -96,6 +98,7 @@ MODES: tuple[Mode, ...] = (
             "blend": _on_the_way(lambda bed, a, b, t: bed.model("blend").interpolate(a, b, t)),
             "linear": _on_the_way(lambda bed, a, b, t: bed.model("material").blend(a, b, t)),
         },
-        "Use `interpolate`; a linear mix of lobes far apart in width shows both of them, not one between.",
+        "Use `interpolate`; a linear mix of a narrow and a wide lobe has both lobes, not one of intermediate "
+        "width.",
     ),
 )  # fmt: skip

@@ -31,10 +31,12 @@ _STEEP = 0.05  # cosine of directions that count
 _AS_MEASURED = Limit(
     "relative error of the fitted BSDF over all directions",
     0.1,
-    "the parameters reach half of the measured materials no nearer",
+    "for half of the measured materials, the best fit has a larger error",
 )
 _HALF_OF_VALUES = Limit(
-    "relative error of the values, not of their cube roots", 0.5, "as much is wrong as is right"
+    "relative error of the values, not of their cube roots",
+    0.5,
+    "the error is half of the signal",
 )
 
 _TRUTH: dict[str, Any] = {
@@ -193,36 +195,36 @@ def _colour(method: str) -> Trial:
 
 MODES: tuple[Mode, ...] = (
     Mode(
-        "local_minima", "fits of samples whose truth the parameters reach exactly", "free parameters",
+        "local_minima", "fits of samples that the BSDF can represent exactly", "free parameters",
         (1.0, 3.0, 7.0), _AS_MEASURED, {method: _minima(method) for method in METHODS},
-        "Use gauss-newton, which begins at several places and lists every minimum that it finds.",
+        "Use gauss-newton, which starts from several points and lists every minimum found.",
     ),
     Mode(
         "rough_or_smooth",
-        "rough black and smooth grey, seen with noise from the directions of an old instrument",
+        "rough black and smooth grey, with noise, in the directions of an old instrument",
         "direction pairs", tuple(float(len(pairs[0])) for pairs in (_denser(), _dense(), _old_instrument())),
-        Limit("error of the roughness", 0.1, "highlights as unlike as those of satin and matt paint"),
+        Limit("error of the roughness", 0.1, "the difference between the highlights of satin and matt paint"),
         {
             "gauss-newton, rough black": _roughness("gauss-newton", _ROUGH_BLACK),
             "gauss-newton, smooth grey": _roughness("gauss-newton", _SMOOTH_GREY),
             "swarm, rough black": _roughness("swarm", _ROUGH_BLACK),
         },
-        "Measure near the mirror direction and at grazing angles; else choose among what is listed.",
+        "Measure near the mirror direction and at grazing angles; otherwise choose among the listed solutions.",
     ),
     Mode(
-        "few_directions", "fits to a few direction pairs all over the hemisphere", "direction pairs",
+        "few_directions", "fits to few direction pairs, spread over the hemisphere", "direction pairs",
         (400.0, 10.0, 1.0), _AS_MEASURED, {"gauss-newton": _few},
-        "Read the identifiability of each parameter; fix those that the data do not determine.",
+        "Check the identifiability of each parameter; fix those that the data do not determine.",
     ),
     Mode(
-        "few_incidences", "fits to many outgoing directions of a few incidences", "incidences",
+        "few_incidences", "fits to many outgoing directions at few incidences", "incidences",
         (8.0, 2.0, 1.0), _AS_MEASURED, {"gauss-newton": _incidences},
         "Measure at two incidences or more; one does not determine clearcoat and sheen.",
     ),
     Mode(
         "mirror_fit", "fits to metals smoother than the smoothest parameter", "GGX roughness alpha",
         (0.1, 0.001, 0.0001), _HALF_OF_VALUES, {"gauss-newton": _unreached(_mirror)},
-        "Use a mirror, Mitsuba's `conductor`, for what is smoother than alpha 0.001.",
+        "For materials smoother than alpha 0.001 use Mitsuba's `conductor`, an ideal mirror.",
     ),
     Mode(
         "brushed_fit", "fits of isotropic parameters to brushed metals", "ratio of the two roughnesses",
@@ -230,10 +232,10 @@ MODES: tuple[Mode, ...] = (
         "Free `anisotropic` too (`--free`), or keep the measured file.",
     ),
     Mode(
-        "out_of_gamut", "colours that linear sRGB has only with negative values",
-        "width of the band of reflectance in nm", (100.0, 15.0),
+        "out_of_gamut", "colours outside the sRGB gamut (negative linear components)",
+        "bandwidth of the reflectance in nm", (100.0, 15.0),
         Limit(
-            "distance of the fitted colour, in linear sRGB", 0.02, "twice the tolerance of a colour parameter"
+            "error of the fitted colour, in linear sRGB", 0.02, "twice the tolerance of a colour parameter"
         ),
         {method: _colour(method) for method in METHODS},
         "Render in spectral mode, where the fit keeps the reflectance of every band.",

@@ -202,29 +202,29 @@ def _change_bands(folder: Path, count: float) -> None:
 MODES: tuple[Mode, ...] = (
     Mode(
         "flipped_bits", "a material of a library whose stored values were changed on the disk",
-        "bits turned over", (0.0, 1.0, 100.0),
+        "bits flipped", (0.0, 1.0, 100.0),
         replace(
             SAME_RESULT,
-            quantity="relative difference of the prediction; damaged materials that verification does not name",
+            quantity="relative difference of the prediction; damaged materials that verification does not find",
         ),
         {"prediction": _predicted(_flip_values), "verification": _verified},
-        "Delete the material that is named and import its file again; `manifold info --verify` finds all.",
+        "Delete the material named in the message and import its file again; `manifold info --verify` finds all.",
     ),
     Mode(
-        "cut_material", "a material of a library whose stored values were cut off, or lost (1)",
+        "cut_material", "a material of a library whose stored values were truncated, or removed (1)",
         "share of the bytes", (0.0, 1e-4, 0.5, 1.0), SAME_RESULT, {"prediction": _predicted(_cut_values)},
-        "Delete the material that is named and import its file again.",
+        "Delete the material named in the message and import its file again.",
     ),
     Mode(
-        "cut_file", "a .bsdf file that was not copied to its end", "share of the bytes that is missing",
+        "cut_file", "a .bsdf file that was truncated", "share of the bytes that is missing",
         (0.0, 1e-4, 0.5, 0.999), NONE_TAKEN,
         {"import": _imported(_cut_file), "embedding a file": _located(_cut_file)},
-        "Fetch the file again; the other files of the same import are in the library.",
+        "Fetch the file again; the other files of the same import were added to the library.",
     ),
     Mode(
-        "not_a_number", "values in a file that are no numbers", "values", (0.0, 1.0, 1000.0), NONE_TAKEN,
+        "not_a_number", "values in a file that are NaN", "values", (0.0, 1.0, 1000.0), NONE_TAKEN,
         {"import": _imported(_spoil_file), "embedding a file": _located(_spoil_file)},
-        "Mark what was not measured in `valid` and write zeros there.",
+        "Mark cells without a measurement in `valid` and write zeros there.",
     ),
     Mode(
         "changed_library", "materials of a library exchanged, or removed, after a model was fitted to it",
@@ -233,12 +233,12 @@ MODES: tuple[Mode, ...] = (
         "Embed again after every change of a library.",
     ),
     Mode(
-        "cut_model", "a model file that was not copied to its end", "share of the bytes that is missing",
+        "cut_model", "a model file that was truncated", "share of the bytes that is missing",
         (0.0, 1e-4, 0.5, 0.999), SAME_RESULT, {"prediction": _predicted(_cut_model)},
         "Embed again; a model takes seconds.",
     ),
     Mode(
-        "flipped_latents", "a model file whose latents were changed on the disk", "bits turned over",
+        "flipped_latents", "a model file whose latents were changed on the disk", "bits flipped",
         (0.0, 1.0, 6.0), SAME_RESULT, {"prediction": _predicted(_flip_latents)},
         "Embed again; a model takes seconds.",
     ),
@@ -251,6 +251,6 @@ MODES: tuple[Mode, ...] = (
         "other_bands", "a file of other wavelengths, or of RGB (3), for a library of spectra",
         "bands that differ, of 3", (0.0, 1.0, 3.0), NONE_TAKEN,
         {"import": _imported(_change_bands), "embedding a file": _located(_change_bands)},
-        "Keep a library per set of bands.",
+        "Use one library per set of bands.",
     ),
 )  # fmt: skip

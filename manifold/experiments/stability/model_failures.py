@@ -141,44 +141,46 @@ def _asked_for(bed: TestBed, reflectance: float) -> list[Measurement]:
 
 MODES: tuple[Mode, ...] = (
     Mode(
-        "short_length_scale", "the kernel under latents that were fitted for l = 1", "length scale l",
+        "short_length_scale", "the kernel of a shorter length scale with latents that were fitted for l = "
+        "1", "length scale l",
         (1.0, 0.3, 0.1, 0.01), HALF_OF_NEAREST, _of_kinds(_rescaled),
-        "Predictions between materials fall back to the mean of all: fit again with the default `length_scale`.",
+        "Predictions between materials revert to the mean: fit again with the default `length_scale`.",
     ),
     Mode(
-        "long_length_scale", "fits whose prior keeps the latents near the centre", "length scale l",
+        "long_length_scale", "fits with a long length scale, whose prior keeps the latents near the "
+        "centre", "length scale l",
         (1.0, 100.0, 1000.0), HALF_OF_NEAREST, _of_kinds(_with_prior),
-        "Predictions flatten out towards the mean of all: fit again with the default `length_scale` and `prior`.",
+        "The map becomes linear: fit again with the default `length_scale` and `prior`.",
     ),
     Mode(
-        "no_noise", "the noise filter of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
+        "no_noise", "the observation noise mu of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
         _of_kinds(_with_noise),
         "Keep the default --mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
     ),
     Mode(
         "duplicates", "copies of one material in the library", "copies", (1, 6), HALF_OF_NEAREST,
         _fitted(_with_copies),
-        "Nothing needs doing: copies share a place on the map, and only cost time.",
+        "No action needed: copies share a latent and only cost time.",
     ),
     Mode(
         "near_duplicates", "a second measurement of a material in the library", "-log10 of the difference",
         (1.0, 6.5), HALF_OF_NEAREST, _fitted(_with_near_copy),
-        "Nothing needs doing: measurements that hardly differ come to lie next to each other.",
+        "No action needed: nearly equal measurements get nearby latents.",
     ),
     Mode(
-        "outlier", "one material of the library, many times too bright", "factor", (1.0, 10.0, 1000.0),
+        "outlier", "one material of the library that is too bright by a factor", "factor", (1.0, 10.0, 1000.0),
         HALF_OF_NEAREST, _fitted(_with_outlier),
-        "Look for a material far from all others on `manifold map`, and import the library without it.",
+        "Look for a material far from all others on `manifold map`, and build the library without it.",
     ),
     Mode(
-        "few_materials", "a library of the roughest materials", "materials left out of 12", (4, 8, 10, 11),
+        "few_materials", "a library of only the roughest materials", "materials left out of 12", (4, 8, 10, 11),
         replace(
             BALL,
-            reason=f"{BALL.reason}: by what is just noticeable, 2.3 (Mahy et al. 1994), blends of two materials are "
-            "silently wrong",
+            reason=f"{BALL.reason}: with the just noticeable difference, 2.3 (Mahy et al. 1994), blends of two "
+            "materials are silently wrong",
         ),
         _of_kinds(_of_few),
-        "Import materials on both sides of what is asked for; a handful spans no manifold.",
+        "Import more materials, on both sides of the requested one; a handful does not span a manifold.",
     ),
     Mode(
         "many_dimensions", "latent dimensions, of 12 materials", "Q", (2, 11, 12), HALF_OF_NEAREST,
@@ -190,16 +192,17 @@ MODES: tuple[Mode, ...] = (
         (1.0, 1.25, 1.5, 2.0, 10.0),
         BALL,
         _of_kinds(_sharper),
-        "Import materials as sharp as that one: lobes of the library cannot be added up to a sharper one.",
+        "Import materials as sharp as that one: combining the lobes of a library does not give a sharper lobe.",
     ),
     Mode(
-        "impossible_reflectance", "reflectance asked for that no material has", "reflectance",
+        "impossible_reflectance", "a requested reflectance that no material has", "reflectance",
         (0.3, 0.6, 0.9, 3.0),
         Limit(
-            "distance from the reflectance reached", 0.05,
+            "difference between the requested and the predicted reflectance", 0.05,
             "a step of 3 to 6 in CIELAB lightness between reflectances of 0.6 and 0.2",
         ),
         {"monochrome": _asked_for},
-        "Ask for a reflectance between those of the materials around; the nearest that is reached is told.",
+        "Request a reflectance between those of the surrounding materials; the warning gives the error of the "
+        "nearest one.",
     ),
 )  # fmt: skip

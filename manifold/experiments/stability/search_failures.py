@@ -101,7 +101,7 @@ def _in_precision(optimizer: str) -> Trial:
 
 
 def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
-    """The held-out plastic from the weights of a kernel without noise filter."""
+    """The held-out plastic from the weights of a kernel without observation noise."""
     model, truth = bed.model("material"), held_out(bed)
     x = bed.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
@@ -153,22 +153,22 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "bad_starts", "fits from disturbed principal components", "standard deviation, in length scales",
         (0.1, 1.0, 10.0, 100.0), HALF_OF_NEAREST, {name: _from_start(name) for name in _SEARCHES},
-        "Keep the start from principal components; from afar, only `multistart` finds the way.",
+        "Keep the start from principal components; from a distant start only `multistart` converges.",
     ),
     Mode(
-        "rotated_start", "fits from principal components turned by an angle", "degrees", (0.0, 45.0, 180.0),
+        "rotated_start", "fits from rotated principal components", "degrees", (0.0, 45.0, 180.0),
         HALF_OF_NEAREST, {name: _rotated(name) for name in _SEARCHES[:2]},
-        "Nothing needs doing: predictions do not depend on how the map is turned.",
+        "No action needed: predictions do not depend on the rotation of the map.",
     ),
     Mode(
-        "run_to_run", "a second fit, materials in another order, values rounded elsewhere", "relative change",
+        "run_to_run", "a second fit, with another order of materials and perturbed values", "relative change",
         (0.0, 1e-9, 1e-6, 1e-4),
         Limit(
             "largest shift of a latent, in widths of the map", 0.25,
-            "a material is found in another quarter of the map",
+            "a material moves to another quarter of the map",
         ),
         {name: _again(name) for name in _SEARCHES[:2]},
-        "Compare distances, not coordinates, of maps of libraries that differ; their axes may be mirrored.",
+        "Compare distances, not coordinates, between maps of different libraries; axes may be mirrored.",
     ),
     Mode(
         "rounded_products", "inner products of materials in fewer bits", "bits dropped of 52", (0, 29, 42),
@@ -176,25 +176,26 @@ MODES: tuple[Mode, ...] = (
         "Single precision is enough for the data; half precision costs accuracy.",
     ),
     Mode(
-        "ill_conditioned_kernel", "weights of a kernel without noise filter", "length scale l",
+        "ill_conditioned_kernel", "weights of a kernel without observation noise", "length scale l",
         (1.0, 10.0, 1e2, 1e4, 1e7), HALF_OF_NEAREST, {"GP": _ill_conditioned},
-        "Raise mu to what the warning names; a kernel that is nearly singular loses the data's digits.",
+        "Raise mu to the value in the warning; with a nearly singular kernel matrix, digits are lost.",
     ),
     Mode(
-        "drift_of_updates", "the objective by rank-two updates, without noise to speak of", "moves",
+        "drift_of_updates", "the objective by rank-two updates, with very small mu", "moves",
         (10.0, 100.0, 990.0),  # not where everything has just been computed afresh
-        Limit("error of the objective, nats per material", 1e-3, "less than what starts of one fit differ by"),
+        Limit("error of the objective, nats per material", 1e-3, "less than the difference between starts of one "
+        "fit"),
         {"dls": _drift},
-        "Nothing needs doing: the factorisation is renewed whenever its error shows.",
+        "No action needed: the factorisation is recomputed when its error grows.",
     ),
     Mode(
         "stopping_rule", "a direct local search cut short", "evaluations, as a divisor of 4000",
         (1.0, 10.0, 40.0, 400.0),
         Limit(
-            "distance left to the minimum, of that at the start", 0.5,
-            "a search that ends less than half-way has not found it; chosen after the results were known",
+            "remaining distance to the minimum, relative to that of the start", 0.5,
+            "a search that ends less than half-way has not converged; chosen after the results were known",
         ),
         {"curved valley": _stopped(_valley), "stairs": _stopped(_stairs)},
-        "Look at `success` and `message` of a result, and raise maxfev where it says so.",
+        "Check `success` and `message` of the result, and raise maxfev if the limit was reached.",
     ),
 )  # fmt: skip

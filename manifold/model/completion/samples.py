@@ -73,8 +73,8 @@ class LibrarySamples:
         """
         if len(cache.names) < 3:
             raise UsageError(
-                f"{cache.library.path}: {len(cache.names)} materials, expected three or more to complete readings "
-                "from; import some"
+                f"{cache.library.path}: {len(cache.names)} materials, expected at least three to complete "
+                "readings from; import more"
             )
         bands = cache.library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)

@@ -22,12 +22,12 @@ export const facts = {
   diagnostics() {
     const { data, prediction, state } = this, found = [];
     if (data.error && prediction.u[this.materials.materialAt(state.x)] !== 1 && this.isUnsupported()) {
-      found.push("extrapolated: the data say little here; stay nearer to the materials");
+      found.push("extrapolated: the data say little here; choose a latent nearer to the materials");
     }
     const valley = Math.max(...this.slices.map(deepestValley));
     if (valley > VALLEY) found.push(`the highlight has a dark valley of ${percent(valley)}`);
     if (prediction.missed > MISSED) {
-      found.push(`requested reflectance out of reach at this structure: missed by up to ${prediction.missed.toFixed(2)}`);
+      found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.missed.toFixed(2)}`);
     }
     const most = Math.max(...this.reflectance);
     if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);

@@ -194,7 +194,7 @@ def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
     seen = list(range(max(int(first), 0), min(int(last), len(nm) - 1) + 1))
     if len(seen) < 2:
         raise UsageError(
-            f"{bands} hold nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, where renders look"
+            f"{bands} cover nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, the range of renders"
         )
     return Bands(tuple(bands.wavelengths_nm[k] for k in seen)), seen
 

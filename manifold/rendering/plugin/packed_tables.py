@@ -145,7 +145,7 @@ class _Store:
         joined = np.concatenate(self._blocks)
         self._blocks.clear()
         if joined.size > np.iinfo(np.uint32).max:
-            raise UsageError("the materials are too many for 32-bit indices; leave out those of small weight")
+            raise UsageError("too many materials for 32-bit indices; leave out those of small weight")
         return joined
 
 

@@ -8,6 +8,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from browser import chromium, visit
 from small_library import NAMES, small_model
 
 from manifold.errors import UsageError
+from manifold.plots.explorer import server as explorer_server
 from manifold.plots.explorer.actions import SPECTRUM, Context, action
 from manifold.plots.explorer.jobs import MOST_WAITING, Queue
 from manifold.plots.explorer.server import MOST_FILE, MOST_JSON, ExplorerServer
@@ -162,6 +164,54 @@ def test_what_is_not_the_page_is_refused(served, context, headers, expected):
     assert files(context) == []
 
 
+def raw(server, text, *, seconds=20.0):
+    """Everything that is answered to a text, and whether the connection was closed within some seconds."""
+    with socket.create_connection(("127.0.0.1", server.server_port), seconds) as connection:
+        connection.sendall(text.encode("latin-1"))
+        found = b""
+        while block := connection.recv(1 << 16):
+            found += block
+    return found
+
+
+@pytest.mark.parametrize("twice", ["Host: evil.example", "Origin: https://evil.example"])
+def test_a_header_that_is_there_twice_is_none(served, twice):
+    host = f"127.0.0.1:{served.server_port}"
+    answer = raw(
+        served,
+        f"POST /do/cancel HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n{twice}\r\nX-Token: {served.token}\r\n"
+        "Content-Type: application/json\r\nContent-Length: 2\r\n\r\n{}",
+    )
+    assert answer.startswith(b"HTTP/1.0 403 ")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "expected"),
+    [
+        ("GET", "http://[/", 400), ("GET", "http://evil.example/jobs", 400), ("GET", "/..%2f..%2fjobs", 404),
+        ("GET", "/picture/\\\\host\\share", 404), ("GET", "/picture/\x00", 404), ("GET", "/jobs?" + "a" * 70_000, 414),
+        ("HEAD", "/", 501), ("OPTIONS", "/do/render", 501), ("PUT", "/x", 501), ("<script>", "/", 501),
+    ],
+)  # fmt: skip
+def test_what_no_page_asks_for_is_answered_by_a_status(served, method, path, expected):
+    host = f"127.0.0.1:{served.server_port}"
+    answer = raw(served, f"{method} {path} HTTP/1.1\r\nHost: {host}\r\nX-Token: {served.token}\r\n\r\n")
+    assert answer.startswith(f"HTTP/1.0 {expected} ".encode())
+    assert b"X-Content-Type-Options: nosniff" in answer
+    assert b"<" not in answer
+
+
+def test_headers_that_come_drop_by_drop_do_not_hold_a_connection(served, monkeypatch):
+    monkeypatch.setattr(explorer_server, "_SOCKET_S", 0.5)
+    began = time.monotonic()
+    with socket.create_connection(("127.0.0.1", served.server_port)) as connection, suppress(OSError):
+        while time.monotonic() < began + 5.0:
+            connection.sendall(b"X")  # an answer, or a reset, ends it
+            time.sleep(0.05)
+    assert time.monotonic() - began < 4.0
+    assert request(served, "GET", "/jobs")[0] == 200
+
+
 def test_the_page_itself_needs_the_token(served):
     assert request(served, "GET", "/", X_Token=None)[0] == 403
     assert request(served, "GET", f"/?token={served.token}", X_Token=None) == (200, b"<p>the page</p>")
@@ -264,7 +314,9 @@ def test_parallel_requests_of_one_name_get_names_of_their_own(context):
 
 
 def test_huge_files_are_refused_before_they_are_read(served):
-    assert request(served, "POST", "/do/locate", b"x", Content_Length=str(MOST_FILE + 1))[0] == 413
+    assert (
+        request(served, "POST", "/do/locate", b"x", X_Name="x", Content_Length=str(MOST_FILE + 1))[0] == 413
+    )
 
 
 def test_a_link_in_the_folder_is_not_written_through(served, context, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,14 +69,17 @@ def server(
 
 
 def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], Any]) -> None:
-    """Answer requests until Ctrl-C; what is being done then is cancelled.
+    """Answer requests until Ctrl-C, or another request to end; what is being done then is cancelled.
 
     Args:
         served: of `server`.
         on_ready: called with the address of the page.
     """
-    on_ready(served.address)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores one
+            signal.signal(number, signal.default_int_handler)
     try:
+        on_ready(served.address)
         served.serve_forever()
     except KeyboardInterrupt:
         pass

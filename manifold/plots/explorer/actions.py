@@ -158,9 +158,9 @@ def _export(request: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
     return TARGETS[target].suffix, options
 
 
-def locate(path: Path, shown: str, context: Context) -> Action:
+def locate(path: Path, context: Context) -> Action:
     """Find the place of a file that was dropped."""
-    return Action(f"locate {shown}", ("locate", str(path), "--json=-", *_model(context)))
+    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)))
 
 
 def _model(context: Context) -> tuple[str, ...]:
@@ -213,10 +213,20 @@ def _require_no_link(path: Path) -> None:
         raise UsageError(f"name: {path.name} is a link; choose another")
 
 
-def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
-    """A path in the folder that nothing is at: a number is added to a name that is taken."""
+def plain_name(name: Any) -> str:
+    """A name that can stand in a path and before any ending.
+
+    Raises:
+        UsageError: it is none.
+    """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise UsageError("name: expected letters, digits, - and _, 60 at most, a letter or digit first")
+    return name
+
+
+def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
+    """A path in the folder that nothing is at: a number is added to a name that is taken."""
+    name = plain_name(name)
     for copy in range(1, _MOST_COPIES):
         number = f"-{copy}" if copy > 1 else ""
         path = context.folder / f"{name}{number}{ending}"

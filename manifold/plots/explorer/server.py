@@ -11,24 +11,26 @@ import json
 import os
 import secrets
 import shutil
+import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, cast
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qs, unquote, urlsplit
 
 from manifold.errors import UsageError
-from manifold.plots.explorer.actions import Action, Context, action, complete, locate
+from manifold.plots.explorer.actions import Action, Context, action, complete, locate, plain_name
 from manifold.plots.explorer.jobs import Queue
 
 LOOPBACK = "127.0.0.1"
 MOST_JSON = 1 << 20  # bytes
 MOST_FILE = 1 << 28
-_SOCKET_S, _BODY_S = 10.0, 60.0  # without a byte; for a whole body
+_SOCKET_S, _BODY_S = 10.0, 60.0  # without a byte, and for all headers; for a whole body
 _MOST_CONNECTIONS = 32
 _BLOCK = 1 << 16
 _HEADERS = {
@@ -110,6 +112,20 @@ class _Handler(BaseHTTPRequestHandler):
     def _explorer(self) -> ExplorerServer:
         return cast(ExplorerServer, self.server)
 
+    def handle(self) -> None:
+        """Serve one request, whose headers must have come before long: drop by drop they would hold a connection."""
+        self._headers_due = threading.Timer(_SOCKET_S, self._hang_up)
+        self._headers_due.daemon = True
+        self._headers_due.start()
+        try:
+            super().handle()
+        finally:
+            self._headers_due.cancel()
+
+    def _hang_up(self) -> None:
+        with suppress(OSError):
+            self.connection.shutdown(socket.SHUT_RDWR)
+
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is logged: addresses hold the token."""
 
@@ -122,6 +138,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._post)
 
     def _answer(self, method: Any) -> None:
+        self._headers_due.cancel()
         try:
             method()
         except _Refused as refused:
@@ -132,7 +149,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def _get(self) -> None:
-        parts = urlsplit(self.path)
+        parts = self._address()
         given = parse_qs(parts.query).get("token", [""])[0] or self.headers.get("X-Token", "")
         self._require_here(given)
         if parts.path == "/":
@@ -146,17 +163,19 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self) -> None:
         self._require_here(self.headers.get("X-Token", ""))
-        if self.headers.get("Origin") != f"http://{self.headers.get('Host')}":
+        if self._only("Origin") != f"http://{self._only('Host')}":
             raise _Refused(HTTPStatus.FORBIDDEN, "the request comes from another page")
-        path = urlsplit(self.path).path
+        path = self._address().path
         if path == "/do/locate":
-            self._take_file(lambda dropped: locate(dropped, "the dropped file", self._explorer.context))
+            name = plain_name(self.headers.get("X-Name"))
+            self._take_file(name, lambda dropped: locate(dropped, self._explorer.context))
         elif path == "/do/complete":
-            name, context = self.headers.get("X-Name"), self._explorer.context
+            name, context = plain_name(self.headers.get("X-Name")), self._explorer.context
             sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
             replace = self.headers.get("X-Replace") == "true"
             self._take_file(
-                lambda dropped: complete(dropped, name, sample, context, self._is_taken, replace=replace)
+                name,
+                lambda dropped: complete(dropped, name, sample, context, self._is_taken, replace=replace),
             )
         elif path == "/do/cancel":
             number = self._json_body().get("number")
@@ -176,9 +195,24 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_taken(self, path: Path) -> bool:
         return os.path.lexists(path) or self._explorer.queue.is_writing(path)
 
+    def _only(self, name: str) -> str | None:
+        """A header that is there once."""
+        values = self.headers.get_all(name, [])
+        return values[0] if len(values) == 1 else None
+
+    def _address(self) -> SplitResult:
+        try:
+            parts = urlsplit(self.path)
+        except ValueError:
+            parts = None
+        if parts is None or parts.netloc:  # a proxy's
+            raise _Refused(HTTPStatus.BAD_REQUEST, "no such address")
+        return parts
+
     def _require_here(self, token: str) -> None:
         port = self._explorer.server_port
-        if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
+        ports = [f":{port}", *[""] * (port == 80)]  # that of HTTP is not said
+        if self._only("Host") not in [f"{host}{p}" for host in (LOOPBACK, "localhost") for p in ports]:
             raise _Refused(HTTPStatus.FORBIDDEN, "the request names another host")
         if not hmac.compare_digest(token.encode(), self._explorer.token.encode()):
             raise _Refused(
@@ -216,15 +250,18 @@ class _Handler(BaseHTTPRequestHandler):
             left -= len(block)
             yield block
 
-    def _take_file(self, asked: Callable[[Path], Action]) -> None:
-        """Keep a dropped file aside until what is asked for is done; a request that is refused is not read."""
+    def _take_file(self, name: str, asked: Callable[[Path], Action]) -> None:
+        """Keep a dropped file aside, under its plain name, until what is asked for is done.
+
+        A request that is refused is not read.
+        """
         folder = Path(mkdtemp(prefix="manifold-explore-"))
 
         def remove() -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
         try:
-            dropped = folder / "dropped"
+            dropped = folder / name
             asked(dropped)  # raises where it would be refused, before the body is read
             with dropped.open("wb") as stream:
                 for block in self._blocks(MOST_FILE):
@@ -246,6 +283,10 @@ class _Handler(BaseHTTPRequestHandler):
                 self._send(HTTPStatus.OK, "image/png", job.action.picture.read_bytes())
                 return
         raise _Refused(HTTPStatus.NOT_FOUND, "no such picture")
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """What the base class refuses, such as other methods, in the words and headers of all answers."""
+        self._send(HTTPStatus(code), "application/json", _json({"error": HTTPStatus(code).phrase}))
 
     def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
         self.send_response(status)

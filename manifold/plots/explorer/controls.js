@@ -1,8 +1,9 @@
 // Controls to state, by mouse and by keyboard; methods of the page.
 
+import { fixed } from "./elements.js";
 import { interpolate, parseSpectrum } from "./numerics.js";
 
-import { fromFragment, toFragment } from "./state.js";
+import { fromFragment, lampWithin, toFragment } from "./state.js";
 
 const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
 
@@ -22,13 +23,16 @@ export const controls = {
     const letters = ["x", "y", "z"];
     data.X[0].forEach((_, q) => {
       const label = document.createElement("label"), input = document.createElement("input");
-      const values = data.X.map((row) => row[q]), room = 0.24 * (Math.max(...values) - Math.min(...values) || 1);
+      const [min, max] = this.map.reach[q];
       label.textContent = letters[q] ?? `dimension ${q + 1}`;
-      const make = (type) => Object.assign(type, { min: Math.min(...values) - room, max: Math.max(...values) + room });
+      const make = (type) => Object.assign(type, { min, max });
       input.type = "number";
       input.step = "any";
       make(input).dataset.q = q;
-      input.addEventListener("change", () => this.moveAxis(q, Number(input.value)));
+      input.addEventListener("change", () => {
+        this.moveAxis(q, input.valueAsNumber);
+        input.value = fixed(this.state.x[q], 3); // within reach, and as it was where no number was written
+      });
       if (q >= 2) {
         const slider = document.createElement("input");
         slider.type = "range";
@@ -48,6 +52,7 @@ export const controls = {
     this.byId("legend-text").textContent = data.error
       ? `${data.error.what}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
     this.byId("map-legend").hidden = !data.error;
+    this.byId("depth-help").hidden = data.X[0].length < 3;
   },
 
   moveAxis(q, value, done = true) {
@@ -70,6 +75,7 @@ export const controls = {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
     this.byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
     this.byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
+    this.byId("problem-close").addEventListener("click", () => this.problem(""));
     this.root.addEventListener("keydown", (event) => this.shortcut(event));
     this.link.listen(() => {
       if (this.link.read() !== toFragment(this.state)) {
@@ -174,10 +180,16 @@ export const controls = {
   listenToBall() {
     const canvas = this.byId("ball");
     const aim = (x, y) => {
-      const r = Math.max(Math.hypot(x, y) / 0.97, 1);
-      this.state.lamp = [x / r, y / r];
+      this.state.lamp = lampWithin([x, y]);
       this.drawBalls();
     };
+    // Where the lamp was is kept, but to undo is not to follow the pointer back.
+    const keepLamp = () => {
+      this.history.amend({ lamp: this.state.lamp });
+      this.link.write(toFragment(this.state), this);
+    };
+    canvas.addEventListener("webglcontextlost", (event) => this.loseBalls(event));
+    canvas.addEventListener("webglcontextrestored", () => this.restoreBalls());
     canvas.addEventListener("pointermove", (event) => {
       if (this.state.light !== "lamp") return;
       const box = canvas.getBoundingClientRect(), count = this.state.pin ? 2 : 1;
@@ -186,14 +198,14 @@ export const controls = {
       const across = count === 2 && left > side ? left - side : left;
       aim((2 * across) / side - 1, 1 - (2 * (event.clientY - box.top - (box.height - side) / 2)) / side);
     });
-    canvas.addEventListener("pointerleave", () => this.state.light === "lamp" && this.commit());
+    canvas.addEventListener("pointerleave", () => this.state.light === "lamp" && keepLamp());
     canvas.addEventListener("keydown", (event) => {
       const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
       if (!move) return;
       event.preventDefault();
       if (this.state.light !== "lamp") this.change({ light: "lamp" });
       aim(this.state.lamp[0] + 0.05 * move[0], this.state.lamp[1] + 0.05 * move[1]);
-      this.commit();
+      keepLamp();
     });
     for (const input of this.radios("light")) input.addEventListener("change", () => this.change({ light: input.value }));
     this.byId("illuminant").addEventListener("change", (event) => this.change({ illuminant: event.target.value }));
@@ -208,18 +220,25 @@ export const controls = {
   listenToColours() {
     for (const input of this.radios("colour")) {
       input.addEventListener("change", () => {
-        if (input.value === "file" && !this.spectrum) {
+        const spectrum = this.state.spectrum ?? this.spectra.length - 1;
+        if (input.value !== "file") {
+          this.change({ colour: input.value });
+        } else if (spectrum >= 0) {
+          this.change({ colour: "file", spectrum });
+        } else {
           this.showControls();
           this.byId("spectrum-file").focus();
-        } else {
-          this.change({ colour: input.value });
         }
       });
     }
     this.byId("like").addEventListener("change", (event) => this.change({ colour: "like", like: event.target.value }));
     this.byId("picked").addEventListener("input", (event) => this.change({ colour: "picked", srgb: event.target.value }, false));
     this.byId("picked").addEventListener("change", () => this.commit());
-    this.byId("spectrum-file").addEventListener("change", (event) => this.takeSpectrum(event.target.files[0]));
+    this.byId("spectrum-file").addEventListener("change", (event) => {
+      const [file] = event.target.files;
+      event.target.value = ""; // so that the same file can be chosen again
+      this.takeSpectrum(file);
+    });
     this.root.addEventListener("dragover", (event) => {
       event.preventDefault();
       this.element.classList.add("dropping");
@@ -230,12 +249,20 @@ export const controls = {
     this.root.addEventListener("drop", (event) => {
       event.preventDefault();
       this.element.classList.remove("dropping");
-      if (event.dataTransfer.files.length) this.takeDropped(event.dataTransfer.files[0]);
+      this.takeDropped([...event.dataTransfer.files]);
     });
   },
 
-  async takeDropped(file) {
-    if (!(await this.server?.take(file))) await this.takeSpectrum(file);
+  async takeDropped(files) {
+    for (const file of files) {
+      try {
+        if (await this.server?.take(file)) continue;
+      } catch (error) {
+        this.problem(`${file.name}: ${error.message}`); // a folder, or a file that is gone
+        continue;
+      }
+      await this.takeSpectrum(file);
+    }
   },
 
   async takeSpectrum(file) {
@@ -243,9 +270,10 @@ export const controls = {
     try {
       if (file.size > 1e6) throw new Error("expected a text file of at most 1 MB");
       const { nm, values } = parseSpectrum(await file.text());
-      this.spectrum = { name: file.name, rows: nm.map((v, k) => [v, values[k]]), reflectance: this.spectrumAtNodes(nm, values) };
+      const rows = nm.map((v, k) => [v, values[k]]), reflectance = this.spectrumAtNodes(nm, values);
+      const spectrum = this.spectra.push({ name: file.name, rows, reflectance }) - 1;
       this.problem("");
-      this.change({ colour: "file" });
+      this.change({ colour: "file", spectrum });
     } catch (error) {
       this.problem(`${file.name}: ${error.message}`);
     }
@@ -263,15 +291,15 @@ export const controls = {
 
   listenToComparison() {
     this.byId("pin").addEventListener("click", () => {
-      const { x, at, colour, like, srgb } = this.state;
-      this.change({ pin: structuredClone({ x, at, colour, like, srgb }) });
+      const { x, at, colour, like, srgb, spectrum } = this.state;
+      this.change({ pin: structuredClone({ x, at, colour, like, srgb, spectrum }) });
     });
     this.byId("unpin").addEventListener("click", () => this.change({ pin: null }));
     this.byId("pinned").addEventListener("change", (event) => {
       const k = this.data.names.indexOf(event.target.value);
-      const { like, srgb } = this.state;
+      const { like, srgb, spectrum } = this.state;
       const x = k >= 0 ? [...this.data.X[k]] : null;
-      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb } : null });
+      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb, spectrum } : null });
     });
     const travel = (done) => {
       const [from, to, t] = [this.byId("path-from").value, this.byId("path-to").value, Number(this.byId("path-t").value)];
@@ -310,10 +338,18 @@ export const controls = {
         });
         return item;
       }));
-      list.hidden = !found.length;
-      input.setAttribute("aria-expanded", String(found.length > 0));
+      if (!found.length) {
+        const none = document.createElement("li");
+        none.setAttribute("role", "option");
+        none.setAttribute("aria-disabled", "true");
+        none.textContent = "no material has such a name";
+        list.append(none);
+      }
+      list.hidden = !input.value.trim();
+      input.setAttribute("aria-expanded", String(!list.hidden));
+      input.removeAttribute("aria-activedescendant");
       if (found.length) input.setAttribute("aria-activedescendant", `found-${at}`);
-      list.children[at]?.scrollIntoView({ block: "nearest" });
+      list.children[at].scrollIntoView({ block: "nearest" });
     };
     const choose = (k) => {
       input.value = "";
@@ -343,7 +379,6 @@ export const controls = {
     this.theme = THEMES[name];
     this.element.dataset.theme = name;
     this.byId("theme").textContent = name === "dark" ? "Light" : "Dark";
-    this.byId("theme").setAttribute("aria-pressed", String(name === "dark"));
     if (this.prediction) this.drawMap();
   },
 };

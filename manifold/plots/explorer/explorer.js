@@ -12,6 +12,7 @@ import { facts } from "./facts.js";
 
 const THUMBNAIL = 96;
 const REST = 600; // ms without a change, after which the ball is lit more finely
+const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; all else works.";
 const THEMES = {
   light: { name: "light", sure: [253, 253, 251], unsure: [191, 192, 189], ink: "#1d1f21", panel: "#ffffff",
     rule: "#b9b9b4", point: "#0b62a8", pin: "#c2187a" },
@@ -31,11 +32,12 @@ export class Explorer {
     this.state = fromFragment(link.read(), data);
     this.history = new History(this.state);
     this.map = new MapView(this.byId("map"), data);
-    this.spectrum = null;
+    this.spectra = []; // that were dropped; the state says which one is meant
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
     this.balls = BallRenderer.create(this.byId("ball"), materials);
     if (!this.balls) this.problem("This browser has no WebGL2 that holds these materials, so balls are not drawn; all else works.");
+    this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
 
@@ -46,12 +48,30 @@ export class Explorer {
     this.listen();
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     this.refresh();
-    this.pendingThumbnails = data.names.map((_, k) => k);
-    if (this.balls) requestAnimationFrame(() => this.nextThumbnail());
+    this.nextThumbnail();
+  }
+
+  /** The graphics are gone, as after a driver's reset; a browser gives them back where this is said. */
+  loseBalls(event) {
+    event.preventDefault();
+    this.balls = null;
+    this.problem(LOST);
+  }
+
+  restoreBalls() {
+    this.balls = BallRenderer.create(this.byId("ball"), this.materials);
+    this.pinned.key = null;
+    if (this.byId("problem-text").textContent === LOST) this.problem("");
+    this.refresh();
+    this.nextThumbnail();
+  }
+
+  get spectrum() {
+    return this.spectra[this.state.spectrum] ?? null;
   }
 
   problem(text) {
-    this.byId("problem").textContent = text;
+    this.byId("problem-text").textContent = text;
     this.byId("problem").hidden = !text;
   }
 
@@ -107,10 +127,10 @@ export class Explorer {
   }
 
   /** Reflectance at the nodes that a colour choice asks for; null blends materials whole. */
-  asked({ colour, like, srgb }) {
+  asked({ colour, like, srgb, spectrum }) {
     const { data } = this;
     if (colour === "like") return data.reflectances[data.names.indexOf(like)];
-    if (colour === "file" && this.spectrum) return this.spectrum.reflectance;
+    if (colour === "file") return this.spectra[spectrum].reflectance;
     if (colour !== "picked") return null;
     const linear = [1, 3, 5].map((k) => {
       const v = parseInt(srgb.slice(k, k + 2), 16) / 255;
@@ -143,6 +163,7 @@ export class Explorer {
     clearTimeout(this.refining);
     this.element.dataset.refined = "false";
     this.refining = setTimeout(() => {
+      if (!this.balls) return;
       for (const k of this.state.pin ? [0, 1] : [0]) this.balls.refine(k);
       this.drawBalls();
       this.element.dataset.refined = "true";
@@ -174,13 +195,21 @@ export class Explorer {
   drawPlots() {
     const { illuminant } = this.state, other = this.pinned.prediction;
     this.slices = this.prediction.slices(illuminant);
-    drawSlices(this.byId("slices"), this.slices, other?.slices(illuminant));
+    const compared = this.state.pin && this.words(this.state.pin);
+    drawSlices(this.byId("slices"), this.slices, other?.slices(illuminant), compared);
     this.reflectance = this.prediction.reflectance();
-    drawReflectance(this.byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance());
+    drawReflectance(this.byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance(), compared);
+    this.byId("slices-other").textContent = compared ? `; dashed: ${compared}` : "";
+    const kind = this.data.wavelengths ? "dashed" : "bars on the right";
+    this.byId("spectrum-other").textContent = compared ? `; ${kind}: ${compared}` : "";
   }
 
   /** Balls of the materials, one per frame, after the first picture. */
   nextThumbnail() {
+    requestAnimationFrame(() => this.balls && !this.balls.gl.isContextLost() && this.drawThumbnail());
+  }
+
+  drawThumbnail() {
     const k = this.pendingThumbnails.shift();
     if (k === undefined) {
       this.element.dataset.complete = "true";
@@ -191,8 +220,8 @@ export class Explorer {
     Object.assign(image, { width: THUMBNAIL, height: THUMBNAIL });
     image.getContext("2d").putImageData(this.balls.image(2, THUMBNAIL), 0, 0);
     this.map.images[k] = image;
-    this.map.draw(this.state, { hover: this.hover, weights: this.prediction.u, theme: this.theme });
-    requestAnimationFrame(() => this.nextThumbnail());
+    this.drawMap();
+    this.nextThumbnail();
   }
 }
 

@@ -89,9 +89,9 @@ export const facts = {
     this.saying = setTimeout(() => (this.byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
   },
 
-  words({ x, at, colour, like, srgb }) {
+  words({ x, at, colour, like, srgb, spectrum }) {
     const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
-    const named = { like: `like ${like}`, picked: srgb, file: this.spectrum?.name ?? "" }[colour];
+    const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
     return named ? `${place}, ${named}` : place;
   },
 
@@ -101,9 +101,12 @@ export const facts = {
     for (const input of this.radios("colour")) input.checked = input.value === state.colour;
     this.byId("like").value = state.like;
     this.byId("picked").value = state.srgb;
+    this.byId("spectrum-name").textContent = this.spectrum?.name ?? "";
     this.byId("illuminant").value = state.illuminant;
     this.byId("exposure").value = state.exposure;
     this.byId("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} EV`;
+    this.byId("exposure").setAttribute("aria-valuetext", this.byId("exposure-value").textContent);
+    this.byId("ball").classList.toggle("lamp", state.light === "lamp");
     this.byId("undo").disabled = !past.can(-1);
     this.byId("redo").disabled = !past.can(1);
     this.byId("unpin").disabled = !state.pin;
@@ -115,6 +118,7 @@ export const facts = {
       this.byId("path-t").value = state.path.t;
     }
     this.byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
+    this.byId("path-t").setAttribute("aria-valuetext", this.byId("path-value").textContent);
     for (const input of this.byId("coordinates").querySelectorAll("input")) {
       if (input !== this.root.activeElement || input.type === "range") input.value = fixed(state.x[input.dataset.q], 3);
     }

@@ -1,6 +1,6 @@
 // The map: materials as balls over how far they can be trusted, and the point that is moved.
 
-import { fieldAt } from "./numerics.js";
+import { fieldAt, reachOf, within } from "./numerics.js";
 
 const MARGIN = 0.12;
 const FIELD_SIZE = 64;
@@ -20,6 +20,7 @@ export class MapView {
     }
     this.centre = [0, 1].map((q) => (this.low[q] + this.high[q]) / 2);
     this.spacing = this._spacing();
+    this.reach = reachOf(data.X);
   }
 
   /** Median distance of a material to its nearest neighbour on the map. */
@@ -57,11 +58,7 @@ export class MapView {
   }
 
   clamped(x) {
-    return x.map((v, q) => {
-      const values = this.data.X.map((row) => row[q]);
-      const low = Math.min(...values), high = Math.max(...values), room = 0.24 * (high - low || 1);
-      return Math.min(Math.max(v, low - room), high + room);
-    });
+    return within(this.reach, x);
   }
 
   /** The material under an event, or -1. */
@@ -78,7 +75,7 @@ export class MapView {
 
   get radius() {
     const limit = Math.min(this.canvas.width, this.canvas.height);
-    return Math.min(Math.max(0.5 * this.spacing * this.scale, 0.022 * limit), 0.055 * limit * Math.sqrt(this.zoom));
+    return Math.min(Math.max(0.5 * this.spacing * this.scale, 0.028 * limit), 0.055 * limit * Math.sqrt(this.zoom));
   }
 
   /** Zoom by a factor, the given place kept in the middle where zoomed in. */
@@ -129,7 +126,8 @@ export class MapView {
         for (let column = 0; column < FIELD_SIZE; column++) {
           x[0] = this.centre[0] + (((column + 0.5) / FIELD_SIZE - 0.5) * this.canvas.width) / this.scale;
           if (x.length > 1) x[1] = this.centre[1] - (((row + 0.5) / FIELD_SIZE - 0.5) * this.canvas.height) / this.scale;
-          const share = Math.min(Math.max((fieldAt(error, x) ?? most) / most, 0), 1);
+          // Beyond the reach of the point: the error where a drag ends.
+          const share = Math.min(Math.max((fieldAt(error, this.clamped(x)) ?? most) / most, 0), 1);
           const k = 4 * (row * FIELD_SIZE + column);
           for (let c = 0; c < 3; c++) image.data[k + c] = theme.sure[c] + (theme.unsure[c] - theme.sure[c]) * share;
           image.data[k + 3] = 255;

@@ -21,6 +21,20 @@ export function blendWeights(x, X, lengthScale) {
   return u.map((v) => v / total);
 }
 
+const REACH = 0.24; // of the materials' extent beyond them; the field of errors ends at 0.25
+
+/** How far a point can go in each dimension of materials X: [least, most]. */
+export function reachOf(X) {
+  return X[0].map((_, q) => {
+    const values = X.map((row) => row[q]), low = Math.min(...values), high = Math.max(...values);
+    const room = REACH * (high - low || 1);
+    return [low - room, high + room];
+  });
+}
+
+/** A place no farther from the materials than a point can go. */
+export const within = (reach, x) => x.map((v, q) => Math.min(Math.max(v, reach[q][0]), reach[q][1]));
+
 /** Linear interpolation of y over increasing x, constant beyond the ends. */
 export function interpolate(at, x, y) {
   if (!(at > x[0])) return y[0];
@@ -324,20 +338,31 @@ export function fieldAt(field, x) {
   return sum;
 }
 
+/** The first two numbers of a line; null where it does not begin with two, or may hold decimal commas. */
+function firstNumbers(line) {
+  if (/\d,\d/.test(line) && /[;\s]/.test(line.trim())) return null;
+  const cells = line.trim().split(/[\s,;]+/).slice(0, 2).map((cell) => (cell ? Number(cell) : NaN));
+  return cells.length === 2 && cells.every(Number.isFinite) ? cells : null;
+}
+
 /** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws in words. */
 export function parseSpectrum(text) {
   const rows = [];
-  for (const line of text.split(/\r?\n/)) {
-    if (line.trimStart().startsWith("#") || !line.trim()) continue;
-    const parts = line.trim().split(/[\s,;]+/).map(Number);
-    if (parts.length >= 2 && parts.every(Number.isFinite)) rows.push(parts.slice(0, 2));
-    else if (rows.length) throw new Error(`no numbers in the line “${line.slice(0, 40)}”`);
+  for (const line of text.split(/\r\n|\r|\n/)) {
+    const numbers = firstNumbers(line);
+    if (numbers) rows.push(numbers);
+    else if (rows.length && line.trim() && !line.trimStart().startsWith("#")) {
+      throw new Error(`expected a wavelength in nm and a reflectance, with decimal points, in the line “${line.trim().slice(0, 40)}”`);
+    }
   }
   rows.sort((a, b) => a[0] - b[0]);
   const nm = rows.map((row) => row[0]), values = rows.map((row) => row[1]);
-  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance");
+  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance, with decimal points");
   if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength is there twice");
-  if (Math.min(...values) < 0 || Math.max(...values) > 1) throw new Error("expected reflectances from 0 to 1");
+  if (nm[0] < 100 || nm[nm.length - 1] > 10000) throw new Error("expected wavelengths in nm");
+  if (Math.min(...values) < 0 || Math.max(...values) > 1) {
+    throw new Error("expected reflectances from 0 to 1; divide percent by 100");
+  }
   if (Math.min(nm[nm.length - 1], 700) - Math.max(nm[0], 400) < 150) {
     throw new Error("expected most of 400 to 700 nm to be covered");
   }

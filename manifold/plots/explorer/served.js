@@ -2,7 +2,7 @@
 
 import { percent } from "./elements.js";
 
-const POLL = 600; // ms between looks at what is being done
+const POLL = 600, LONGEST = 30_000; // ms between looks at what is being done; where no answer comes
 
 /** Connect the controls of actions; null where the page is a file. */
 export function serve(explorer, { served }) {
@@ -11,6 +11,7 @@ export function serve(explorer, { served }) {
   return new Actions(explorer, token, served.targets);
 }
 
+const OPEN = new Set(["waiting", "running"]); // states of work that is not done
 const MAGIC = "tensor_file"; // of RGL's .bsdf files
 const isPairOfNumbers = (line) => /^\s*[-+.\deE]+[\s,;]+[-+.\deE]+\s*$/.test(line);
 
@@ -19,6 +20,10 @@ const isSpectrum = (text) => {
   const lines = text.split(/\r?\n/).filter((line) => line.trim());
   return 2 * lines.filter(isPairOfNumbers).length > lines.length;
 };
+
+/** A name that the program takes for a file, as near to a file's own as can be. */
+const plainName = (file) =>
+  file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
 
 /** What a result says in a sentence: what an export loses, or the error that a completed material has. */
 function inWords(result) {
@@ -40,6 +45,7 @@ class Actions {
     this.explorer = explorer;
     this.token = token;
     this.items = new Map();
+    this.wait = POLL;
     const byId = (id) => explorer.byId(id);
     this.list = byId("jobs");
     byId("actions").hidden = false;
@@ -56,6 +62,7 @@ class Actions {
         if (file) this[kind](file);
       });
     }
+    window.addEventListener("focus", () => this.look()); // another tab may have asked for something
     this.look();
   }
 
@@ -95,14 +102,14 @@ class Actions {
   }
 
   async locate(file) {
-    await this.post("/do/locate", { body: file, headers: { "Content-Type": "application/octet-stream" } });
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "file" };
+    await this.post("/do/locate", { body: file, headers });
   }
 
   /** The completed file is called like the readings, as far as its name is plain. */
   async complete(file) {
-    const plain = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
     const sample = encodeURIComponent(this.explorer.byId("sample").value.trim());
-    const headers = { "Content-Type": "application/octet-stream", "X-Name": plain || "completed", "X-Sample": sample,
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "completed", "X-Sample": sample,
       "X-Replace": String(this.replaces) };
     await this.post("/do/complete", { body: file, headers });
   }
@@ -122,11 +129,14 @@ class Actions {
     try {
       const { jobs } = await (await this.send("/jobs")).json();
       for (const job of jobs) this.show(job);
-      if (jobs.some((job) => job.state === "waiting" || job.state === "running")) {
-        this.timer = setTimeout(() => this.look(), POLL);
-      }
+      if (this.wait > POLL) this.explorer.problem("");
+      this.wait = POLL;
     } catch (error) {
       this.explorer.problem(`manifold explore does not answer: ${error.message}`);
+      this.wait = Math.min(2 * this.wait, LONGEST);
+    }
+    if ([...this.list.children].some((item) => OPEN.has(item.dataset.state))) {
+      this.timer = setTimeout(() => this.look(), this.wait);
     }
   }
 
@@ -144,7 +154,7 @@ class Actions {
       this.items.set(job.number, item);
       this.list.prepend(item);
     }
-    const isOpen = job.state === "waiting" || job.state === "running";
+    const isOpen = OPEN.has(job.state);
     const [words, bar, cancel] = item.children;
     const said = job.state === "failed" ? `: ${job.words}` : job.state === "done" ? inWords(job.result) : "";
     const isKnown = job.state === "running" && job.share !== null;

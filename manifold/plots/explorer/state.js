@@ -1,11 +1,13 @@
 // What the page shows, as one object; what was before; and the same as the fragment of a link.
 
+import { reachOf, within } from "./numerics.js";
+
 /** The state at the start: the material nearest to the middle of the map. */
 export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
-    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", light: "studio", lamp: [-0.4, 0.5],
+    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, light: "studio", lamp: [-0.4, 0.5],
     illuminant: "D65", exposure: 0, pin: null, path: null,
   };
 }
@@ -14,6 +16,12 @@ const numbers = (text, count) => {
   const values = (text ?? "").split(",").map(Number);
   return text && values.length === count && values.every(Number.isFinite) ? values : null;
 };
+
+/** A lamp inside the disc of directions that face the viewer. */
+export function lampWithin([x, y]) {
+  const r = Math.max(Math.hypot(x, y) / 0.97, 1);
+  return [x / r, y / r];
+}
 
 /** A state as the fragment of a link, without what is as at the start. */
 export function toFragment(state) {
@@ -34,7 +42,7 @@ export function toFragment(state) {
   return parts.toString();
 }
 
-/** The state of a fragment; whatever is not understood stays as at the start. */
+/** The state of a fragment; whatever is not understood stays as at the start, and places stay within reach. */
 export function fromFragment(fragment, data) {
   const state = initialState(data), Q = data.X[0].length;
   const parts = new URLSearchParams(fragment.replace(/^#/, ""));
@@ -43,25 +51,25 @@ export function fromFragment(fragment, data) {
   const place = (text) => {
     if (known(text)) return { at: text, x: [...data.X[data.names.indexOf(text)]] };
     const x = numbers(text, Q);
-    return x && { x };
+    return x && { x: within(reachOf(data.X), x) };
   };
   Object.assign(state, place(parts.get("x")));
   if (known(parts.get("like"))) Object.assign(state, { colour: "like", like: parts.get("like") });
   if (colour(parts.get("srgb"))) Object.assign(state, { colour: "picked", srgb: parts.get("srgb") });
   const lamp = numbers(parts.get("lamp"), 2);
-  if (lamp) Object.assign(state, { light: "lamp", lamp });
-  if (parts.get("illuminant") in data.toSrgb) state.illuminant = parts.get("illuminant");
+  if (lamp) Object.assign(state, { light: "lamp", lamp: lampWithin(lamp) });
+  if (Object.hasOwn(data.toSrgb, parts.get("illuminant"))) state.illuminant = parts.get("illuminant");
   const exposure = Number(parts.get("exposure"));
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
   const pin = place(parts.get("pin"));
   if (pin) {
-    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, ...pin };
+    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, ...pin };
     if (known(parts.get("pin-like"))) Object.assign(state.pin, { colour: "like", like: parts.get("pin-like") });
     if (colour(parts.get("pin-srgb"))) Object.assign(state.pin, { colour: "picked", srgb: parts.get("pin-srgb") });
   }
   try {
     const [from, to, t] = JSON.parse(parts.get("path"));
-    if (known(from) && known(to) && t >= 0 && t <= 1) state.path = { from, to, t };
+    if (known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1) state.path = { from, to, t };
   } catch { /* no path */ }
   return state;
 }
@@ -79,6 +87,11 @@ export class History {
     this.states.push(structuredClone(state));
     if (this.states.length > 200) this.states.shift();
     this.at = this.states.length - 1;
+  }
+
+  /** Let the present state differ without a step of its own. */
+  amend(changes) {
+    Object.assign(this.states[this.at], structuredClone(changes));
   }
 
   move(by) {

@@ -13,7 +13,7 @@ export function makeProgram(gl, fragment) {
     gl.attachShader(handle, shader);
   }
   gl.linkProgram(handle);
-  if (!gl.getProgramParameter(handle, gl.LINK_STATUS)) {
+  if (!gl.getProgramParameter(handle, gl.LINK_STATUS) && !gl.isContextLost()) {
     const logs = gl.getAttachedShaders(handle).map((shader) => gl.getShaderInfoLog(shader));
     throw new Error(`a shader does not compile: ${logs.join(" ")} ${gl.getProgramInfoLog(handle)}`);
   }

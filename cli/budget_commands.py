@@ -104,7 +104,7 @@ def _show(results: terminal.Results, made: Budget) -> None:
     results.table(columns, rows)
     lines = []
     for one in made.chosen:
-        words = f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, taken out"
+        words = f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
         lines += textwrap.wrap(words, _WIDTH, subsequent_indent="  ")
     lines.append("pred., verified: mean CIEDE2000; ms: of a million evaluations")
     lines.append(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files")

@@ -99,7 +99,7 @@ def chart(
         if row.warnings:
             results.text(f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}\n")
     for key, reason in made.skipped.items():
-        results.text(f"{key} was left out: {reason}\n")
+        results.text(f"{key} was skipped: {reason}\n")
     if output is not None:
         figures.save(plot_chart.chart(made), output)
     results.document(made.to_json())

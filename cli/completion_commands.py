@@ -82,7 +82,7 @@ def complete(
                 "no file of readings; name one, or give --suggest K for the directions to measure first"
             )
         first = completions.suggest_first(library, suggest, instrument)
-        _show_suggested(results, first, "Read first")
+        _show_suggested(results, first, "Measure first")
         results.document({"suggested_deg": first.angles_deg.tolist()})
         return
     if instrument is not None and not suggest:
@@ -106,18 +106,18 @@ def complete(
             f"{found.readings.bands}",
             "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
             f"linear {100 * expected['linear']:.0f} %",
-            "readings met": f"to {100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
-            f"the worst to {100 * found.misfits.max():.1f} %",
-            "made of": ", ".join(f"{name} {weight:.2f}" for name, weight in found.made_of),
+            "residual of readings": f"{100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
+            f"at most {100 * found.misfits.max():.1f} %",
+            "combination of": ", ".join(f"{name} {weight:.2f}" for name, weight in found.made_of),
             "albedo": f"at most {made.plausibility.max_albedo:.2f}",
             **({"picture": str(made.picture)} if made.picture else {}),
             "time": f"{made.seconds:.1f} s",
             **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
         },
     )
-    results.text("\nMaterials that meet the readings as well, or nearly:\n")
+    results.text("\nAlternatives that agree with the readings about as well:\n")
     results.table(
-        ("like", "probability", "readings met to", "ball differs by"),
+        ("materials", "probability", "residual", "difference of the ball"),
         [
             (
                 " + ".join(f"{weight:.2f} {name}" for name, weight in a.like), f"{a.probability:.2f}",
@@ -127,7 +127,7 @@ def complete(
         ],
     )  # fmt: skip
     if made.suggested is not None:
-        _show_suggested(results, made.suggested, "Read next")
+        _show_suggested(results, made.suggested, "Measure next")
     results.document(made.to_json())
 
 
@@ -157,7 +157,7 @@ def calibrate(
     learned = completions.calibrate_instrument(pairs, output)
     results = terminal.Results(None)
     results.rows(f"Colour correction {output}", {"samples": len(pairs) // 2, "form": learned.form})
-    results.text("\nRelative error on what was left out:\n")
+    results.text("\nLeave-one-out relative error:\n")
     results.table(
         ("form", "error", "chosen"),
         [
@@ -168,7 +168,7 @@ def calibrate(
 
 
 def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:
-    results.text(f"\n{title}, angles in degrees; azimuth 0 is the mirror direction's side:\n")
+    results.text(f"\n{title}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n")
     results.table(
         ("incidence", "outgoing", "azimuth"),
         [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],

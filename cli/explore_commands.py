@@ -1,4 +1,4 @@
-"""The command that opens the map as a page."""
+"""The command of the interactive map."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
     fitted = [(outcome, outcome.content) for outcome in outcomes if outcome.content is not None]
     if len(fitted) == 1:
         outcome, content = fitted[0]
-        results.rows(f"Fitted {outcome.path}" + " (it was there)" * outcome.was_there, _rows(content))
+        results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(content))
     elif fitted:
         rows = [
             [
@@ -193,7 +193,9 @@ def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
         ]
         results.table(["material", "residual", "diffuse", "minima", "notes", "time"], rows)
         if any(content["notes"] for _, content in fitted):
-            results.text("Notes are in the JSON of a fit; fit one material to read them here.\n")
+            results.text(
+                "The JSON of a fit contains its notes; they are printed when a single material is fitted.\n"
+            )
 
 
 def _rows(content: dict[str, Any]) -> dict[str, object]:

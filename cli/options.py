@@ -1,4 +1,4 @@
-"""Options that several commands have, alike in all of them, and what their words mean."""
+"""Options shared by several commands, and their parsing."""
 
 from __future__ import annotations
 

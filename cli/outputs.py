@@ -1,4 +1,4 @@
-"""What commands may write over: nothing that they read, nothing in a library, and only files of their own kind."""
+"""Protection of files: commands never overwrite inputs, contents of a library, or files of another kind."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _require_outside_libraries(path: Path) -> None:
 
 
 def _is_own_kind(command: str, name: str, path: Path, to: str | None = None) -> bool:
-    """Whether a file is one that this parameter of the command writes; empty files are nobody's.
+    """Whether a file is one that this parameter of the command writes; empty files belong to no command.
 
     Args:
         to: the format that `convert` writes, where it was named.

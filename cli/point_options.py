@@ -1,4 +1,4 @@
-"""What `predict --from` and `render --from` share: the option, and what became of the rows."""
+"""Shared by `predict --from` and `render --from`: the option, and the report on the rows."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def folder_or_default(output: Path | None, default: str) -> Path:
 
 
 def replacing(command: str, points: Path, force: bool) -> Check | None:
-    """What refuses to replace a file that is not of this command."""
+    """A check that refuses to replace a file that this command did not write."""
     if force:
         return None
     return lambda path: require_replaceable(command, {"points": points, "output": path})

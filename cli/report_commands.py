@@ -1,4 +1,4 @@
-"""Commands that judge: report, and the demo of everything."""
+"""The commands report and demo."""
 
 from __future__ import annotations
 

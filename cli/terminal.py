@@ -1,4 +1,4 @@
-"""What all commands share on the terminal: progress bars, and results as text and as JSON."""
+"""Terminal output of all commands: progress bars, and results as text and as JSON."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
 
 
 def _told_to(descriptor: int) -> Step:
-    """Steps as JSON lines into an open file; where nobody reads any more, nothing."""
+    """Steps as JSON lines into an open file; nothing once the reader is gone."""
 
     def step(done: int, total: int, what: str) -> None:
         with suppress(OSError):

@@ -22,7 +22,7 @@ Stage = Callable[[str], AbstractContextManager[Progress | None]]
 
 
 def no_stage(title: str) -> AbstractContextManager[None]:
-    """A stage nobody watches."""
+    """A stage without a progress display."""
     return nullcontext()
 
 

@@ -183,7 +183,7 @@ def test_info_tells_the_renderer_and_why(tmp_path):
     document = json.loads(done.stdout)
     assert document["kind"] == "scalar"
     assert document["mitsuba"] == libllvm.mitsuba_version()
-    assert all("not tried" in outcome for outcome in document["libraries"].values())
+    assert all("not tested" in outcome for outcome in document["libraries"].values())
 
 
 def test_kinds_of_colour_that_do_not_exist_are_refused():

@@ -15,7 +15,7 @@ from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError, UsageError
 from manifold.library.store import Library
-from manifold.model.blend_fitting import looks_of
+from manifold.model.blend_fitting import appearance_distances
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights
@@ -92,7 +92,7 @@ def test_places_inside_the_hull_are_drawn_evenly(rng):
 def test_the_last_bits_of_values_do_not_change_what_is_laid_out(monkeypatch, rng):
     """Which they are depends on the compiler; a layout, which is not smooth, would magnify them."""
     materials = [MeasuredBRDF(measured(name)) for name in NAMES[:3]]
-    looks = looks_of(materials)
+    looks = appearance_distances(materials)
     evaluate = MeasuredBRDF.eval
 
     def disturbed(self, wi, wo):
@@ -100,7 +100,7 @@ def test_the_last_bits_of_values_do_not_change_what_is_laid_out(monkeypatch, rng
         return f * (1.0 + 4e-16 * rng.normal(size=f.shape))
 
     monkeypatch.setattr(MeasuredBRDF, "eval", disturbed)
-    for name, array in vars(looks_of(materials)).items():
+    for name, array in vars(appearance_distances(materials)).items():
         assert np.array_equal(array, getattr(looks, name))
 
 

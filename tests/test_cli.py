@@ -351,7 +351,7 @@ def test_a_far_latent_is_called_unsupported(run, folder):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "blended from the materials around"),
+        ([], "blended from the surrounding materials"),
         (["--like", "syn_felt_orange"], "like syn_felt_orange"),
         (["--srgb", "#80a0c0"], "sRGB #80a0c0"),
         (["--srgb", "0.5,0.6,0.7", "--physical"], "sRGB 0.5,0.6,0.7"),

@@ -22,7 +22,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
 from manifold.model.completion.correction_file import read_correction, write_correction
-from manifold.model.completion.expected import Calibration, completion_errors, leave_out, signs_of
+from manifold.model.completion.expected import Calibration, completion_errors, indicators_of, leave_out
 from manifold.model.completion.hybrid import Hybrid, InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.completion.samples import grid_pairs
@@ -92,7 +92,7 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     at, _, gram = random_samples(rng, n=6, P=9)
     target = 0.5 * at[1] + 0.5 * at[4]
     found = posterior(at, target, np.ones(9), APART, gram, of_materials(3))
-    best = found.likeliest(1)[0]
+    best = found.most_probable(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
     np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
 
@@ -334,7 +334,7 @@ def test_expected_errors_are_learned_from_the_other_materials(samples):
     for m in (0, 5):
         made = leave_out(samples, m, at, readings(np.ones((12, 3))))
         np.testing.assert_allclose(found.errors[m], completion_errors(samples, m, made))
-        np.testing.assert_allclose(found.signs[m], signs_of(made))
+        np.testing.assert_allclose(found.signs[m], indicators_of(made))
         others = np.arange(len(NAMES)) != m
         learned = Calibration(found.errors[others], found.signs[others]).expected(made)
         np.testing.assert_allclose(found.left_out[m], list(learned.values()))
@@ -508,7 +508,7 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     )  # fmt: skip
     assert status == 0, err
     assert "expected error" in out
-    assert "Read next" in out
+    assert "Measure next" in out
     written = MeasuredBRDF(read_bsdf(tmp_path / "felt_rgb.bsdf"))
     assert float(np.median(np.abs(written.eval(wi, wo) / brdf.eval(wi, wo) - 1.0))) < 0.05
     document = json.loads((tmp_path / "felt.json").read_text())

@@ -222,7 +222,7 @@ def test_the_command_fits_and_says_what_it_knows(satin, tmp_path):
     assert json.loads(result.stdout)["fits"][0] == json.loads(target.read_text())
     shown = CliRunner().invoke(app, arguments[:-2])
     assert "roughness" in shown.stdout
-    assert "it was there" in shown.stdout
+    assert "up to date" in shown.stdout
 
 
 def test_a_described_bsdf_is_fitted_by_the_command(satin, tmp_path):

@@ -155,14 +155,14 @@ def test_entities_that_grow_are_refused(tmp_path):
     [
         ("lighttools", rb"ScatterRadial \d+", b"ScatterRadial 99999999", "count"),
         ("zemax", rb"ScatterAzimuth \d+", b"ScatterAzimuth -3", "count"),
-        ("mini-diff", rb"NUM_POINTS \d+", b"NUM_POINTS 99999", "cut off"),
+        ("mini-diff", rb"NUM_POINTS \d+", b"NUM_POINTS 99999", "truncated"),
         ("mini-diff", rb"NUM_POINTS \d+", b"NUM_POINTS 1e300", "count"),
         ("astm", rb"(VARS.*\n[^\n]*\n[^,\n]*),", rb"\1,nan,", "cells"),
         ("pab-opto", rb"#incident_angle.*\n#intheta.*\n", b"", "incidence"),
         ("csv", rb"\n45", b"\n95", "theta_i is 95"),
         ("astm", rb",\d\.\d+\n", b",1e250\n", "value of 1e"),
         ("cxf", rb"CxF3-core", b"CxF2-core", "older version"),
-        ("lighttools", rb"Wavelength \d+", b"Colour red", "told by Wavelength"),
+        ("lighttools", rb"Wavelength \d+", b"Colour red", "given by Wavelength"),
         (
             "zemax",
             rb"(?s)XYZ(.*)TristimulusX(.*)TristimulusY(.*)TristimulusZ",

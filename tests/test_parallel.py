@@ -12,7 +12,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_info
 
 from manifold.system import parallel
-from manifold.system.parallel import in_turn, one_blas_thread
+from manifold.system.parallel import one_blas_thread, serialised
 
 UNMEASURED_IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +52,7 @@ def test_one_thread_at_a_time_is_in_a_kernel_of_its_kind():
     inside, most = [], []
     barrier = threading.Barrier(4, timeout=30)
 
-    @in_turn
+    @serialised
     def kernel() -> None:
         inside.append(1)
         most.append(len(inside))

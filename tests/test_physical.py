@@ -10,7 +10,7 @@ from small_library import small_library
 
 from manifold.brdf import goniometer, physical
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.physical import DimmedBRDF, ReciprocalBRDF, physical_file
+from manifold.brdf.physical import AlbedoScaledBRDF, ReciprocalBRDF, physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
@@ -160,7 +160,7 @@ class Rim(Lambert):
 def test_light_is_taken_where_there_is_too_much_and_hue_is_kept_on_demand(keeps_hue, rng):
     bright = ReciprocalBRDF(Rim(np.array([0.4, 0.9]), BANDS))
     assert bright.albedo(from_spherical(np.deg2rad(85.0), 0.0))[1] > 1.1
-    dimmed = DimmedBRDF(bright, keeps_hue)
+    dimmed = AlbedoScaledBRDF(bright, keeps_hue)
     wi = from_spherical(np.deg2rad(np.arange(0.0, 86.0, 5.0)), 0.0)
     np.testing.assert_array_less(dimmed.albedo(wi), 0.991)  # 30 balances
     assert reciprocity_error(dimmed, rng) < 1e-12  # rounding

@@ -79,7 +79,7 @@ def test_a_map_says_that_its_balls_are_left_out(outcomes):
 
 
 def test_a_chart_says_which_settings_are_left_out(outcomes):
-    assert "fit_gauss-newton was left out: rendering and fitting need Mitsuba" in outcomes["chart"][1]
+    assert "fit_gauss-newton was skipped: rendering and fitting need Mitsuba" in outcomes["chart"][1]
 
 
 def test_the_metals_of_the_corpus_need_no_mitsuba():

@@ -11,7 +11,7 @@ import numpy as np
 
 from manifold.brdf import warp
 from manifold.brdf.pairs import elevation, locate, phi_to_u, signs, theta_to_u
-from manifold.system.parallel import in_turn
+from manifold.system.parallel import serialised
 
 
 @nb.njit(cache=True, inline="always")
@@ -78,7 +78,7 @@ def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divid
                 )
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True, fastmath=FASTMATH)
 def eval_pairs(wi, wo, isotropic, reduction, divide, tables, out):
     """All bands of K pairs (K, 3), of f or, without `divide`, of f cos(theta_o), into out (K, B)."""
@@ -101,7 +101,7 @@ def eval_located(located, tables, out):
         _eval_row(theta_i, phi_i, ux, uy, cos_o, True, tables, out[k])
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True)
 def pdf_of_pairs(wi, wo, isotropic, reduction, tables, luminance, out):
     """Density of sampling wo from wi, K pairs, into out (K,)."""
@@ -128,7 +128,7 @@ def _half_vector(ux, uy, phi_i, isotropic):
     return np.cos(phi_m) * sin_m, np.sin(phi_m) * sin_m, np.cos(theta_m), theta_m
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True)
 def integrate(wi, isotropic, reduction, tables, out):
     """Sums of f cos(theta_o) / pdf of the visible normals over n x n points of the unit square.
@@ -162,7 +162,7 @@ def integrate(wi, isotropic, reduction, tables, out):
                 sums[b] += inverse * row[b]
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True)
 def sample_directions(wi, uniforms, isotropic, reduction, tables, luminance, wo, pdf):
     """Outgoing directions of wi (K, 3) and uniforms (K, 2) into wo (K, 3), their densities into pdf (K,)."""

@@ -25,7 +25,7 @@ from manifold.records import Array, BsdfFile
 RECIPROCITY_ERROR = 0.05
 """The most that a physical file has."""
 
-_AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are dimmed by different factors afterwards
+_AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
 _ALBEDO = 0.99  # at most: quadratures of sharp highlights at 85 degrees err by 1 %
 _ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, where it is found how much to dim
 _BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
@@ -63,7 +63,8 @@ def physical_file(
 
     Both orders of directions are averaged, before and after measuring; while the file is not reciprocal within 5 %,
     incidences are refined, then both grids, up to three times as many nodes per axis: what is not smooth there
-    keeps a larger error. Then bands that return more than they get, at an incidence to 85 degrees, are dimmed there,
+    keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are scaled down
+    there,
     with `keeps_hue` all bands alike.
     """
     best, least = None, np.inf
@@ -87,14 +88,14 @@ def physical_file(
     return _dimmed(best, keeps_hue)
 
 
-class DimmedBRDF(ReciprocalBRDF):
+class AlbedoScaledBRDF(ReciprocalBRDF):
     """The same times s(theta_i) s(theta_o), with s just small enough that no albedo is above about 0.99."""
 
     def __init__(self, brdf: BRDF, keeps_hue: bool):
         """Find s at elevations: s <- s sqrt(0.99 / albedo) where that is larger, as in symmetric Sinkhorn scaling.
 
         Args:
-            brdf: what is dimmed.
+            brdf: the BRDF to be scaled.
             keeps_hue: by one s for all bands, not one each.
         Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
         """
@@ -124,9 +125,9 @@ def _hats(w: Array) -> Array:
 
 
 def _dimmed(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
-    """The file, dimmed where it returns more light than it gets; what is left between nodes is scaled as a whole."""
+    """The file, scaled down where its albedo exceeds 1; remaining excess between nodes is scaled uniformly."""
     if largest_albedo(MeasuredBRDF(file)).max() > _ALBEDO:
-        file = goniometer.remeasure(DimmedBRDF(MeasuredBRDF(file), keeps_hue), file)
+        file = goniometer.remeasure(AlbedoScaledBRDF(MeasuredBRDF(file), keeps_hue), file)
     scale = np.minimum(1.0, _ALBEDO / np.maximum(largest_albedo(MeasuredBRDF(file)), _ALBEDO))
     if keeps_hue:
         scale[:] = scale.min()

@@ -20,7 +20,7 @@ from numba.core import options
 
 from manifold.errors import ShapeError
 from manifold.records import Array
-from manifold.system.parallel import in_turn
+from manifold.system.parallel import serialised
 
 _CAN_BE_UNCOUNTED = hasattr(getattr(options, "DefaultOptions", None), "_nrt")  # not documented: it may go
 UNCOUNTED: dict[str, Any] = {"cache": True} | ({"_nrt": False} if _CAN_BE_UNCOUNTED else {})
@@ -105,7 +105,7 @@ def bilinear(table, x, y):
     return bilinear_in_cell(table, i, j, ty, tx)
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True)
 def interpolate(table, points):
     """Values of an (R, C) table at points (K, 2) of the unit square, shape (K,)."""
@@ -204,7 +204,7 @@ def sample(data, conditional, marginal, slices, weights, u, v):
     return (j + tx) / (n_cols - 1), (i + ty) / (n_rows - 1), pdf
 
 
-@in_turn
+@serialised
 @nb.njit(cache=True, parallel=True)
 def _map_points(mode, data, conditional, marginal, phi_nodes, theta_nodes, phi, theta, points, out):
     for k in nb.prange(points.shape[0]):

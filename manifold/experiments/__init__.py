@@ -1,4 +1,4 @@
-"""Experiments on fitted models: held-out accuracy, speed against accuracy, failure modes, least models for a scene."""
+"""Experiments on fitted models: held-out accuracy, speed against accuracy, failure modes, budgets for scenes."""
 
 import lazy_loader
 

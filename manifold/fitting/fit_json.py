@@ -77,7 +77,7 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
 
 
 def is_untouched(content: dict[str, Any]) -> bool:
-    """Whether plain values are as `document` made them: nobody changed them since."""
+    """Whether plain values are unchanged since `document` made them."""
     return content.get("sha256") == _digest(content)
 
 

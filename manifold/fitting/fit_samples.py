@@ -23,8 +23,8 @@ MAX_PAIRS = 2048
 _GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
 
 
-class Evaluated(Protocol):
-    """A BRDF as far as fits and balls need it."""
+class EvaluableBRDF(Protocol):
+    """The interface of a BRDF that fits and balls need."""
 
     @property
     def bands(self) -> Bands:
@@ -187,7 +187,7 @@ def from_readings(readings: Readings, *, max_pairs: int = MAX_PAIRS) -> FitSampl
 
 
 def from_brdf(
-    brdf: Evaluated, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS
+    brdf: EvaluableBRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS
 ) -> FitSamples:
     """Samples of a BRDF, dense around the mirror direction.
 

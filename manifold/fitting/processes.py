@@ -1,4 +1,4 @@
-"""Work in several processes that ends when it is interrupted, and says so when one of them is killed."""
+"""Work in several processes, which ends when interrupted and reports a killed process."""
 
 from __future__ import annotations
 

@@ -72,11 +72,9 @@ def read(path: Path) -> list[Readings]:
     if announced is not None:
         expected = place.count(announced, "NUM_POINTS", _MOST_ROWS)
         if len(table) < expected:
-            raise place.error(
-                f"{len(table)} rows, expected {expected} as NUM_POINTS says: the file is cut off"
-            )
+            raise place.error(f"{len(table)} rows, expected {expected} (NUM_POINTS): the file is truncated")
         if len(table) > expected:
-            notes.append(f"NUM_POINTS says {expected}, the file holds {len(table)} rows: all are taken")
+            notes.append(f"NUM_POINTS is {expected}, but the file has {len(table)} rows: all are used")
     name = header.get("SAMPLE_NAME") or path.stem
     instrument = header.get("SYSTEM_NAME") or "goniometer (ASTM table)"
     return [_readings(table, columns, name, instrument, is_mini_diff, notes, place)]
@@ -155,7 +153,7 @@ def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tupl
             [*columns.names[:after], "phi_o", *columns.names[after:]], columns.bands, columns.is_degrees
         )
         notes.append(
-            f"VARS names {width - 1} columns, rows have {width}: the one behind theta_s is taken as phi_s"
+            f"VARS names {width - 1} columns, rows have {width}: the one after theta_s is taken as phi_s"
         )
     if width != len(columns.names):
         raise place.error(

@@ -75,7 +75,7 @@ class Words:
         while len(values) < count:
             if self._line >= len(self._lines):
                 raise self.place.error(
-                    f"the file ends after {len(values)} of {count} {what}: it is cut off", self.line
+                    f"the file ends after {len(values)} of {count} {what}: it is truncated", self.line
                 )
             number, words = self._lines[self._line][0], self._words
             taken = words[self._word : self._word + count - len(values)]

@@ -177,7 +177,7 @@ def _stack(
     if len(bands) * len(incidences) != len(blocks):
         raise place.error(
             f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} "
-            "incidences, bands being told by Wavelength, or TristimulusValue TrisX, TrisY and TrisZ"
+            "incidences, with bands given by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
         )
     values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
     for b, label in zip(blocks, labels, strict=True):
@@ -229,7 +229,7 @@ def _incident_azimuth(
         return side
     in_usual_plane = peaks[90.0] + peaks[270.0] >= peaks[0.0] + peaks[180.0]
     taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
-    notes.append(f"no highlight tells the mirror direction: incidence is taken at azimuth POI + {taken:g}")
+    notes.append(f"no highlight shows the mirror direction: incidence is taken at azimuth POI + {taken:g}")
     return taken
 
 

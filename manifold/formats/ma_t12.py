@@ -102,7 +102,7 @@ def _sheets(data: bytes, place: Place) -> dict[str, list[list[Cell]]]:
             book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
             sheets = {}
             for sheet in book.worksheets:
-                sheet.reset_dimensions()  # what a file says of its size is not believed
+                sheet.reset_dimensions()  # the size declared in the file is not trusted
                 rows: list[list[Cell]] = []
                 cells = 0
                 for row in sheet.iter_rows(values_only=True, max_row=_MOST_ROWS):

@@ -209,7 +209,7 @@ def _read_entry(buffer: mmap.mmap, position: int, index: int, context: ErrorCont
             f"with shape {shape_text(entry.shape)} and dtype {entry.dtype.name} ends at byte {entry.end}, "
             f"but the file has {size}",
             shown,
-            remedy="it is cut off or damaged: fetch it again",
+            remedy="it is truncated or damaged: fetch it again",
         )
     return entry, position
 

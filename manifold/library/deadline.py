@@ -37,7 +37,7 @@ _watch = _Watch()
 
 
 @contextmanager
-def ends_within(seconds: float, sockets: Iterable[socket.socket] = ()) -> Iterator[list[socket.socket]]:
+def time_limit(seconds: float, sockets: Iterable[socket.socket] = ()) -> Iterator[list[socket.socket]]:
     """End connections after a time: some that there are, and all that `opener` makes for this thread in the block.
 
     Yields:

@@ -21,7 +21,7 @@ from urllib.parse import quote
 from manifold import __version__
 from manifold.errors import FetchError, ManifoldError
 from manifold.io_rgl import read_bsdf
-from manifold.library.deadline import ends_within, opener
+from manifold.library.deadline import opener, time_limit
 from manifold.library.rgl_table import Entry
 
 BLOCK_BYTES = 1 << 18
@@ -29,8 +29,8 @@ MAX_BYTES = 1 << 30  # For files whose size no table knows; the largest in the d
 MIN_BYTES_PER_TIMEOUT = 4096  # A server that drips slower than this per `timeout_s` counts as stalled.
 
 
-class HopelessError(FetchError):
-    """A failure that every other file would meet too: no server, no disk space."""
+class FatalFetchError(FetchError):
+    """A failure that affects all further files: no server, no disk space."""
 
 
 class _Transient(Exception):
@@ -64,7 +64,7 @@ class Downloader:
         """Download one file, verify it, and give it its final name.
 
         Raises:
-            FetchError: it cannot be had, or is not what the table says; a HopelessError where no other can be had.
+            FetchError: it cannot be had, or is not what the table says; a FatalFetchError where no other can be had.
         """
         part = target.with_name(target.name + ".part")
         if os.path.lexists(part) and not (part.is_file() and not part.is_symlink()):
@@ -116,7 +116,7 @@ class Downloader:
             is_late = time.monotonic() > deadline
             if tries >= self.attempts or is_late:
                 kept = f"; {size} bytes are kept: run again to continue" if size else "; run again later"
-                kind = HopelessError if unreachable else FetchError
+                kind = FatalFetchError if unreachable else FetchError
                 gave_up = (
                     f"not done after {self.deadline_s:g} s"
                     if is_late
@@ -138,7 +138,7 @@ class Downloader:
             headers["Range"] = f"bytes={have}-"
         try:
             remaining = deadline - time.monotonic()
-            with ends_within(min(self.timeout_s, remaining)) as sockets:  # also headers that drip
+            with time_limit(min(self.timeout_s, remaining)) as sockets:  # also headers that drip
                 response = opener().open(urllib.request.Request(url, headers=headers), timeout=self.timeout_s)
         except urllib.error.HTTPError as error:
             error.close()
@@ -155,7 +155,7 @@ class Downloader:
             with disk(self.folder):
                 flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | (0 if start else os.O_TRUNC)
                 stream = io.FileIO(os.open(part, flags, 0o666), "r+")
-            with stream, ends_within(deadline - time.monotonic(), sockets):
+            with stream, time_limit(deadline - time.monotonic(), sockets):
                 self._copy(response, stream, entry, start, expected)
 
     def _copy(
@@ -230,7 +230,7 @@ def disk(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise HopelessError(f"{folder}: {error.strerror}; make room, or choose another folder") from error
+        raise FatalFetchError(f"{folder}: {error.strerror}; make room, or choose another folder") from error
 
 
 def _write_all(stream: io.FileIO, block: bytes) -> None:

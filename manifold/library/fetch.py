@@ -8,7 +8,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from manifold.errors import FetchError, UsageError
-from manifold.library.downloading import Downloader, HopelessError, disk, verify
+from manifold.library.downloading import Downloader, FatalFetchError, disk, verify
 from manifold.library.rgl_table import Entry, rgl_table, select
 from manifold.records import Progress
 
@@ -97,7 +97,7 @@ def fetch(
             else:
                 downloader.fetch(entry, target)
                 downloaded.append(target)
-        except HopelessError as error:
+        except FatalFetchError as error:
             failed[entry.name] = _one_line(error)
             break
         except FetchError as error:

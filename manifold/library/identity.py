@@ -31,7 +31,7 @@ ARRAY_FIELDS = (
 
 @dataclass(frozen=True)
 class MaterialInfo:
-    """What a library knows of a material without reading its arrays.
+    """Metadata of a material in a library.
 
     Attributes:
         name: the material's name, unique in the library.
@@ -40,7 +40,7 @@ class MaterialInfo:
         content_sha256: of the fields as stored; `Library.verify` computes it again.
         pipeline_version: version of the pipeline that wrote the file; RGB files say (1, 0).
         description: the file's own text.
-        is_synthetic: whether the description says that nobody measured this.
+        is_synthetic: whether the description marks the file as synthetic.
         shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
         bytes: of all arrays together.
     """
@@ -57,7 +57,7 @@ class MaterialInfo:
 
 
 def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
-    """What a library will know of a file.
+    """Metadata that a library stores about a file.
 
     Args:
         file: the material.
@@ -130,7 +130,7 @@ def alike(name: str) -> str:
 
 
 def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
-    """What a library knows of a material, from the attributes of its group.
+    """Metadata of a material, from the attributes of its group.
 
     Raises:
         LookupError: one is missing.

@@ -19,7 +19,7 @@ from manifold.errors import UsageError
 
 @dataclass(frozen=True)
 class Entry:
-    """What the database's table knows of a file.
+    """A file's entry in the table of the database.
 
     Attributes:
         name: of the material.

@@ -30,8 +30,8 @@ _SHARES = (0.2, 0.5, 0.8)  # of the one material, at which blends of two are loo
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
-    """How N materials look.
+class AppearanceDistances:
+    """Appearance distances between N materials.
 
     Attributes:
         ball: mean CIEDE2000 between their balls, shape (N, N).
@@ -45,10 +45,12 @@ class Looks:
     valley: Array
     profiles: Array
 
-    def subset(self, materials: Array) -> Looks:
+    def subset(self, materials: Array) -> AppearanceDistances:
         """Those of some materials."""
         rows = np.ix_(materials, materials)
-        return Looks(self.ball[rows], self.shape[rows], self.valley[rows], self.profiles[materials])
+        return AppearanceDistances(
+            self.ball[rows], self.shape[rows], self.valley[rows], self.profiles[materials]
+        )
 
     def layout(self, latent_dim: int) -> Layout:
         """Places of the materials in Q dimensions, in units of the kernel's length scale."""
@@ -63,7 +65,9 @@ class Looks:
         return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * excess, latent_dim, cost)
 
 
-def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None) -> Looks:
+def appearance_distances(
+    materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None
+) -> AppearanceDistances:
     """Compare materials by their balls, by their logarithms, and by the profiles of their blends in cube roots."""
     bands = evenly_spaced(materials[0].bands.count, _BANDS).tolist()
     ball, pairs = ball_colours.ball(), encoding_pairs()
@@ -91,7 +95,7 @@ def looks_of(materials: Sequence[MeasuredBRDF], on_progress: Progress | None = N
         0.5 * (difference + difference.T), shape, _valleys(stacked), stacked[:, :, ::_PROFILE_STRIDE][..., some],
     )  # fmt: skip
     # The last bits of look-ups depend on what compiled them, and a layout magnifies them: it is to be the same again.
-    return Looks(*(array.astype(np.float32).astype(np.float64) for array in seen))
+    return AppearanceDistances(*(array.astype(np.float32).astype(np.float64) for array in seen))
 
 
 def _valleys(profiles: Array) -> Array:

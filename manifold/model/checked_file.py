@@ -47,7 +47,7 @@ def write_checked(
         output: the file; its name becomes the material's.
         brdf: what is measured.
         description: of the file.
-        remedy: what to do about a file that returns more than 1.05 times its light, besides forcing it.
+        remedy: what to do about a file whose albedo exceeds 1.05, besides forcing it.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
         keeps_hue: by dimming all bands alike, where one of them returns too much.
         force: write it however much light it returns.
@@ -56,7 +56,7 @@ def write_checked(
     Returns:
         Of the written file.
     Raises:
-        UsageError: it would return more than 1.05 times its light.
+        UsageError: its albedo would exceed 1.05.
     """
     measure = partial(physical_file, keeps_hue=keeps_hue) if physical else goniometer.measure
     file = measure(

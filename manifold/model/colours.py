@@ -40,7 +40,7 @@ class ColourChoice:
 
 
 NEAREST = ColourChoice()
-"""No choice: the colour blended from the materials around or, on a monochrome manifold, the nearest material's."""
+"""No choice: the colour blended from the surrounding materials or, on a monochrome manifold, the nearest material's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
             )
         return UNCHOSEN
     if choice == NEAREST and not model.space.needs_colours:
-        return ChosenColour(None, "blended from the materials around", 0.0)
+        return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:
         name = choice.like if choice.like is not None else model.nearest(x)[0][0]
         colours = model.colours.like(x, name)

@@ -24,7 +24,7 @@ MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a user should know of a prediction before trusting it.
+    """Diagnostics and expected error of a prediction.
 
     Attributes:
         expected_ball: error to expect, mean CIEDE2000 of the ball; None where the model is not calibrated.

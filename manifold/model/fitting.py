@@ -13,7 +13,7 @@ from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
 from manifold.model.appearance import roots_at
-from manifold.model.blend_fitting import albedo_samples, looks_of
+from manifold.model.blend_fitting import albedo_samples, appearance_distances
 from manifold.model.blend_space import BlendSpace
 from manifold.model.curve_space import CurveSpace
 from manifold.model.decoding import encoder_at, encoding_pairs, integrating_sphere
@@ -126,7 +126,7 @@ def _fit_blends(
 ) -> tuple[LatentSpace, Statistics]:
     require_mu(s.mu)
     brdfs = materials.filled(on_progress=on_progress)
-    layout = looks_of(brdfs, on_progress).layout(s.latent_dim)
+    layout = appearance_distances(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
     samples = [brdf.select_bands(bands.tolist()) for brdf in brdfs]
     pairs = encoding_pairs()

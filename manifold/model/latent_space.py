@@ -39,7 +39,7 @@ LeftOutSearch = Callable[[int], tuple[Array, Combination]]
 
 @dataclass(frozen=True, eq=False)
 class Embedded:
-    """Where a material that the manifold has not seen belongs.
+    """Latent and colours of a new material, found by embedding.
 
     Attributes:
         latent: shape (Q,).

@@ -1,4 +1,4 @@
-"""Measured files placed on a manifold that has not seen them."""
+"""Embedding of measured files that are not in the library."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Located:
 def locate(
     model: Path, path: Path, *, library: Path | None = None, on_progress: Progress | None = None
 ) -> Located:
-    """Embed a measured file, its unmeasured cells filled, in a manifold that has not seen it.
+    """Embed a measured file, with its unmeasured cells filled, in a fitted manifold.
 
     Raises:
         FileFormatError: it is no RGL file.

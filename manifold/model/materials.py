@@ -129,7 +129,7 @@ class MaterialCache:
         return loaded
 
     def _names_like(self, name: str) -> str:
-        """What somebody may have meant by a name: those that contain it, or nearly are it, a few at most."""
+        """Similar names for an error message: those that contain a name, or are close matches."""
         within = [known for known in self.names if name and name.lower() in known.lower()]
         near = (within or difflib.get_close_matches(name, self.names))[:_SHOWN_NAMES]
         if near:

@@ -88,13 +88,13 @@ def predict(
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
-        force: write a file, too, that returns more than 1.05 times its light.
+        force: also write a file whose albedo exceeds 1.05.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
         n_theta_i: incident elevations; with `physical`, at least.
         on_progress: called with how much is done.
     Raises:
-        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or it would return
-            more than 1.05 times its light.
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or its albedo
+            would exceed 1.05.
         LatentError: the latent does not have Q finite coordinates.
     """
     require_bsdf_output(output, "predictions")

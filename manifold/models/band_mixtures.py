@@ -24,7 +24,7 @@ from manifold.models.nonnegative import nonnegative_weights
 from manifold.records import Array
 
 _COUNT = 100  # of hypotheses
-_CONSIDERED = 4000  # likeliest mixtures of samples, of which many are of the same materials
+_CONSIDERED = 4000  # most probable mixtures of samples, of which many are of the same materials
 _ALIKE = 0.07  # by how much the bands of a material may differ in the shares of the materials it is like
 _COLOUR = 0.7  # how much the differences between bands count, besides their mean
 
@@ -34,7 +34,7 @@ class BandMixtures:
     """Hypotheses: mixtures of one or two materials that may be what was read.
 
     Attributes:
-        probability: of H hypotheses, of sum 1, likeliest first, shape (H,).
+        probability: of H hypotheses, of sum 1, most probable first, shape (H,).
         weights: of samples in the mean over bands of each, shape (H, n + 1).
         mean: of all hypotheses in every band, shape (B, n + 1).
     """
@@ -94,9 +94,9 @@ def band_mixtures(
 
 
 def _of_different_materials(mixtures: Mixtures, group: Array) -> Array:
-    """The likeliest mixtures, one for every pair of materials and shares of them."""
+    """The most probable mixtures, one for every pair of materials and shares of them."""
     seen: dict[tuple[int, int, float], int] = {}
-    for k in mixtures.likeliest(_CONSIDERED).tolist():
+    for k in mixtures.most_probable(_CONSIDERED).tolist():
         i, j, share = int(group[mixtures.first[k]]), int(group[mixtures.second[k]]), float(mixtures.share[k])
         if i > j:
             i, j, share = j, i, 1.0 - share

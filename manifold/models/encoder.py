@@ -1,4 +1,4 @@
-"""Embed a material that a process has not seen: the latents that fit its data best, by a criterion of choice.
+"""Embed a new material: the latents that fit its data best, by one of several criteria.
 
 Rows are what one latent each decodes: a whole material is one row of all its bands, single bands a row each, whose
 structure coordinates are shared. The search starts from the nearest training materials. Criteria of decoded values are

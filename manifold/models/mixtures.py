@@ -1,6 +1,6 @@
 """Mixtures of two samples as hypotheses about a material of which a few readings are known, and what they say of it.
 
-Which samples a material is like, and so how its highlight looks where nobody measured, is not determined by a dozen
+Which samples a material resembles, and thus its highlight between the readings, is not determined by a dozen
 readings: many mixtures meet them. They are all tried, and averaged by how well they do.
 """
 
@@ -63,8 +63,8 @@ class Mixtures:
         weights[:, -1] += self.lambertian[chosen]
         return weights
 
-    def likeliest(self, count: int) -> Array:
-        """The mixtures of the largest probability, at most `count`, likeliest first."""
+    def most_probable(self, count: int) -> Array:
+        """The mixtures of the largest probability, at most `count`, most probable first."""
         count = min(count, len(self.probability))
         some = np.sort(np.argpartition(-self.probability, count - 1)[:count])
         return some[np.argsort(-self.probability[some], kind="stable")]

@@ -26,8 +26,8 @@ _LEAST = 1e-4  # of a pixel's standard deviation
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """Samples of zero mean of what is not known, each as likely as the others.
+class ErrorSamples:
+    """Equally probable zero-mean samples of the unknown deviation of a completion.
 
     Attributes:
         at_candidates: cube roots at the readings that can be taken, shape (H, D).
@@ -41,12 +41,12 @@ class Unknowns:
     everywhere: Array
     noise: Array
 
-    def lowered(self, wanted: Array) -> Array:
+    def variance_reduction(self, wanted: Array) -> Array:
         """By how much each reading lowers the variance of wanted values (H, W), shape (D, W)."""
         told = np.sum(self.at_candidates**2, axis=0) + self.noise
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / told[:, None])
 
-    def after(self, reading: Array, noise: float) -> Unknowns:
+    def after(self, reading: Array, noise: float) -> ErrorSamples:
         """What a reading, at which the samples are (H,), leaves unknown."""
         variance = float(reading @ reading)
         if variance == 0.0:
@@ -55,12 +55,12 @@ class Unknowns:
         k = (1.0 - np.sqrt(noise / (variance + noise))) / variance
         tables = (self.at_candidates, self.on_ball, self.everywhere)
         left = [table - k * np.outer(reading, reading @ table) for table in tables]
-        return Unknowns(left[0], left[1], left[2], self.noise)
+        return ErrorSamples(left[0], left[1], left[2], self.noise)
 
 
 def hypotheses(
     everywhere: Array, on_ball: Array, candidates: Array, probability: Array, weights: Array
-) -> Unknowns:
+) -> ErrorSamples:
     """What hypotheses differ in.
 
     Args:
@@ -74,10 +74,12 @@ def hypotheses(
     at_candidates, at_pixels, at_directions = (
         root * (table - probability @ table) for table in (candidates, on_ball, everywhere * np.sqrt(weights))
     )
-    return Unknowns(at_candidates, at_pixels, at_directions, _noise(probability @ candidates**2, _NOISE))
+    return ErrorSamples(at_candidates, at_pixels, at_directions, _noise(probability @ candidates**2, _NOISE))
 
 
-def colours(on_ball: Array, candidates: Array, square: Array, taken: Array, taken_square: Array) -> Unknowns:
+def colours(
+    on_ball: Array, candidates: Array, square: Array, taken: Array, taken_square: Array
+) -> ErrorSamples:
     """What the bands of a material differ in, where some readings were taken.
 
     Args:
@@ -89,19 +91,19 @@ def colours(on_ball: Array, candidates: Array, square: Array, taken: Array, take
     """
     root = 1.0 / np.sqrt(len(on_ball))
     read = root * taken
-    left = Unknowns(
+    left = ErrorSamples(
         np.hstack([root * candidates, read]), root * on_ball, np.zeros((len(on_ball), 0)),
         _noise(np.append(square, taken_square), _COLOUR_NOISE),
     )  # fmt: skip
     count = len(square)
     for d in range(count, left.at_candidates.shape[1]):
         left = left.after(left.at_candidates[:, d], float(left.noise[d]))
-    return Unknowns(left.at_candidates[:, :count], left.on_ball, left.everywhere, left.noise[:count])
+    return ErrorSamples(left.at_candidates[:, :count], left.on_ball, left.everywhere, left.noise[:count])
 
 
 def missed(
     where: Array, taken: Array, level: Array, lit: Array, light: Array, starts: Array, pixels: Array
-) -> Unknowns:
+) -> ErrorSamples:
     """What no hypothesis meets and readings nearby tell, as `nearby` carries it: relative to cube roots.
 
     Args:
@@ -125,7 +127,7 @@ def missed(
         own, of_pixels = own - told @ between.T, of_pixels - told @ with_pixels(taken)
     L = np.linalg.cholesky(own + _JITTER * np.eye(len(own)))
     on_ball = solve_triangular(L, of_pixels, lower=True)
-    return Unknowns(
+    return ErrorSamples(
         _MISSED * L.T * level,
         _MISSED * on_ball * pixels,
         np.zeros((len(L), 0)),
@@ -138,7 +140,7 @@ def _noise(square: Array, share: float) -> Array:
     return np.asarray(share**2 * (square + _FLOOR**2 * square.mean()))
 
 
-def next_readings(unknowns: Sequence[Unknowns], count: int) -> Array:
+def next_readings(unknowns: Sequence[ErrorSamples], count: int) -> Array:
     """The readings that lower the expected errors most, one after the other.
 
     The errors are the root mean square over all directions and, three times as important, the mean over the pixels of a
@@ -162,10 +164,12 @@ def next_readings(unknowns: Sequence[Unknowns], count: int) -> Array:
     return np.array(chosen, dtype=int)
 
 
-def _log_errors(unknowns: Sequence[Unknowns]) -> Array:
+def _log_errors(unknowns: Sequence[ErrorSamples]) -> Array:
     """Logarithm of the product of both errors after each reading, shape (D,)."""
-    all_variance = sum(np.sum(u.everywhere**2) - u.lowered(u.everywhere).sum(axis=1) for u in unknowns)
-    on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.lowered(u.on_ball) for u in unknowns)
+    all_variance = sum(
+        np.sum(u.everywhere**2) - u.variance_reduction(u.everywhere).sum(axis=1) for u in unknowns
+    )
+    on_ball = sum(np.sum(u.on_ball**2, axis=0) - u.variance_reduction(u.on_ball) for u in unknowns)
     deviation = np.sqrt(np.maximum(on_ball, 0.0)) + _LEAST  # [D, K]
     tiny = np.finfo(float).tiny
     return np.asarray(0.5 * np.log(np.maximum(all_variance, tiny)) + _BALL * np.log(deviation.mean(axis=1)))

@@ -1,4 +1,4 @@
-"""Figures, and the map as a page. These modules alone import matplotlib; none shows a window."""
+"""Figures, and the interactive map. These modules alone import matplotlib; none shows a window."""
 
 import lazy_loader
 

@@ -133,7 +133,8 @@ def walk_strip(
         if is_doubtful:
             axes.set_title("!", fontsize=11, color=MARK, fontweight="bold", pad=1.0)
     if any(doubtful):
-        figure.supxlabel("! diagnosed: negative values, albedo above 1, not reciprocal, a dark ring, or not supported",
+        figure.supxlabel("! diagnostic: negative values, albedo above 1, not reciprocal, a dark ring, or not "
+        "supported by the data",
                          fontsize=9, color=MARK)  # fmt: skip
     return figure
 

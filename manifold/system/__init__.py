@@ -1,4 +1,4 @@
-"""What the operating system leaves to do: files that appear whole, temporary folders, bounded reads, threads."""
+"""Files and processes: atomic writing, temporary folders, bounded reads, threads."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Threads that meet: compiled kernels that are parallel in themselves, and the threads of BLAS."""
+"""Thread control: compiled parallel kernels, and the threads of BLAS."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _in_one_thread(kernel: Any) -> Any:
     return njit(kernel.py_func)
 
 
-def in_turn(kernel: Callable[P, R]) -> Callable[P, R]:
+def serialised(kernel: Callable[P, R]) -> Callable[P, R]:
     """A kernel that is parallel in itself, entered by one thread at a time.
 
     Where neither OpenMP nor TBB is installed, Numba runs such kernels on a pool of its own, which ends the process

@@ -1,4 +1,4 @@
-"""What takes long to compute and stays the same, kept in the user's cache folder."""
+"""Slow, constant results, cached in the user's cache folder."""
 
 from __future__ import annotations
 

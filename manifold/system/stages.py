@@ -15,10 +15,10 @@ T = TypeVar("T")
 
 
 class Stages:
-    """Tells how much of the whole is done, in hundredths, from how much of a stage is done.
+    """Overall progress, in hundredths, from the progress of single stages.
 
     Args:
-        on_progress: told (hundredths, 100, stage); None tells nobody.
+        on_progress: called with (hundredths, 100, stage); may be None.
         shares: of each stage in the time of the whole, in the order in which they follow each other; one called "" has
             stages of its own.
     """

@@ -190,7 +190,7 @@ def budget_scene(
         if output is not None:
             scene_name = f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
             target = OutputFolder(output, scene_name, names.values())
-        step(1, 4, "looking at the scene")
+        step(1, 4, "analysing the scene")
         survey = scene_survey.survey(document, files, is_rgb, settings.size)
         step(2, 4, "representations")
         candidates = {}
@@ -310,13 +310,13 @@ def _chosen(
 def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
     """Why nothing cheaper: what comes closest among it."""
     if not cheaper:
-        return "nothing is cheaper"
+        return "no representation is cheaper"
     rendered = [one for one in cheaper if one.name in alone]
     if rendered:
         best = min(rendered, key=lambda one: alone[one.name].delta_e)
-        return f"cheaper and closest: {best.name}, CIEDE2000 {alone[best.name].delta_e:.2f}"
+        return f"best of the cheaper ones: {best.name}, CIEDE2000 {alone[best.name].delta_e:.2f}"
     best = min(cheaper, key=lambda one: one.predicted)
-    return f"cheaper and closest: {best.name}, predicted {best.predicted:.1f}"
+    return f"best of the cheaper ones: {best.name}, predicted {best.predicted:.1f}"
 
 
 def _lighting_in_words(lighting: MaterialLighting) -> str:
@@ -331,10 +331,12 @@ def _lighting_in_words(lighting: MaterialLighting) -> str:
 
 
 def _notes(chosen: tuple[Chosen, ...], tolerance: Tolerance, hidden: list[str]) -> tuple[str, ...]:
-    notes = [f"no pixel shows {name} in direct light; it stays as it is" for name in hidden]
+    notes = [f"no pixel shows {name} in direct light; it is kept unchanged" for name in hidden]
     loudest = max(one.noise.rendered for one in chosen)
     if loudest > 2.0 * tolerance.delta_e:
-        notes.append(f"noise alone differs by {loudest:.2f}, far beyond the tolerance; take more --samples")
+        notes.append(
+            f"the difference due to noise is {loudest:.2f}, far above the tolerance; use more --samples"
+        )
     return tuple(notes)
 
 

@@ -110,7 +110,7 @@ def complete_readings(
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
-        force: write a file, too, that returns more than 1.05 times its light.
+        force: also write a file whose albedo exceeds 1.05.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
         n_theta_i: incident elevations; with `physical`, at least.
         on_progress: called with how much is done.
@@ -136,7 +136,7 @@ def complete_readings(
         output,
         ClippedBRDF(found.brdf),
         description=_describe(found),
-        remedy="scale it with --physical, read more directions near the highlight",
+        remedy="scale it with --physical, measure more directions near the highlight",
         physical=physical,
         keeps_hue=True,  # readings tell colours well, and how much light there is in all directions badly
         force=force,

@@ -57,9 +57,9 @@ def inspect_renderer() -> Inspection:
     chosen = backend.choose(refresh=True)
     tried = {probe.library: probe.outcome for probe in chosen.probes}
     libraries = list(dict.fromkeys([*tried, *libllvm.find_libraries()]))
-    outcomes = [(library, tried.get(library, "not tried: a newer one works")) for library in libraries]
+    outcomes = [(library, tried.get(library, "not tested: a newer one works")) for library in libraries]
     if not tried:
-        outcomes = [(library, "not tried: scalar was asked for") for library in libraries]
+        outcomes = [(library, "not tested: scalar was requested") for library in libraries]
     rows: dict[str, object] = {
         "Mitsuba": libllvm.mitsuba_version(),
         "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
@@ -191,7 +191,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         low, high = np.quantile(errors, (0.5, 0.9), axis=0)
         rows["left-out errors"] = [
             f"median {low[0]:.1f}, 90th percentile {high[0]:.1f} CIEDE2000 of the ball",
-            f"{low[1]:.0%}, {high[1]:.0%} of cube roots",
+            f"{low[1]:.0%}, {high[1]:.0%} cube-root error",
         ]
     table = Table(
         (

@@ -2,7 +2,7 @@
 
 51 isotropic materials, and on request 11 anisotropic ones, on the wavelength grid of the RGL database, with its
 resolutions, its 8 incident elevations that differ from file to file, and noise, unmeasured cells and exact
-zeros like those of its files. Everything follows from one seed. It is synthetic and says so: names begin with
+zeros like those of its files. Everything follows from one seed. Files are marked as synthetic: names begin with
 `syn_`, descriptions with "Synthetic".
 """
 

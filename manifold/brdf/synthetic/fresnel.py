@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from manifold.records import Array
-from manifold.system.parallel import in_turn
+from manifold.system.parallel import serialised
 
 
 def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
@@ -64,7 +64,7 @@ def _same_shape(*values: Array) -> list[Array]:
     return [np.array(a, float, order="C") for a in np.broadcast_arrays(*map(np.atleast_1d, values))]
 
 
-@in_turn
+@serialised
 @njit(cache=True, parallel=True)
 def _conductor(cos_theta, eta, k):
     out = np.empty((cos_theta.size, eta.size))
@@ -88,7 +88,7 @@ def _conductor(cos_theta, eta, k):
     return out
 
 
-@in_turn
+@serialised
 @njit(cache=True, parallel=True)
 def _thin_film(cos_theta, phase, film, base):
     """`phase` is 2 pi thickness / wavelength, (B,); `film` at least 1; `base` the complex index, (B,)."""

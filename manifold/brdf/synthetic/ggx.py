@@ -22,7 +22,7 @@ from numba import njit, prange
 from manifold.directions import gauss_legendre, half_vector, hemisphere_quadrature, normalize
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
-from manifold.system.parallel import in_turn
+from manifold.system.parallel import serialised
 
 # Sizes of the table of directional albedo; with these it is within 5e-4 of the exact integral for
 # roughness 0.02 to 1 (tests/test_microfacet.py).
@@ -246,7 +246,7 @@ def _facet_moments(alpha_x: float, alpha_y: float) -> Array:
     return moments
 
 
-@in_turn
+@serialised
 @njit(cache=True, parallel=True)
 def _integrate_caps(stretched, alpha_x, alpha_y, heights, weights, n_phi, n_cosines):
     """Moments (n, n_cosines) of G2 / G1 over visible normals, for stretched directions (n, 3)."""

@@ -1,4 +1,4 @@
-"""`manifold budget`: no more model than a scene needs."""
+"""`manifold budget`: the cheapest representation of each material that preserves a scene's image."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The folder that a budget is written to: nothing that was read, or that somebody else put there, is replaced."""
+"""The output folder of a budget: inputs and files of other origin are never replaced."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""The cheapest representation of every material of a scene that keeps its picture: how it is searched for.
+"""The cheapest representation of every material of a scene that preserves its image: the search.
 
-Rendering is somebody else's: the search is given what a render would show. Candidates are tried cheapest first; those
-whose predicted difference is far beyond the tolerance are not rendered. Each material is judged alone first, the
-others being the reference, then all together; where together they differ too much, all start again with a tolerance
-smaller by the square root of 2. Because of that grid, half the tolerance never gives a cheaper answer: whatever
-passes a small tolerance passes a larger one, and the larger tolerance's grid holds all steps of the smaller one's.
+Rendering is a callback: the search is given the differences that a render shows. Candidates are tried cheapest first;
+those whose predicted difference is far beyond the tolerance are not rendered. Each material is judged alone first,
+the others being the reference, then all together; where together they differ too much, all start again with a
+tolerance smaller by the square root of 2. Because of that grid, half the tolerance never gives a cheaper answer:
+whatever passes a small tolerance passes a larger one, and the larger tolerance's grid holds all steps of the smaller
+one's.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How good models are: methods side by side, judged by materials they have not seen."""
+"""Held-out evaluation: methods compared on materials that they were not fitted to."""
 
 import lazy_loader
 

@@ -1,4 +1,5 @@
-"""Fits of the very material, to hold beside predictions that have not seen it: Mitsuba's principled, neural fits."""
+"""Fits to the evaluated material itself, for comparison with held-out predictions: Mitsuba's principled, neural
+fits."""
 
 from __future__ import annotations
 

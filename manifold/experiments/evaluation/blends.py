@@ -10,7 +10,7 @@ from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import CubeRoot
 from manifold.model.appearance import appearance_pairs, roots_at
-from manifold.model.blend_fitting import Looks, albedo_samples, looks_of
+from manifold.model.blend_fitting import AppearanceDistances, albedo_samples, appearance_distances
 from manifold.model.blend_space import BlendSpace, PlaceSearch
 from manifold.model.combination import Combination
 from manifold.model.decoding import integrating_sphere
@@ -30,7 +30,7 @@ class _Tables:
         roots: samples at the appearance pairs, shape (N B_s, P).
     """
 
-    looks: Looks
+    looks: AppearanceDistances
     bands: Array
     sphere: tuple[Array, Array]
     albedo: list[tuple[Array, Array]]
@@ -43,7 +43,7 @@ class _Tables:
         samples = [material.select_bands(bands.tolist()) for material in data.materials]
         pairs, measure = integrating_sphere()
         return cls(
-            looks_of(data.materials), bands, (roots_at(samples, pairs), measure), albedo_samples(samples),
+            appearance_distances(data.materials), bands, (roots_at(samples, pairs), measure), albedo_samples(samples),
             roots_at(samples, appearance_pairs().pairs),
         )  # fmt: skip
 

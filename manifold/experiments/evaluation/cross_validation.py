@@ -1,6 +1,6 @@
 """The one loop of held-out experiments: fit without some materials, encode these from their data, go on.
 
-Latents that were fitted with the left-out material, or the reconstruction of training data, would flatter.
+Latents fitted with the left-out material, or the reconstruction of training data, would be optimistic.
 """
 
 from __future__ import annotations

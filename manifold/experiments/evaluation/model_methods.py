@@ -121,7 +121,7 @@ def _fit_smooth(model: Manifold) -> Fit:
 def _fit_latents_kept(model: Manifold) -> Fit:
     """The posterior mean at a material's own latent, of a process on the other materials.
 
-    Latents were fitted with the material among the data: this flatters. Of whole materials it is the closed
+    Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
     form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
     """
 

@@ -158,7 +158,7 @@ def make_report(
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
-        anchors: fits of the very materials to show as well; see `anchors.anchor`.
+        anchors: fits to the evaluated materials, for comparison; see `anchors.anchor`.
     Raises:
         UsageError: the grid is unknown.
         LibraryError: a material cannot be read.
@@ -196,7 +196,7 @@ def make_report(
 
 
 def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
-    """Whether a method takes too long on so many materials of so many bands to run unasked."""
+    """Whether a method is too slow for this many materials and bands to run by default."""
     if not method.fits_model:
         return False
     samples = n_materials * min(method.sample_bands or 1, n_bands)

@@ -37,7 +37,7 @@ _TOLERANCE = 1e-4  # of the fits: finer ones move no error by more than it varie
 
 @dataclass(frozen=True)
 class Candidate:
-    """One setting and how it predicts materials it has not seen.
+    """One setting and its held-out errors.
 
     Attributes:
         mapping, latent_dim: the setting.

@@ -1,4 +1,4 @@
-"""How well materials are completed from n readings, method beside method."""
+"""Errors of completion against the number of readings, for several methods."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""`manifold stability`: where methods fail, and whether they say so."""
+"""`manifold stability`: a catalogue of failure modes, and whether they are detected."""
 
 import lazy_loader
 

@@ -137,7 +137,7 @@ class TestBed:
         return _difference(self._ball_from_behind, found, truth)
 
     def embed(self, model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
-        """What a manifold predicts for a material it has not seen, and its diagnostics."""
+        """The prediction of a manifold for a new material, and its diagnostics."""
         found = model.embed(material)
         brdf, messages = predict(model, found.latent, found.colours)
         outside = diagnostics.of_embedding(found.relative_error, _difference(self._ball, brdf, material))

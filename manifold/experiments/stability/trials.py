@@ -1,4 +1,4 @@
-"""Where methods fail, and whether they say so: trials of a catalogue of failure modes, judged by what happened.
+"""Trials of a catalogue of failure modes, and whether failures are detected.
 
 A mode makes its inputs by severity and runs every method that it concerns on them. A trial measures an error, and keeps
 what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning, a diagnostic or a note
@@ -231,9 +231,9 @@ def run_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Sta
 
 
 def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:
-    """Run a method at a severity and judge it by its errors and by what was said.
+    """Run a method at a severity and classify it by its errors and its messages.
 
-    What breaks off without an error of this package is silently wrong: nobody was told what to do.
+    An exception that is not one of this package's errors counts as silently wrong.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -21,7 +21,7 @@ from manifold.colour.difference import to_lab
 from manifold.errors import UsageError
 from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_metrics import Metric
-from manifold.fitting.fit_samples import Evaluated, FitSamples
+from manifold.fitting.fit_samples import EvaluableBRDF, FitSamples
 from manifold.records import Array, Bands
 
 _PAIRS = 512
@@ -41,7 +41,7 @@ def _ball() -> Ball:
 
 
 def fit_target(
-    target: Target, start: Mapping[str, Any], samples: FitSamples, material: Evaluated
+    target: Target, start: Mapping[str, Any], samples: FitSamples, material: EvaluableBRDF
 ) -> dict[str, Any]:
     """Parameters of a target whose model is nearest to a material, all of the target's.
 
@@ -71,7 +71,7 @@ class _Problem:
     """Residuals of a target's free parameters, laid out in one vector."""
 
     def __init__(
-        self, target: Target, start: Mapping[str, Any], samples: FitSamples, material: Evaluated
+        self, target: Target, start: Mapping[str, Any], samples: FitSamples, material: EvaluableBRDF
     ) -> None:
         assert target.brdf is not None
         self._brdf, self._start, self._target = target.brdf, dict(start), target

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
-from manifold.fitting.fit_samples import Evaluated
+from manifold.fitting.fit_samples import EvaluableBRDF
 from manifold.records import Array, Bands
 
 
@@ -27,7 +27,7 @@ def ball_xyz(f: Callable[[Array, Array], Array], bands: Bands) -> Array:
     return ball.xyz(f(ball.wi, ball.wo), bands)
 
 
-def material_xyz(material: Evaluated) -> Array:
+def material_xyz(material: EvaluableBRDF) -> Array:
     """The same of a measured or predicted BRDF."""
     return ball_xyz(material.eval, material.bands)
 

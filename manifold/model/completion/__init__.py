@@ -1,4 +1,4 @@
-"""A full BRDF from a few readings of a material, by what a library of measured materials is like."""
+"""Completion of a BRDF from few readings, with a library of measured materials as prior."""
 
 import lazy_loader
 

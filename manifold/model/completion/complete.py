@@ -90,14 +90,15 @@ class Completion:
         reach = beyond(self.readings, self.samples.bands)
         if reach is not None:
             notes.append(
-                f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm, as the bands at these ends are"
+                f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm with the weights at these bands"
             )
         wi, wo = self.readings.wi, self.readings.wo
         from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
         if from_mirror.min() > _SEES_MIRRORS_DEG:
             notes.append(
-                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, as of "
-                "mirrors and clear coats, are not seen, and expected errors do not know of them"
+                f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, "
+                f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
+                f"them"
             )
         return tuple(notes)
 
@@ -129,7 +130,7 @@ class Completion:
 
     @cached_property
     def alternatives(self) -> tuple[Alternative, ...]:
-        """Hypotheses that look different from each other on the ball, likeliest first."""
+        """Hypotheses that look different from each other on the ball, most probable first."""
         probability, weights = self.hypotheses.probability, self.hypotheses.weights
         on_ball = slice(self.samples.n_grid, None)
         curves = weights @ self.samples.directions[:, on_ball]

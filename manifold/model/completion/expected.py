@@ -38,7 +38,7 @@ class Calibration:
         the level is the median, or such that 90 % of the errors are below twice the expected.
         """
         every = np.ones(len(self.signs), bool)
-        return dict(zip(KINDS, self._line(signs_of(found), every).tolist(), strict=True))
+        return dict(zip(KINDS, self._line(indicators_of(found), every).tolist(), strict=True))
 
     @property
     def left_out(self) -> Array:
@@ -58,8 +58,9 @@ class Calibration:
         return np.exp(level + slopes @ at + np.maximum(np.median(above, axis=0), enough))
 
 
-def signs_of(found: Completion) -> Array:
-    """What tells how wrong a completion is: root mean square misfit of readings, spread of hypotheses; shape (2,)."""
+def indicators_of(found: Completion) -> Array:
+    """Indicators of the error of a completion: root mean square residual of readings, spread of hypotheses;
+    shape (2,)."""
     return np.array([float(np.sqrt(np.mean(found.misfits**2))), found.spread])
 
 
@@ -75,7 +76,7 @@ def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
     for m in range(len(samples.names)):
         found = leave_out(samples, m, at_readings, readings)
         errors.append(completion_errors(samples, m, found))
-        signs.append(signs_of(found))
+        signs.append(indicators_of(found))
     return Calibration(np.array(errors), np.array(signs))
 
 

@@ -1,4 +1,4 @@
-"""The map as a page: tables of a model, and the page that shows what they predict."""
+"""The interactive map: tables of a model, and the web page that predicts from them."""
 
 import lazy_loader
 

@@ -12,13 +12,13 @@ export const controls = {
     const { data } = this;
     const options = (select, names) => select.append(...names.map((name) => new Option(name, name)));
     for (const id of ["like", "path-from", "path-to"]) options(this.byId(id), data.names);
-    this.byId("pinned").append(new Option("nothing", ""), new Option("the pinned place", "\u0000pinned"));
+    this.byId("pinned").append(new Option("nothing", ""), new Option("the pinned latent", "\u0000pinned"));
     options(this.byId("pinned"), data.names);
     this.byId("path-to").value = data.names[data.names.length - 1];
     options(this.byId("illuminant"), Object.keys(data.toSrgb));
     if (!data.wavelengths) {
       this.byId("illuminant").disabled = true;
-      this.byId("illuminant").title = "the materials of this library carry no spectra";
+      this.byId("illuminant").title = "the materials of this library have no spectra";
     }
     const letters = ["x", "y", "z"];
     data.X[0].forEach((_, q) => {

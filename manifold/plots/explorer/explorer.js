@@ -36,7 +36,7 @@ export class Explorer {
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
     this.balls = BallRenderer.create(this.byId("ball"), materials);
-    if (!this.balls) this.problem("This browser has no WebGL2 that holds these materials, so balls are not drawn; all else works.");
+    if (!this.balls) this.problem("This browser's WebGL2 cannot hold these materials, so balls are not drawn; everything else works.");
     this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }

@@ -8,7 +8,7 @@ const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
 const MISSED = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
-  /** Error to expect, 0 at a material; null where it is not known. */
+  /** Expected error, 0 at a material; null where it is unknown. */
   error() {
     const isMaterial = this.materials.materialAt(this.state.x) >= 0;
     return isMaterial ? 0 : fieldAt(this.data.error, this.state.x);
@@ -22,10 +22,10 @@ export const facts = {
   diagnostics() {
     const { data, prediction, state } = this, found = [];
     if (data.error && prediction.u[this.materials.materialAt(state.x)] !== 1 && this.isUnsupported()) {
-      found.push("extrapolated: the data say little here; choose a latent nearer to the materials");
+      found.push("not supported by the data; choose a latent nearer to the materials");
     }
     const valley = Math.max(...this.slices.map(deepestValley));
-    if (valley > VALLEY) found.push(`the highlight has a dark valley of ${percent(valley)}`);
+    if (valley > VALLEY) found.push(`dark hole or ring near the mirror direction: ${percent(valley)} deep`);
     if (prediction.missed > MISSED) {
       found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.missed.toFixed(2)}`);
     }
@@ -53,7 +53,7 @@ export const facts = {
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = data.error ? "beyond the map" : "not known";
+    const beyond = data.error ? "outside the map" : "unknown";
     this.byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {

@@ -29,7 +29,7 @@ const plainName = (file) =>
 function inWords(result) {
   const made = result?.exports?.[0];
   if (made) {
-    const loss = made.ciede2000 === null ? "its loss is not evaluated" : `loses ${made.ciede2000.toFixed(2)} CIEDE2000`;
+    const loss = made.ciede2000 === null ? "its error is not evaluated" : `error ${made.ciede2000.toFixed(2)} CIEDE2000`;
     const principled = made.principled_ciede2000;
     return `, ${loss}` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
   }
@@ -132,7 +132,7 @@ class Actions {
       if (this.wait > POLL) this.explorer.problem("");
       this.wait = POLL;
     } catch (error) {
-      this.explorer.problem(`manifold explore does not answer: ${error.message}`);
+      this.explorer.problem(`manifold explore does not respond: ${error.message}`);
       this.wait = Math.min(2 * this.wait, LONGEST);
     }
     if ([...this.list.children].some((item) => OPEN.has(item.dataset.state))) {

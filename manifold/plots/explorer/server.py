@@ -101,7 +101,7 @@ class ExplorerServer(ThreadingHTTPServer):
             self._connections.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A connection that broke is nobody's concern."""
+        """Ignore broken connections."""
 
 
 class _Handler(BaseHTTPRequestHandler):

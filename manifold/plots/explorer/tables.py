@@ -37,7 +37,7 @@ _COMPONENTS = 8  # of the spectral basis, at most
 _NODES = 32  # visible bands that colours are made of, at most
 _VISIBLE_NM = (380.0, 780.0)
 _LEAST_WEIGHT = (
-    0.3  # of a band in the basis, relative to the largest: paths are made of bands that nobody sees, too
+    0.3  # of a band in the basis, relative to the largest: paths include bands outside the visible range
 )
 _DARK = 0.05  # of a material's median: ratios of components below this are not resolved
 _FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map

@@ -13,7 +13,7 @@ from manifold.system import atomic
 from . import options, terminal
 from .application import app
 from .outputs import Force, or_default
-from .point_options import count_words, raise_failed
+from .point_options import count_words, raise_failed, replacing
 
 if TYPE_CHECKING:
     from manifold.workflows.exports import ExportOutcome
@@ -98,7 +98,8 @@ def export(
         many = TARGETS[target or "gltf"]
         folder = output or Path("exports")
         with terminal.progress("Exporting") as step:
-            outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct)
+            check = replacing("export", source, force)
+            outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct, check=check)
         _show_all(results, outcomes, folder)
         return
     path = or_default(output, "material.glb", "export", force)

@@ -143,6 +143,20 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     assert "kept" in run("export", library, "-o", tmp_path / "out").stdout
 
 
+def test_a_folder_s_own_files_are_not_replaced(folder, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "copper.json").write_text('{"of": "somebody"}')
+    words = ["export", folder, "-o", out, "--target", "unity"]
+    result = run(*words)
+    assert "copper: " in str(result.exception)
+    assert "not written by this command" in str(result.exception)
+    assert (out / "copper.json").read_text() == '{"of": "somebody"}'
+    assert run(*words, "--force").exit_code == 0
+    (out / "exports.json").unlink()
+    assert run(*words).exit_code == 0  # its own
+
+
 def test_two_files_of_one_name_are_refused(folder, tmp_path):
     for part in ("a", "b"):
         (tmp_path / part).mkdir()

@@ -30,6 +30,7 @@ def export_all(
     on_progress: Progress | None = None,
     *,
     is_direct: bool = False,
+    check: Callable[[Path], None] | None = None,
 ) -> list[ExportOutcome]:
     """Write every material of a library, or every `.bsdf` file and fit of a folder; what is done is left.
 
@@ -39,6 +40,7 @@ def export_all(
         folder: where to; made if missing. Its `exports.json` names what is done; until the end, `exports.journal` does.
         on_progress: called after each material.
         is_direct: as in `exports.export`.
+        check: called before a file is replaced; raises UsageError where it may not be.
     Returns:
         One outcome per material; one that cannot be exported does not stop the others.
     Raises:
@@ -60,7 +62,7 @@ def export_all(
             if known is not None:
                 outcomes.append(ExportOutcome(name, path, known, was_there=True))
             else:
-                outcomes.append(_export_one(name, read, target, path, is_direct))
+                outcomes.append(_export_one(name, read, target, path, is_direct, check))
                 made = outcomes[-1].export
                 if made is not None:
                     index.add(path, made_of, made)
@@ -70,9 +72,12 @@ def export_all(
 
 
 def _export_one(
-    name: str, read: Callable[[], Subject], target: Target, path: Path, is_direct: bool
-) -> ExportOutcome:
+    name: str, read: Callable[[], Subject], target: Target, path: Path, is_direct: bool,
+    check: Callable[[Path], None] | None,
+) -> ExportOutcome:  # fmt: skip
     try:
+        if check is not None:
+            check(path)
         return replace(export(read(), target, path, is_direct=is_direct), name=name)
     except ManifoldError as error:
         return ExportOutcome(name, path, None, failure=str(error))

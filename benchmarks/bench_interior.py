@@ -1,4 +1,4 @@
-"""How believable the inside of a map is: the table of docs/design/blends.md.
+"""Plausibility of random latents of a map: the table of docs/design/blends.md.
 
     python benchmarks/bench_interior.py LIBRARY [--latent-dim Q] [--kind KIND] [--count N] [--seeds 0,1,2] [--written N]
 

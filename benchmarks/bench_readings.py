@@ -1,4 +1,4 @@
-"""Do suggested readings beat random ones, are expected errors right, and are corrected colours?
+"""Suggested readings against random ones, calibration of expected errors, and colour corrections.
 
     python benchmarks/bench_readings.py library.zarr
 

@@ -1,4 +1,4 @@
-"""Why light needs spectra: materials under the fluorescent lamp F11, rendered in bands and in RGB.
+"""Why illuminants need spectra: materials under the fluorescent lamp F11, rendered in bands and in RGB.
 
 Draws, for a few materials of the built-in corpus, the spectral render under F11 and that of the same file reduced to
 linear sRGB, both adapted to the lamp's white, and prints the mean CIEDE2000 over the ball between each and a spectral

@@ -1,4 +1,4 @@
-"""What is inside a map, seen: pictures of places nobody chose, of walks, and of chosen colours.
+"""Pictures of a map at random latents: predictions, walks, and chosen colours.
 
     python benchmarks/gallery.py MODEL.h5 --figures FOLDER [--seed 0]
 

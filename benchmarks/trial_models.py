@@ -1,4 +1,4 @@
-"""Latent variable models with what the package lacks: priors per axis, mu and length scales by likelihood, more starts.
+"""Latent variable models with options that the package lacks: priors per axis, mu and length scales by likelihood.
 
 What won a trial is in the package; the rest lives here alone. See bench_held_out.py.
 """

@@ -1,4 +1,4 @@
-"""The application that every module of commands adds its own to."""
+"""The Typer application to which every module adds its commands."""
 
 from .outputs import GuardedTyper
 

@@ -1,4 +1,4 @@
-"""The command `manifold`: its subcommands, its exit status, and how an error looks."""
+"""The command `manifold`: its subcommands, exit status, and error messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every error the package raises on purpose: one base class, one line of text.
+"""The exceptions of the package: one base class, messages of one line.
 
 A message says where, what was found, what was expected, and what to do.
 """

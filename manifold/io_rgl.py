@@ -1,4 +1,4 @@
-"""RGL files: tensor files of a material database, read into `BsdfFile` records, everything checked, and written back.
+"""RGL files: tensor files of a material database, read into validated `BsdfFile` records, and written back.
 
 Source: Dupuy & Jakob 2018; what is checked is what Mitsuba's `measured` plugin relies on.
 """

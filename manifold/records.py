@@ -1,4 +1,4 @@
-"""The frozen records that travel between modules."""
+"""Frozen records shared by the modules."""
 
 from __future__ import annotations
 

@@ -386,7 +386,7 @@ def test_a_model_is_read_again_after_its_library_has_changed(models, tmp_path):
         ({"latent": "a,b"}, "expected numbers"),
         ({"latent": "0.1,0.2", "tolerance": 50.0}, "expected a share"),
         ({"latent": "0.1,0.2", "model": "nothing.h5"}, "nothing.h5"),
-        ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "carry their colours"),
+        ({"latent": "0.1,0.2", "srgb": "#ff0000"}, "colours cannot be chosen"),
         ({"latent_0": 0.1, "latent_1": 0.2, "like": "syn_gloss_red"}, "like needs one latent"),
     ],
 )

@@ -323,7 +323,7 @@ def test_scenes_that_cannot_be_budgeted_say_why(tmp_path):
     fails(FileFormatError, "found <model>, expected <scene>", "<model/>")
     fails(FileFormatError, "no dictionary of the type scene", {"type": "sphere"})
     fails(UsageError, r"none.bsdf: no such file", scene(ball=sphere(0.0, tmp_path / "none.bsdf")))
-    fails(UsageError, "no plain value", scene(ball=sphere(0.0, "x"), odd=object()))
+    fails(UsageError, "not plain data", scene(ball=sphere(0.0, "x"), odd=object()))
     path = lambert_file(tmp_path, "grey", np.full(20, 0.5))
     fails(UsageError, "no pixel shows a measured material", scene(ball=sphere(50.0, path)))
     without_camera = scene(ball=sphere(0.0, path))

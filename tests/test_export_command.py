@@ -170,7 +170,7 @@ def test_an_output_of_another_kind_is_not_replaced(folder, tmp_path):
     words = ["export", folder / "copper_rgb.fit.json", "-o", tmp_path / "x.glb"]
     result = run(*words)
     assert isinstance(result.exception, UsageError)
-    assert "not what this command writes" in str(result.exception)
+    assert "was not written by this command" in str(result.exception)
     for _ in range(2):  # and then its own
         assert run(*words, "--force").exit_code == 0
     assert run(*words).exit_code == 0
@@ -189,7 +189,7 @@ def test_an_output_of_another_kind_is_not_replaced(folder, tmp_path):
         (["nowhere.bsdf", "-o", "x.glb"], "No such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
         ([".", "-o", "x.glb"], "named like a file, expected a folder"),
-        ([".", "-o", "copper_rgb.bsdf"], "not what this command writes"),
+        ([".", "-o", "copper_rgb.bsdf"], "was not written by this command"),
     ],
 )
 def test_bad_requests_are_one_clear_error_each(folder, monkeypatch, words, expected):

@@ -499,7 +499,10 @@ ETA = FreeParameter("eta", 0.5, 3.0, 1.0, per_band=True)
         (lambda s: fit_bsdf(s, principled(["colour"])), "no free parameter 'colour'"),
         (lambda s: fit_bsdf(s, BsdfFamily("no_such", (FreeParameter("a", 0, 1, 0.5),))), "no_such"),
         (lambda s: fit_bsdf(s, BsdfFamily("principled", (FreeParameter("shine", 0, 1, 0.5),))), "shine"),
-        (lambda s: fit_bsdf(s, BsdfFamily("conductor", (ETA,))), "conductor reflects in single directions"),
+        (
+            lambda s: fit_bsdf(s, BsdfFamily("conductor", (ETA,))),
+            "conductor reflects into discrete directions",
+        ),
         (lambda s: FreeParameter("a", 1, 0, 0.5), "minimum < maximum"),
         (lambda s: FreeParameter("a", 0, 1, 0.5, transform="cube"), "transform 'cube'"),
         (lambda s: BsdfFamily.from_json({"type": "principled"}), "parameters"),

@@ -269,7 +269,7 @@ def test_a_library_that_cannot_be_written_opens_and_reads() -> None:
 
 
 def test_a_missing_library_says_how_to_make_one(tmp_path: Path) -> None:
-    with pytest.raises(LibraryError, match="no such library; `manifold import"):
+    with pytest.raises(LibraryError, match="no such library; create it with `manifold import"):
         Library.open(tmp_path / "library.zarr")
 
 

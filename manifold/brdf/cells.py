@@ -1,4 +1,4 @@
-"""Where the cells of an RGL file look: outgoing directions of its grids, seen from one incident direction."""
+"""Outgoing directions of the cells of an RGL file, for one incident direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nearest physical file, in the simplest sense: nothing negative, reciprocal, no more light out than in.
+"""Projection of a file to a physical one: non-negative, reciprocal, albedo at most 1.
 
 What is rendered is what a file interpolates, not the BRDF that it was measured from. So the nodes are projected, and
 what lies between them is looked at.

@@ -1,4 +1,4 @@
-"""How physical a BRDF is: negative values, reciprocity, albedo."""
+"""Physical plausibility of a BRDF: negative values, reciprocity, albedo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weighted sums of measured BRDFs, or of their cube roots, all materials of a direction pair together."""
+"""Weighted sums of measured BRDFs, or of their cube roots, evaluated together for each direction pair."""
 
 from __future__ import annotations
 

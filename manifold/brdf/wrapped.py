@@ -1,4 +1,4 @@
-"""What BRDFs that change the values of another one have in common."""
+"""Base class of BRDFs that modify the values of another one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The colours of a material's ball under the studio's light, by quadrature: a fast stand-in for a render.
+"""Colours of a material's ball under the studio light, by quadrature: a fast substitute for a render.
 
 The ball floats in the studio of `manifold.colour.studio`, with the light of the floor from below, and is seen from
 afar. Each pixel looks at one point of it, where the light that arrives is summed over half vectors, densest around the

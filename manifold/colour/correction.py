@@ -1,4 +1,4 @@
-"""Colour correction of one instrument by another: polynomials of its bands, with as many terms as the data bear.
+"""Colour correction of one instrument to another: polynomials of its bands.
 
 Errors are relative, so highlights do not rule. Beyond the values it was learned at, a polynomial is continued in
 proportion, since its higher terms explode there.

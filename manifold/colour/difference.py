@@ -1,4 +1,4 @@
-"""How different a prediction looks: CIEDE2000 and spectral angle at the geometries of multi-angle instruments.
+"""Colour differences of predictions: CIEDE2000 and spectral angle at the geometries of multi-angle instruments.
 
 Light comes in at 45 degrees; the detectors stand in the plane of incidence at aspecular angles of -15, 15, 25,
 45, 75 and 110 degrees, counted from the mirror direction towards the light, as in ASTM E2194 and E2539 for

@@ -1,4 +1,4 @@
-"""Two older ways of fitting, kept to be compared with: two-stage Adam, and a particle swarm.
+"""Two earlier fitting methods, for comparison: two-stage Adam, and a particle swarm.
 
 Source: the measured-material pipeline of a game studio, and its predecessor of 2015 for a hand-held instrument of 20
 geometries. Where it gives no numbers (learning rate, penalty, window of the convergence test), those here are ours.

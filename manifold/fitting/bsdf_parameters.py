@@ -1,4 +1,4 @@
-"""What a fit may change in a BSDF: its free parameters and their ranges, as data."""
+"""Free parameters of a BSDF and their ranges, as data."""
 
 from __future__ import annotations
 

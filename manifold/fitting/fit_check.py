@@ -1,4 +1,4 @@
-"""Whether the JSON of a fit can be used: it follows the schema, and its entries agree with each other."""
+"""Validation of the JSON of a fit: schema, and consistency of its entries."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Source:
         name: of the material.
         file, sha256: name and hash of the measured file; None for a prediction.
         latent, model, model_sha256: where a prediction comes from, the model's file and its hash; None for a file.
-        colour: of a prediction, in words; None for a file, and where latents carry their colours.
+        colour: of a prediction, in words; None for a file, and where colours are fixed by latents.
     """
 
     name: str

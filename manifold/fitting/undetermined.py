@@ -1,4 +1,4 @@
-"""Parameters that samples do not determine keep the BSDF's defaults, instead of what noise drives them to."""
+"""Parameters that the samples do not determine keep the defaults of the BSDF."""
 
 from __future__ import annotations
 

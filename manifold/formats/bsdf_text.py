@@ -1,4 +1,4 @@
-"""What the text formats `.bsdf` of LightTools and Zemax share: words, lists with counts, and tables of blocks."""
+"""Common parts of the text formats `.bsdf` of LightTools and Zemax: words, lists with counts, and tables of blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file that is no tensor file seems to be: formats that share the extension .bsdf, and failed downloads."""
+"""Names of foreign formats, for error messages: files that share the extension .bsdf, and failed downloads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Formats of instruments, told apart by their content: what reads a file, whatever its name.
+"""Formats of instruments, recognised by their content.
 
 A format is a module with `sniff(head) -> bool` and `read(path) -> list of records`.
 """

@@ -1,4 +1,4 @@
-"""Pictures that stand in a sheet of a workbook, by the caption in the cell to their left."""
+"""Images in a sheet of a workbook, by the caption in the cell to their left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTTP over connections that end at a deadline, whatever a server does to keep them open.
+"""HTTP connections that end at a deadline, whatever the server does.
 
 The timeout of a socket begins anew with every byte: headers that drip, and endless `100 Continue`, outlast it.
 """

@@ -1,4 +1,4 @@
-"""One file over HTTP: resumed, verified, and never half under its final name."""
+"""Download of one file over HTTP: resumable, verified, and atomic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What identifies a material of a library: its name, the hash of its file, the hash of its content."""
+"""Identity of a material in a library: its name, the hash of its file, the hash of its content."""
 
 from __future__ import annotations
 

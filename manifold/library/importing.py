@@ -1,4 +1,4 @@
-"""Files into a library: every finished material at once and whole, however the import ends."""
+"""Import of files into a library; every finished material is added atomically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of the files of the RGL material database.
+"""The table of the files of the RGL material database.
 
 Source: Dupuy & Jakob 2018, An Adaptive Parameterization for Efficient Material Acquisition and Rendering,
 DOI 10.1145/3272127.3275059 (CC0 1.0). Sizes and checksums: `manifold/library/rgl_isotropic.tsv`.

@@ -1,4 +1,4 @@
-"""How a library is laid out: one zarr v3 store of RGL files, one group per material.
+"""The layout of a library: one zarr v3 store of RGL files, one group per material.
 
     library.zarr/             attributes: schema, schema_version, bands (wavelengths in nm, or "RGB")
       materials/NAME/         attributes of `MaterialInfo`, and one array per field of `BsdfFile`

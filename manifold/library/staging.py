@@ -1,4 +1,4 @@
-"""Writing a folder so that a reader, or a SIGKILL, never meets half of it: lock, stage beside, rename.
+"""Atomic writing of a folder, safe against readers and SIGKILL: lock, stage, rename.
 
 Beside a library `NAME` stand, only while somebody writes: the lock `.NAME.lock`, the staging folder
 `.NAME.importing-*` and, while a material is replaced, `.NAME.replacing`. What a killed process left is

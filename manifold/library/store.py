@@ -1,4 +1,4 @@
-"""The library: RGL files in one zarr store, opened for reading; `manifold.library.schema` says how it is laid out.
+"""The library: RGL files in one zarr store, opened for reading; its layout is in `manifold.library.schema`.
 
 Written once, renamed into place when whole (`manifold.library.staging`), never changed.
 """

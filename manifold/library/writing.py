@@ -1,4 +1,4 @@
-"""Making a library, and writing a material into a folder that is published when it is whole."""
+"""Creation of a library, and writing of a material into a staging folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading groups and arrays through zarr, after a look at what they announce: zarr believes it."""
+"""Reading groups and arrays through zarr, after validating their declared sizes, which zarr trusts."""
 
 from __future__ import annotations
 

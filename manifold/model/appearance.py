@@ -1,4 +1,4 @@
-"""The direction pairs by which new materials find their place among blends: what is measured, and what is seen."""
+"""Direction pairs by which new materials are located among blends: those of the measurements, and of the ball."""
 
 from __future__ import annotations
 

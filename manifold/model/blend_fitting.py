@@ -1,4 +1,4 @@
-"""What a map of blends is laid out by: how different materials look, and how their blends look."""
+"""Distances for the layout of blends: differences in appearance of materials and of their blends."""
 
 from __future__ import annotations
 

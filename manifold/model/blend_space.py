@@ -1,4 +1,4 @@
-"""A map of blends: every place is a non-negative combination of the materials around it."""
+"""The latent space of blends: every point is a non-negative combination of the surrounding materials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A predicted BRDF as an RGL file that returns no more light than measured ones."""
+"""A predicted BRDF as an RGL file whose albedo is checked."""
 
 from __future__ import annotations
 

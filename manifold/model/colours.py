@@ -1,4 +1,4 @@
-"""The colour of a predicted structure, as people give it: like a material, as a spectrum, or as sRGB."""
+"""The chosen colour of a prediction: that of a material, a spectrum, or sRGB."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ChosenColour:
     """A colour on a manifold.
 
     Attributes:
-        colours: colour coordinate of every band, shape (B,); None where latents carry their colours.
+        colours: colour coordinate of every band, shape (B,); None where colours are fixed by latents.
         words: where it comes from.
         missed: largest distance over bands of the reflectance asked for from the one reached.
     """

@@ -1,4 +1,4 @@
-"""Predictions as weighted sums: `T^-1(sum of weights * T(samples))`, on whatever direction pairs are at hand.
+"""Predictions as weighted sums: `T^-1(sum of weights * T(samples))`, on any direction pairs.
 
 Every method of this package, baselines included, predicts so. It finds its weights once; here they meet
 measured values, block by block, on grids of any size.

@@ -1,4 +1,4 @@
-"""Diagnostics of a result, in sentences for a user; an empty tuple where nothing speaks against it."""
+"""Diagnostics of a prediction or an embedding, as sentences; empty if there are none."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Diagnosis:
     """Diagnostics and expected error of a prediction.
 
     Attributes:
-        expected_ball: error to expect, mean CIEDE2000 of the ball; None where the model is not calibrated.
+        expected_ball: expected error, mean CIEDE2000 of the ball; None where the model is not calibrated.
         expected_cube_root: the same, relative error of cube roots.
         is_extrapolation: whether the data do not support the place.
         nearest: the three nearest materials with their distances.
         reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
         plausibility: measured on the prediction, or on the file that was written.
-        diagnostics: what speaks against it, in sentences.
+        diagnostics: defects found, as sentences.
     """
 
     expected_ball: float | None

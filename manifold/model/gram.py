@@ -1,4 +1,4 @@
-"""Gram matrices of materials: what the manifold sees of the data, by quadrature in bounded memory."""
+"""Gram matrices of materials, by quadrature in bounded memory."""
 
 from __future__ import annotations
 

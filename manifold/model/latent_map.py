@@ -1,4 +1,4 @@
-"""The map of a library: latents of its materials, and what is known of a place among them."""
+"""The map of a library: latents of its materials, weights, uncertainty and expected error at a latent."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class LatentMap:
         """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
 
         Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
-        given, or in the colours of the materials around.
+        given, or in the colours of the surrounding materials.
         """
         return self._at(x, lambda X: self.space.material_weights(X, colours))
 
@@ -60,7 +60,7 @@ class LatentMap:
         """Posterior over prior standard deviation at latents x (M, Q) or (Q,), in [0, 1].
 
         Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
-        over the sample bands in the colours of the materials around.
+        over the sample bands in the colours of the surrounding materials.
         """
         return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
 

@@ -1,4 +1,4 @@
-"""Fitted latent spaces, arrays in and arrays out: whole materials as points, and materials as curves.
+"""Interfaces of fitted latent spaces, arrays in and arrays out.
 
 In a `MaterialSpace` a material is one point, and one set of weights serves all bands. In a `CurveSpace` every
 band is a point: its structure coordinates are the material's, its colour coordinate is its own, and every
@@ -131,7 +131,8 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def join(self, X: Array, colours: Array | None) -> Array:
-        """Latents of the process at X (M, Q) in colours (B,), or in those of the materials around, (M R, Q')."""
+        """Latents of the process at X (M, Q) in colours (B,), or in those of the surrounding
+        materials, (M R, Q')."""
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
@@ -146,7 +147,7 @@ class LatentSpace(ABC):
         """Colour coordinates and reflectances of the materials in all bands, shape (N, B) each.
 
         Raises:
-            UsageError: whole materials are points, and carry their colours with them.
+            UsageError: whole materials have fixed colours.
         """
 
     @abstractmethod
@@ -154,7 +155,7 @@ class LatentSpace(ABC):
         """Colours (B,) as float64.
 
         Raises:
-            UsageError: materials carry their colours here, and colours are given.
+            UsageError: colours are given, but fixed by the latents.
             ShapeError: they are not (B,) or not finite.
         """
 

@@ -1,4 +1,4 @@
-"""Latent coordinates as users give them, checked."""
+"""Validation of latent coordinates given by users."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every material left out once, the others kept where they are: what expected errors are calibrated by."""
+"""Leave-one-out with the latents of the others kept: the calibration of expected errors."""
 
 from __future__ import annotations
 

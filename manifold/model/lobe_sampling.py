@@ -1,4 +1,4 @@
-"""Importance sampling of analytic lobes, to render predictions that hold them."""
+"""Importance sampling of analytic lobes, to render predictions that contain them."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Located:
         expected_ball: what is to be expected of the ball there; None where the model is not calibrated.
         expected_cube_root: the same of cube roots.
         nearest: the three nearest materials with their distances.
-        diagnostics: what speaks against it.
+        diagnostics: defects found, as sentences.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""The fitted manifold: latents of the materials of a library, and what they predict."""
+"""The fitted manifold: latents of the materials of a library, and predictions from them."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Manifold(LatentMap):
 
         Args:
             on_progress: called with (done, total, what) while they are read.
-            x: a latent (Q,): then, where materials carry their colours, only those with a weight there are read.
+            x: a latent (Q,): then, where materials have fixed colours, only those with a weight there are read.
         """
         if self.space.sample_bands is not None:
             self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
@@ -128,10 +128,10 @@ class Manifold(LatentMap):
             used = np.flatnonzero(self.combination(x, None).weights)
             self.materials.filled([self.names[k] for k in used], on_progress)
 
-    # -- errors to expect ----------------------------------------------------------------------------------
+    # -- expected errors ----------------------------------------------------------------------------------
 
     def calibrate(self, on_progress: Progress | None = None) -> None:
-        """Leave every material out once, in seconds to minutes: afterwards the model knows what errors to expect.
+        """Leave every material out once, in seconds to minutes: calibrates the expected errors of the model.
 
         Models of fewer than four materials stay as they are.
         """
@@ -143,7 +143,7 @@ class Manifold(LatentMap):
         """Colour coordinates of a monochrome manifold, as reflectances.
 
         Raises:
-            UsageError: its materials are points and carry their colours.
+            UsageError: its materials have fixed colours.
         """
         return ReflectanceColours(self.space, self.materials, self.settings)
 

@@ -1,4 +1,4 @@
-"""Values of the materials of a library in a few bands: what predictions of left-out ones are compared with."""
+"""Values of the materials of a library in a few bands, with which left-out predictions are compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The measured materials behind a manifold, read from its library when first asked for."""
+"""The measured materials of a manifold, read from its library on first use."""
 
 from __future__ import annotations
 

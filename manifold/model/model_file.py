@@ -1,4 +1,4 @@
-"""Models as HDF5 files that are read without HDF5: damage is found before anything is made of the bytes.
+"""Model files: HDF5 read without the HDF5 library, after their hash was verified.
 
     bytes 0 to 511      the user block: magic, format version, place of the record, SHA-256 of all other bytes
     the rest            HDF5, for other programs: the arrays in `space`, and `record`

@@ -1,4 +1,4 @@
-"""Predictions written as RGL files, and what is known of them."""
+"""Predictions written as RGL files, with their diagnostics."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Prediction:
         is_physical: whether it was projected to be reciprocal and to return no more light than it gets.
         weights: the materials with the largest weights, by magnitude, in this colour.
         clipped_share: share of the predicted values that were negative, and are zero in the file.
-        diagnosis: errors to expect, what was measured on the file as it was written, and what speaks against it.
+        diagnosis: expected errors, measurements on the written file, and diagnostics.
         seconds: evaluating, checking and writing, without loading the library.
     """
 
@@ -56,7 +56,7 @@ class Prediction:
 
     @property
     def diagnostics(self) -> tuple[str, ...]:
-        """What speaks against it, in sentences."""
+        """Defects found, as sentences."""
         return self.diagnosis.diagnostics
 
     def to_json(self) -> dict[str, Any]:

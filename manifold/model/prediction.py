@@ -1,4 +1,4 @@
-"""Predicted BRDFs: weighted sums of measured ones in a mapped domain, evaluated only where asked."""
+"""Predicted BRDFs: weighted sums of measured ones in a mapped domain, evaluated lazily."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What spaces of Gaussian processes have in common: a material is left out by leaving out its samples."""
+"""Base class of latent spaces of Gaussian processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nearest prediction of a new material, from all samples of a library and analytic lobes, without latents."""
+"""Reconstruction of a new material by non-negative least squares over all samples and analytic lobes."""
 
 from __future__ import annotations
 

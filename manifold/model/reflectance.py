@@ -1,4 +1,4 @@
-"""Colours of a monochrome manifold as reflectances: what the colour coordinates of a structure mean to people.
+"""Colours of a monochrome manifold as reflectances.
 
 Reflectance is the directional-hemispherical one at 8 degrees, specular included, as integrating spheres measure it;
 of an RGB library, the linear sRGB colour.
@@ -27,7 +27,7 @@ class ReflectanceColours:
         """Take a fitted space and the materials behind it.
 
         Raises:
-            UsageError: its materials are points and carry their colours.
+            UsageError: its materials have fixed colours.
         """
         self._own, self._reflectances = space.colour_table()
         self._space, self._materials, self._settings = space, materials, settings

@@ -1,4 +1,4 @@
-"""Settings and latent spaces of model files, checked against each other and against the library."""
+"""Validation of the settings and latent spaces of model files, against each other and the library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a manifold was fitted."""
+"""The settings of a fit."""
 
 from __future__ import annotations
 

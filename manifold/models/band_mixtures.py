@@ -1,4 +1,4 @@
-"""Mixtures of two materials, band by band: what colours at a few readings say of a material's structure.
+"""Mixtures of two materials, updated band by band with the colours of the readings.
 
 A coat's highlight is white and a metal's is not; bodies keep their hue. Which materials a sample is a mixture of shows
 in every band, not in the mean alone.

@@ -1,8 +1,8 @@
-"""Maps whose every place is a blend: weights are never negative, sum to 1, and are a unit vector at each sample.
+"""Blends: weights that are never negative, sum to 1, and are a unit vector at each sample; their layout.
 
-A Gaussian process interpolates with weights of alternating sign, which carve dark holes into highlights. A blend
-cannot: its values lie between those of the materials around, and it moves as smoothly as its weights do. What it needs
-is a layout in which materials that look alike, and whose blends look like materials, are neighbours.
+A Gaussian process interpolates with weights of alternating sign, which cause dark holes in highlights. The values of a
+blend lie between those of the surrounding materials, and change as smoothly as its weights. It needs a layout in which
+neighbours have a similar appearance, and their blends look like materials.
 """
 
 from __future__ import annotations

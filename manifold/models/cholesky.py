@@ -1,4 +1,4 @@
-"""The Cholesky factor of a covariance, with as little jitter as it takes, and a word about why."""
+"""The Cholesky factor of a covariance, with as little jitter as necessary, and a warning."""
 
 from __future__ import annotations
 

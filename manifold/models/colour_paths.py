@@ -1,4 +1,4 @@
-"""Colours without negative weights: a path from black to white for every material, through what was measured of it.
+"""Colours with non-negative weights: a path from black to white for every material.
 
 A vertex of a path is a set of weights over monochrome samples (single bands of materials, in cube roots) and the
 reflectance that they give. A material's own bands are vertices, in the order of their reflectance. Darker than all of

@@ -1,4 +1,4 @@
-"""Weights of samples that meet a few readings of a material, and say of the rest what hypotheses say."""
+"""Weights of samples that fit the readings and stay close to the posterior mean elsewhere."""
 
 from __future__ import annotations
 

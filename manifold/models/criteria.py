@@ -1,4 +1,4 @@
-"""By what a latent is said to fit the data of a new material: criteria, as functions of weights and variances.
+"""Criteria that locate a new material, as functions of weights and variances.
 
 A material has R rows, of one latent each: a whole material one of all its bands, single bands a row per band. A
 criterion maps weights V (R, n) of the training samples and posterior variances v (R,), in units of the output

@@ -1,4 +1,4 @@
-"""What the bands of a material are combined from where weights may only add: samples, their powers, and lobes."""
+"""The dictionary of non-negative least squares: samples, their powers, and lobes."""
 
 from __future__ import annotations
 

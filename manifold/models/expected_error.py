@@ -1,4 +1,4 @@
-"""What error to expect of a prediction at a place, by the errors of materials that were left out."""
+"""Expected error of a prediction at a latent, from the errors of left-out materials."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FAR = 0.25  # power of the distance to the nearest material, in length scales, 
 class ExpectedError:
     """`e(x) = c prod e_i^u_i(x) hypot(1, d(x))^(1/4)`: one number, `c`, is fitted.
 
-    The errors e_i of the materials around when they were left out, averaged in logarithms by the weights u of a blend,
+    The leave-one-out errors e_i of the surrounding materials, averaged in logarithms by the weights u of a blend,
     and growing where the nearest material is farther than a length scale, by d.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""Weights of the training samples: what a Gaussian process with one kernel for all outputs knows from latents alone.
+"""Weights of the training samples in a Gaussian process with one kernel for all outputs, from latents alone.
 
 Because all outputs share one kernel, a prediction is a weighted sum of the training samples. `GPWeights` never sees
 an output.

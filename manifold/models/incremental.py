@@ -1,4 +1,4 @@
-"""The likelihood after a move of one coordinate of one latent, in O(N^2): what direct local search runs on."""
+"""The likelihood after a move of one coordinate of one latent, in O(N^2), for direct local search."""
 
 from __future__ import annotations
 

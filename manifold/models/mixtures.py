@@ -1,4 +1,4 @@
-"""Mixtures of two samples as hypotheses about a material of which a few readings are known, and what they say of it.
+"""Posterior over mixtures of two samples, given a few readings of a material.
 
 Which samples a material resembles, and thus its highlight between the readings, is not determined by a dozen
 readings: many mixtures meet them. They are all tried, and averaged by how well they do.

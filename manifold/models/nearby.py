@@ -1,4 +1,4 @@
-"""What weights of samples miss at some readings, carried to the directions nearby by a Gaussian process.
+"""Interpolation of the residual at readings to nearby directions, by a Gaussian process.
 
 Weights that are never negative reach only what lies between samples: with many readings something is left that
 neighbouring readings agree on. It is a factor of the cube roots, so that what it is applied to stays non-negative.

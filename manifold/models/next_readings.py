@@ -1,4 +1,4 @@
-"""Which readings to take next: those that tell most of what hypotheses about a material still differ in.
+"""Suggested readings: those that reduce the expected error of a completion most.
 
 Hypotheses, colours and what no hypothesis meets are Gaussians, given by samples of zero mean: what they are at the
 readings that can be taken, and what is wanted of them. A reading leaves of every wanted value's variance

@@ -1,4 +1,4 @@
-"""Non-negative least squares from inner products alone: weights of samples that may only add.
+"""Non-negative least squares from inner products alone.
 
 The problem is convex, so there is one optimum; most weights are zero at it.
 """

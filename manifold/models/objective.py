@@ -1,4 +1,4 @@
-"""The likelihood of latents, seen through the Gram matrix of the data, and where its minimisation starts."""
+"""The likelihood of latents as a function of the Gram matrix of the data, and the start of its minimisation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture sees of a BRDF: averages of light over groups of direction pairs, and their colours.
+"""Radiance averaged over groups of direction pairs, and its colours.
 
 A pixel averages light first, and the eye takes the cube root afterwards; errors of cube roots, pair by pair, miss what
 adds up over a pixel, and errors band by band miss tints of what is nearly neutral.

@@ -1,4 +1,4 @@
-"""The best prediction of a material from any number of samples that may only add, band by band."""
+"""The best non-negative combination of any number of samples, band by band."""
 
 from __future__ import annotations
 

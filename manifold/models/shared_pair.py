@@ -1,4 +1,4 @@
-"""A material in few numbers: two samples that all its bands share, and one weight of white."""
+"""A material in few parameters: two samples shared by all bands, and one weight of a white Lambertian."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all figures share: made without a window, saved atomically."""
+"""Common functions of all figures: no window, atomic saving."""
 
 from __future__ import annotations
 

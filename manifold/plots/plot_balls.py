@@ -1,4 +1,4 @@
-"""Pictures made of rendered balls: the latent map, and walks between two materials."""
+"""Figures of rendered balls: the latent map, and walks between two materials."""
 
 from __future__ import annotations
 

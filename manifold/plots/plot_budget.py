@@ -1,4 +1,4 @@
-"""A budget as one figure: the scene with whole files and with what was chosen, and what every representation costs."""
+"""A budget as one figure: both renders of the scene, and the cost of every representation."""
 
 from __future__ import annotations
 

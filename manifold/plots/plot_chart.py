@@ -1,4 +1,4 @@
-"""The chart of speed against accuracy as a picture: three errors against three costs, Pareto fronts drawn and named."""
+"""The chart of speed against accuracy: three errors against three costs, with named Pareto fronts."""
 
 from __future__ import annotations
 

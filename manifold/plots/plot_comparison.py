@@ -1,4 +1,4 @@
-"""Two pictures side by side, and where they differ, as one figure."""
+"""Two pictures side by side with maps of their difference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One picture per fit: the material beside what was fitted, where they differ, and slices of both."""
+"""One figure per fit: the material beside the fit, their difference, and slices of both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The latent map: materials as dots in the colours they have, over the expected error of predictions."""
+"""The latent map: materials as dots in their colours, over the expected error of predictions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of BRDF values: slices in the plane of incidence, the Rusinkiewicz plane, spectra at fixed geometries."""
+"""Figures of BRDF values: slices in the plane of incidence, the Rusinkiewicz plane, spectra at fixed geometries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Failure modes as a picture: error against severity, a panel per mode, a line per method."""
+"""Figure of the failure modes: error against severity, a panel per mode, a line per method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The way to Mitsuba: an LLVM library that works, or the scalar variants with one line of advice.
+"""Choice of the Mitsuba backend: a working LLVM library, or the scalar variants.
 
 Mitsuba's fast variants compile with a libLLVM that Dr.Jit finds on the machine; `libllvm` finds one that works.
 This module (and nothing else) imports Mitsuba and Dr.Jit; others ask `mitsuba()` and `drjit()` for them, and get a

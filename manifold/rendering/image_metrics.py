@@ -1,4 +1,4 @@
-"""How different two pictures look: CIEDE2000 per pixel, and FLIP, which knows what an eye resolves.
+"""Image differences: CIEDE2000 and Delta E_ITP per pixel, and FLIP.
 
 Source: Andersson, Nilsson, Akenine-Moller, Oskarsson, Astrom, Fairchild 2020, FLIP: A Difference Evaluator for
 Alternating Images, Proc. ACM Comput. Graph. Interact. Tech. 3(2), DOI 10.1145/3406183. Its low-dynamic-range form.

@@ -1,4 +1,4 @@
-"""The libLLVM files of a machine: found, tried in a child process, and what became of it remembered.
+"""The libLLVM files of a system: found, tested in a child process, with cached results.
 
 Some versions are too old for Dr.Jit, and some abort the whole process on some processors, so each is first tried by a
 child that evaluates a `measured` and a `principled` BSDF. Answers hold for a library file, a processor and a version of

@@ -1,4 +1,4 @@
-"""Which plugins a document from elsewhere may name.
+"""Plugin names allowed in documents of other origin.
 
 Mitsuba makes `plugins/TYPE.so` of a type and loads that library from wherever its file resolver finds it, the current
 folder included. So types must be plain words that mean Mitsuba's own plugins, which are found first

@@ -1,4 +1,4 @@
-"""The material ball: a sphere on a pedestal under a studio of light, as a scene that Mitsuba loads.
+"""The material ball: a sphere on a pedestal under the studio light, as a Mitsuba scene.
 
 World: z points up, the camera looks along +y, lengths are in radii of the ball. The studio is an environment image,
 scaled so that a white diffuser that lies on the floor has the radiance 1: what is diffuse shows its reflectance.

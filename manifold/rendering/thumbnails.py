@@ -1,4 +1,4 @@
-"""Small renders of materials for maps and strips: the ball alone, cut out of its scene; measured ones are cached."""
+"""Small renders of materials for maps and walks: the ball alone, cropped from its scene; measured ones are cached."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that appear under their name only when they are whole, and are on the disk then."""
+"""Atomic writing of files, synchronised to disk."""
 
 from __future__ import annotations
 

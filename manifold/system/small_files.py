@@ -1,4 +1,4 @@
-"""Small files that other people wrote: regular files only, of bounded size, read once and whole."""
+"""Reading of small files of other origin: regular files only, of bounded size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress of work that has stages, as that of the whole."""
+"""Overall progress of work with several stages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Temporary folders that the next run removes where a process was killed."""
+"""Temporary folders; those of killed processes are removed by the next run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`manifold complete`: readings in, a full BRDF out, with what is known of it."""
+"""The work behind `manifold complete`: readings in, a full BRDF out, with its diagnostics."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Completed:
         picture: of its ball; None where none was asked for.
         found: the completion.
         hybrid: what was read, and how instruments were put together.
-        expected: errors to expect: ball CIEDE2000, cube-root and linear error.
+        expected: expected errors: ball CIEDE2000, cube-root and linear error.
         plausibility: of the written file, read back.
         suggested: the next readings to take; None where none were asked for.
         diagnostics: what a user should know before trusting it, in sentences.

@@ -1,4 +1,4 @@
-"""The work behind `manifold convert`: between files of BRDFs and of instruments, with the error that it costs."""
+"""The work behind `manifold convert`: between files of BRDFs and of instruments, with the conversion error."""
 
 from __future__ import annotations
 

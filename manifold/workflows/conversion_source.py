@@ -1,4 +1,4 @@
-"""What `manifold convert` converts: an RGL file or an instrument's, as a BRDF and as values at its own nodes."""
+"""Sources of `manifold convert`: an RGL file or an instrument's, as a BRDF and as values at its own nodes."""
 
 from __future__ import annotations
 

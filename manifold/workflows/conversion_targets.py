@@ -1,4 +1,4 @@
-"""What `manifold convert` writes: a BRDF sampled at the nodes of each format."""
+"""Targets of `manifold convert`: a BRDF sampled at the nodes of each format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole program on the built-in corpus, into one folder."""
+"""The work behind `manifold demo`: every step on the built-in corpus, into one folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The work behind `manifold explore`: the page of a map, as one file or on the loopback interface."""
+"""The work behind `manifold explore`: the page as one file, or on the loopback interface."""
 
 from __future__ import annotations
 

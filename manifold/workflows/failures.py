@@ -1,4 +1,4 @@
-"""The catalogue of failure modes from names to files: tried, drawn, written."""
+"""The work behind `manifold stability`: run, plot and write the catalogue of failure modes."""
 
 from __future__ import annotations
 

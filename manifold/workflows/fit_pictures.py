@@ -1,4 +1,4 @@
-"""The render-space check of a fit: a material and its fit as balls, their differences, and slices of both."""
+"""Comparison of a fit and its material in renders: balls, their differences, and slices of both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file, a library or a model holds, as rows and tables for `manifold info`.
+"""Contents of a file, a library or a model, as rows and tables for `manifold info`.
 
 What only one of them needs (zarr, Numba, models) is imported where it is used.
 """

@@ -1,4 +1,4 @@
-"""What `manifold info` shows of anything."""
+"""The result of `manifold info`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an instrument's file holds, as rows and tables for `manifold info`."""
+"""Contents of an instrument's file, as rows and tables for `manifold info`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Predictions and pictures at many places of one map: materials are read once, and finished files are kept."""
+"""Predictions and renders at many latents of one map: materials are read once, finished files are kept."""
 
 from __future__ import annotations
 

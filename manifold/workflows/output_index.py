@@ -1,4 +1,4 @@
-"""What a folder of outputs holds: which file was made of what, so that a later run makes only what is missing."""
+"""Index of an output folder: which file was made from what, so that a later run makes only what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of places on a map, one a row: CSV with a header of coordinates or material, name, and colour."""
+"""Tables of latents, one per row: CSV with a header of coordinates or material, name, and colour."""
 
 from __future__ import annotations
 

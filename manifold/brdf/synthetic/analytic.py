@@ -1,4 +1,4 @@
-"""What all analytic BRDFs share, and the two simplest: Lambert and sheen.
+"""Base class of analytic BRDFs, and the two simplest: Lambert and sheen.
 
 Directions point away from the surface, are unit vectors (..., 3) and broadcast against each other.
 """

@@ -1,4 +1,4 @@
-"""Virtual instruments: readings of any BRDF as an MA-T12 or a Mini-Diff V2 would take and write them, noise included.
+"""Virtual instruments: simulated readings of a BRDF, with noise, in files of an MA-T12 or a Mini-Diff V2.
 
 What they write has the layout and quirks of real files: see `manifold.formats.ma_t12` and `manifold.formats.astm`.
 """

@@ -1,4 +1,4 @@
-"""What the synthetic materials of the corpus are made of: one recipe per material, from bands to an analytic BRDF.
+"""Recipes of the synthetic materials of the corpus: from bands to an analytic BRDF.
 
 Pigments are reflectances that colour-science ships, metals are indices that Mitsuba ships; both are measured
 values, see `spectra` for what is done outside their range. Everything else is invented.

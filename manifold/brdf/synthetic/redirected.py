@@ -1,4 +1,4 @@
-"""BRDFs with their directions changed: seen through a refracting layer, or turned back to the light."""
+"""BRDFs with modified directions: seen through a refracting layer, or retro-reflective."""
 
 from __future__ import annotations
 

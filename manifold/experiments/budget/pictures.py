@@ -1,4 +1,4 @@
-"""The renders that verify a budget: a scene with its materials exchanged, beside the reference, without noise."""
+"""Renders that verify a budget: a scene with replaced materials against the reference, with noise removed."""
 
 from __future__ import annotations
 

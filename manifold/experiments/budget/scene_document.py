@@ -1,4 +1,4 @@
-"""Mitsuba scenes as documents: which measured materials they hold, and the same scene with others in their place.
+"""Mitsuba scenes as documents: finding their measured materials, and replacing them.
 
 A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
 may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth, in included files

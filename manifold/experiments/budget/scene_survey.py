@@ -1,4 +1,4 @@
-"""Where a scene shows its measured materials: by which pixels, from where they are seen and lit, and by what light.
+"""Pre-pass of a scene: pixels, viewing and incident directions, and illumination of its measured materials.
 
 A pre-pass of primary rays and direct light in Mitsuba's scalar variants, which pick up single rays faster than any
 kernel compiles. Materials seen only in mirrors or through glass, and light that arrives by way of other surfaces, are

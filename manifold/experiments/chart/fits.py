@@ -1,4 +1,4 @@
-"""Fits of a BSDF as representations of materials that were seen: a few numbers each, beside held-out predictions."""
+"""Fits of a BSDF to the evaluated materials themselves, for comparison with held-out predictions."""
 
 from __future__ import annotations
 

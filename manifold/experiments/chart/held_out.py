@@ -1,4 +1,4 @@
-"""Settings measured by cross-validation: what they predict of materials left out, and what that costs."""
+"""Settings measured by cross-validation: held-out errors and costs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a chart measures with: times beside a reference, errors on a grid and on the ball, files as they are kept."""
+"""Measurements of a chart: relative times, errors on a grid and on the ball, file sizes."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Measurement:
         delta_e, delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball; see `ball_colours`.
         p90: 90th percentiles of these five over materials, by their names.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
-            nobody measured it.
+            it was not measured.
         predict: time to predict a whole material, at all direction pairs that it is kept at.
         bytes: of what predictions read: files, and the numbers of all materials.
         warnings: what fits warned of, once per fold.

@@ -1,4 +1,4 @@
-"""Which of several settings no other one dominates."""
+"""Pareto fronts with tolerances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to keep the measured files that predictions are made of: whole, as float16, in few bands, at few angles."""
+"""Forms of storage of the measured files: complete, float16, few bands, few angles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How different predictions look: the mean CIEDE2000 of the ball in the studio, by quadrature."""
+"""Colour errors of predictions: the mean CIEDE2000 of the ball under the studio light, by quadrature."""
 
 from __future__ import annotations
 

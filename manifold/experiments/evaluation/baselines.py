@@ -1,4 +1,4 @@
-"""What a model of this package has to beat: nearest materials, mixes of two, principal components."""
+"""Baselines: nearest materials, linear combinations of two, principal components."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps of blends as a method: laid out by some materials, they encode any."""
+"""Maps of blends as a held-out method: laid out from some materials, they encode others."""
 
 from __future__ import annotations
 

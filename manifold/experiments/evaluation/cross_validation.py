@@ -1,4 +1,4 @@
-"""The one loop of held-out experiments: fit without some materials, encode these from their data, go on.
+"""The cross-validation loop: fit without some materials, encode these from their data.
 
 Latents fitted with the left-out material, or the reconstruction of training data, would be optimistic.
 """

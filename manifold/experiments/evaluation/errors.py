@@ -1,4 +1,4 @@
-"""How far predictions are off: linear and cube-root error, eq. 22, and calibration, over blocks of measured values."""
+"""Errors of predictions: linear and cube-root error, eq. 22, and calibration, over blocks of measured values."""
 
 from __future__ import annotations
 

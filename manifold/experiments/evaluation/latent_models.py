@@ -1,4 +1,4 @@
-"""Latent variable models as methods: fitted to some materials of the tabulated data, they encode any."""
+"""Latent variable models as held-out methods: fitted to some materials, they encode others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a way to predict materials is: it learns from some of them and encodes any as a weighted sum of those."""
+"""The interface of a held-out method: fitted to some materials, it encodes others as weighted sums of these."""
 
 from __future__ import annotations
 

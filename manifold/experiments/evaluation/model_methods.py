@@ -1,4 +1,4 @@
-"""What a fitted manifold predicts of its own materials: seen, left out with its latents kept, and refitted."""
+"""Predictions of a fitted manifold for its own materials: reconstructed, left out with latents kept, and refitted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good a fitted manifold is beside other methods: errors, colour, plausibility, calibration, times, bytes."""
+"""Evaluation of a fitted manifold and other methods: errors, colour, plausibility, calibration, times, bytes."""
 
 from __future__ import annotations
 

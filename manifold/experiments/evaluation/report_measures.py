@@ -1,4 +1,4 @@
-"""What a report measures of predictions besides their errors: multi-angle colour, plausibility, bytes."""
+"""Measures of a report besides errors: multi-angle colour, plausibility, bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the samples of a latent variable model are, among tabulated values: whole materials, or single bands of them."""
+"""Samples of latent variable models: whole materials, or single bands of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mapping and number of dimensions by held-out error: as many as pay for themselves.
+"""Choice of mapping and number of dimensions by held-out error.
 
 The materials are dealt into folds. Every candidate is fitted without a fold, embeds its materials from their data,
 and is judged by what it decodes; up to twenty materials every fold holds one, which is leave-one-out.

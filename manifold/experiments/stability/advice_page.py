@@ -1,4 +1,4 @@
-"""What became of the catalogue of failure modes, as a table and as a page that says what a user should do."""
+"""Results of the catalogue of failure modes, as a table and as a page with advice."""
 
 from __future__ import annotations
 

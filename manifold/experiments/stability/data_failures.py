@@ -1,4 +1,4 @@
-"""Failure modes of what files hold: unmeasured cells, grazing directions, sharp lobes, coarse grids, versions."""
+"""Failure modes of data in files: unmeasured cells, grazing directions, sharp lobes, coarse grids, versions."""
 
 from __future__ import annotations
 

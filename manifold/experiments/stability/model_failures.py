@@ -1,4 +1,4 @@
-"""Failure modes of manifolds: settings, libraries and latents for which a model's answers are worth little.
+"""Failure modes of manifolds: settings, libraries and latents that give unreliable predictions.
 
 Most of them ask for a plastic that lies between the measured ones, and count its error in that of the nearest
 measured material.

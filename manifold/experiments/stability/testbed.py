@@ -1,4 +1,4 @@
-"""What the catalogue of failure modes works on: a family of materials whose truth is known, libraries and models of it.
+"""Test bed of the catalogue of failure modes: a family of materials with known ground truth, libraries and models.
 
 The family is a plastic (GGX boundary over a diffuse base) of any roughness and colour, in three bands, measured by the
 virtual goniometer. Between two measured members lies a third one, of which every error can be measured.

@@ -1,4 +1,4 @@
-"""What is written about one material for one target."""
+"""The description of one exported material for one target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Layers as MaterialX puts them on each other: what is below is scaled by one minus the layer's albedo.
+"""Layering as in MaterialX: what is below is scaled by one minus the layer's albedo.
 
 Source: MaterialX 1.39, pbrlib.
 """

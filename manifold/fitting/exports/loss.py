@@ -1,4 +1,4 @@
-"""What a target's shading model loses of a material: CIEDE2000 on the ball."""
+"""Error of a target's shading model for a material: CIEDE2000 on the ball."""
 
 from __future__ import annotations
 

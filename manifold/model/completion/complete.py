@@ -1,4 +1,4 @@
-"""Readings completed: what they and a library say of a material everywhere, and what they leave open."""
+"""Completion of readings: the posterior over mixtures of samples, and its uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mixture of samples, times what readings say of the directions near them."""
+"""A mixture of samples, times the interpolated residual of readings near a direction."""
 
 from __future__ import annotations
 

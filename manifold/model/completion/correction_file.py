@@ -1,4 +1,4 @@
-"""Colour corrections as JSON: what one instrument's bands become in another's."""
+"""Colour corrections between two instruments, as JSON."""
 
 from __future__ import annotations
 

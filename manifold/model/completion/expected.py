@@ -1,4 +1,4 @@
-"""What error to expect of a completion: that of the library's materials, completed from the same directions."""
+"""Expected errors of a completion: those of the library's materials, completed from the same directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two instruments' readings of one sample as one: a goniometer's few bands, corrected by a spectrophotometer's many.
+"""Merging of two instruments' readings of one sample: a goniometer, corrected to a spectrophotometer.
 
 Where both read, the goniometer's values are set against the spectra; what is learned there makes spectra of all its
 readings. Directions agree in half and difference angles, between which the goniometer is interpolated.

@@ -1,4 +1,4 @@
-"""Readings in the bands that a library can be compared in, and weights found there in all bands of the library."""
+"""Readings in the bands in which a library is compared, and weights extended to all bands of the library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The samples of a library that readings are completed from: single bands of its materials, and a Lambertian."""
+"""The samples of a library used in completion: single bands of its materials, and a Lambertian."""
 
 from __future__ import annotations
 

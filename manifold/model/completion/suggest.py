@@ -1,4 +1,4 @@
-"""Which directions to read next."""
+"""Suggested directions of the next readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a served page may ask for, as command lines of this package; everything else is refused.
+"""Requests that a served page may make, as command lines of this package; all others are refused.
 
 Nothing of a request becomes a path but a plain name, and no shell is between.
 """

@@ -1,4 +1,4 @@
-"""Work that a served page asked for: one command at a time, each in a process of its own, which can be cancelled."""
+"""Job queue of a served page: one command at a time, each in its own process, cancellable."""
 
 from __future__ import annotations
 

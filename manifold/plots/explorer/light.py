@@ -1,4 +1,4 @@
-"""The studio's light as a page needs it: that of the ball's quadrature."""
+"""The studio light of the page: that of the ball's quadrature."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One self-contained page of a map: its script, its style and its data in a single file that asks for nothing."""
+"""The self-contained page of a map: script, style and data in a single file."""
 
 from __future__ import annotations
 

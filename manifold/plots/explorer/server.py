@@ -1,4 +1,4 @@
-"""The page on the loopback interface, and the actions that it may ask for.
+"""The server of the page, on the loopback interface.
 
 A page of another site cannot ask: requests carry a token that only the address of the page holds, the Host header
 names the loopback interface, and the Origin header the page. Bodies are bounded in size and in time.

@@ -1,4 +1,4 @@
-"""What a page needs to predict as the package does: materials in cube roots, packed, and the colour paths.
+"""Data of the page: materials in cube roots, packed, and the colour paths.
 
 A prediction is `(sum_i v_i f_i^(1/3))^3` in every band. The cube roots of all materials are written in one spectral
 basis of a few components, so that a blend of components is the blend of every band.

@@ -1,4 +1,4 @@
-"""How far to trust the places of a map, tabulated over it for a page."""
+"""Expected errors, tabulated over the map for the page."""
 
 from __future__ import annotations
 

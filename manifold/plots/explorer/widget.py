@@ -1,4 +1,4 @@
-"""The page of a map as a widget of notebooks, through anywidget (`pip install brdf-manifold[notebook]`)."""
+"""The page as a notebook widget, through anywidget (`pip install brdf-manifold[notebook]`)."""
 
 from __future__ import annotations
 

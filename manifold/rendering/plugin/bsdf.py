@@ -1,4 +1,4 @@
-"""The BSDF plugin `manifold`: a prediction straight from the measured materials, with no `.bsdf` in between.
+"""The BSDF plugin `manifold`: a prediction evaluated from the measured materials, without a `.bsdf` file.
 
 Scenes name it after `import manifold.rendering.render`, in LLVM variants (scalar ones would interpret it):
 

@@ -1,4 +1,4 @@
-"""What the plugin evaluates: packed materials, and how their mapped values are weighted."""
+"""The mixture that the plugin evaluates: packed materials and their weights."""
 
 from __future__ import annotations
 

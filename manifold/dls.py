@@ -32,7 +32,7 @@ _MESSAGES = {
 
 
 class MoveObjective(Protocol):
-    """A function of n coordinates that stands at a current point. NaN and inf are allowed as values."""
+    """A function of n coordinates with a current point. Values may be NaN or inf."""
 
     @property
     def x(self) -> Array:

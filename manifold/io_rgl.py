@@ -44,7 +44,7 @@ _AT_LEAST_TWO = ("theta_i", "sigma", "ndf", "vndf", "luminance")  # what is inte
 
 
 def read_bsdf(path: Path | str) -> BsdfFile:
-    """Read an RGL file, spectral or RGB, isotropic or anisotropic, everything checked.
+    """Read and validate an RGL file, spectral or RGB, isotropic or anisotropic.
 
     Args:
         path: a `.bsdf` tensor file. The material's name is the file's without `_spec.bsdf` or `_rgb.bsdf`.

@@ -27,7 +27,7 @@ from manifold.records import Array
 
 
 class Mapping(Protocol):
-    """One T and its inverse."""
+    """The interface of a mapping T and its inverse."""
 
     @property
     def name(self) -> str:
@@ -53,7 +53,7 @@ class Mapping(Protocol):
 
 @dataclass(frozen=True)
 class Identity:
-    """`T(f) = f`: the mapping of Hikichi & Iwasaki. Highlights rule every distance."""
+    """`T(f) = f`: the mapping of Hikichi & Iwasaki. Highlights dominate every distance."""
 
     name = "identity"
 

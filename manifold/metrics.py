@@ -49,7 +49,8 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
 
 
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
-    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; close to what an eye sees."""
+    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; closer to perceived
+    differences."""
     return float(_errors_of(f, f_star, weight).cube_root_error)
 
 
@@ -140,7 +141,7 @@ def _norm_ratio(squared_error: Array, squared_norm: Array) -> Array:
 def spectral_angle(f: Array, f_star: Array) -> Array:
     """Angle between spectra as vectors, in radians in [0, pi], bands last: (..., B) to (...).
 
-    Blind to intensity. Two zero spectra have angle 0, a zero and a non-zero one pi / 2.
+    Independent of intensity. Two zero spectra have angle 0, a zero and a non-zero one pi / 2.
 
     Source: Kruse et al. 1993, in the half-angle form of Kahan, which is exact for small angles.
     """

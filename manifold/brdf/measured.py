@@ -18,7 +18,7 @@ from manifold.records import Array, Bands, BsdfFile
 
 @runtime_checkable
 class BRDF(Protocol):
-    """What a reflectance is asked here: B bands at once, directions (..., 3) that broadcast, z the normal."""
+    """The interface of a BRDF: B bands at once, directions (..., 3) that broadcast, z the normal."""
 
     @property
     def bands(self) -> Bands:
@@ -26,7 +26,7 @@ class BRDF(Protocol):
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether turning both directions about the normal changes nothing."""
+        """Whether f is invariant under rotation of both directions about the normal."""
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
@@ -37,7 +37,7 @@ class BRDF(Protocol):
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (..., 3) for uniform variates (..., 2), and their pdf (...) in 1/sr.
 
-        A pdf of 0 marks a sample to throw away.
+        A pdf of 0 marks an invalid sample.
         """
 
     def pdf(self, wi: Array, wo: Array) -> Array:
@@ -55,7 +55,7 @@ def _samplable(luminance: Array) -> Array:
 
 
 def require_rows(rows: Array, n_pairs: int, n_bands: int) -> None:
-    """Refuse what compiled loops cannot write to.
+    """Validate an output array of the compiled loops.
 
     Raises:
         ShapeError: rows is not (K, B), float64 and C-contiguous.
@@ -94,7 +94,7 @@ class MeasuredBRDF:
         return f"MeasuredBRDF({self.name!r}, {self._bands})"
 
     def select_bands(self, bands: Sequence[int]) -> MeasuredBRDF:
-        """The same material in a few of its bands, warps shared.
+        """The same material in some of its bands; warps are shared.
 
         Args:
             bands: indices, increasing. All three of an RGB material, or any of a spectral one.
@@ -127,7 +127,7 @@ class MeasuredBRDF:
 
     @property
     def tables(self) -> tuple[Any, ...]:
-        """What `manifold.brdf.lookup` reads."""
+        """The tables that `manifold.brdf.lookup` reads."""
         return (
             self._jacobian, self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
             self._spectra,
@@ -142,7 +142,7 @@ class MeasuredBRDF:
     def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
         """`eval` of K pairs into a given array, on one core and outside the interpreter's lock.
 
-        For those who share materials or blocks of pairs out among threads.
+        For callers that distribute materials or blocks of pairs over threads.
 
         Args:
             pairs: K direction pairs.
@@ -178,7 +178,7 @@ class MeasuredBRDF:
         return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.
+        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
 
         Args:
             wi: incident unit vectors (..., 3).

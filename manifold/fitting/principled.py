@@ -60,7 +60,7 @@ class FittedMinimum:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted BSDF and what is known of the fit.
+    """A fitted BSDF, with residuals, minima and identifiability.
 
     Attributes:
         family: what was fitted.

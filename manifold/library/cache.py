@@ -46,7 +46,7 @@ def get(library: Path, key: str) -> dict[str, Array] | None:
 
 
 def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
-    """Keep arrays under a key, in one step; without effect where the library cannot be written.
+    """Store arrays under a key, atomically; no effect if the library cannot be written.
 
     Raises:
         UsageError: this cannot be a key.

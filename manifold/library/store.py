@@ -37,7 +37,7 @@ _PAUSE_S = 0.005
 
 @dataclass(frozen=True)
 class LibraryInfo:
-    """What `manifold info` shows of a library.
+    """The contents of a library, as `manifold info` shows them.
 
     Attributes:
         path: the library's folder.
@@ -59,7 +59,7 @@ class LibraryInfo:
 class Library:
     """A library opened for reading; `import_files` in `manifold.library.importing` adds materials.
 
-    Materials imported by another process while it is open are seen at once: nothing is remembered.
+    Nothing is cached: materials imported by another process are visible immediately.
     """
 
     def __init__(self, path: Path, bands: Bands) -> None:
@@ -76,7 +76,7 @@ class Library:
 
     @classmethod
     def open(cls, path: Path | str) -> Library:
-        """Open a library for reading; a read-only folder will do.
+        """Open a library for reading; write permission is not needed.
 
         Raises:
             LibraryError: nothing there, no library of this package, another schema version, or damaged.
@@ -93,7 +93,7 @@ class Library:
 
     @classmethod
     def create(cls, path: Path | str, bands: Bands) -> Library:
-        """Make an empty library for materials of the given bands.
+        """Create an empty library for materials of the given bands.
 
         Raises:
             LibraryError: something is there already, or the folder cannot be written.
@@ -124,7 +124,7 @@ class Library:
         return isinstance(name, str) and is_material_name(name) and (self.path / "materials" / name).is_dir()
 
     def read(self, name: str) -> BsdfFile:
-        """One whole material, equal to the imported file in every value, shape and dtype, which its hash proves.
+        """One material, equal to the imported file in every value, shape and dtype, verified by its hash.
 
         Returns:
             A record whose `spectra` (P, T, B, H, W) is a view: `np.moveaxis(spectra, 2, -1)` is C-contiguous.
@@ -204,7 +204,7 @@ class Library:
         phi_index: int | None = None,
         bands: slice | None = None,
     ) -> Array:
-        """A part of one material's spectra; only the chunks that hold it are read, so no hash proves it.
+        """A part of one material's spectra; only the chunks that contain it are read, so no hash is verified.
 
         Args:
             name: the material.
@@ -234,7 +234,7 @@ class Library:
             return np.moveaxis(read_array(group, "spectra", selection), -1, 2)
 
     def attributes(self, name: str) -> MaterialInfo:
-        """What is known of a material without reading its arrays.
+        """Metadata of a material, without reading its arrays.
 
         Raises:
             UsageError: no such material.
@@ -248,7 +248,7 @@ class Library:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 over the bands and every name and file hash: how a model refers to its library."""
+        """SHA-256 over the bands and every name and file hash, by which a model identifies its library."""
         digest = hashlib.sha256(json.dumps(self.bands.wavelengths_nm).encode())
         for name in self.names:
             digest.update(f"\n{name}\t{self.attributes(name).sha256}".encode())
@@ -256,7 +256,7 @@ class Library:
 
     @property
     def info(self) -> LibraryInfo:
-        """Everything but the arrays."""
+        """All metadata of the library."""
         materials = tuple(self.attributes(name) for name in self.names)
         total = sum(material.bytes for material in materials)
         return LibraryInfo(self.path, SCHEMA_VERSION, self.bands, self.content_hash, total, materials)
@@ -285,7 +285,7 @@ class Library:
         return cache.get(self.path, key)
 
     def cache_put(self, key: str, arrays: Mapping[str, Array]) -> None:
-        """Keep arrays under a key, in one step; without effect where the library cannot be written."""
+        """Store arrays under a key, atomically; no effect if the library cannot be written."""
         cache.put(self.path, key, arrays)
 
     @contextmanager

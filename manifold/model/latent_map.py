@@ -18,7 +18,7 @@ EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts a
 
 
 class LatentMap:
-    """Latents of materials, and how near, how likely and how well supported other places are.
+    """Latents of materials; weights, uncertainty and expected errors at other latents.
 
     Attributes:
         materials: the measured materials; `materials.library` is where they are read from.
@@ -45,7 +45,7 @@ class LatentMap:
 
     @property
     def gp(self) -> GPWeights:
-        """The Gaussian process on the latents: of the materials, or of the monochrome samples."""
+        """The Gaussian process on the latents of the materials, or of the monochrome samples."""
         return self.space.gp
 
     def weights(self, x: Array, colours: Array | None = None) -> Array:
@@ -67,7 +67,7 @@ class LatentMap:
     def is_extrapolation(self, x: Array, colours: Array | None = None) -> Array:
         """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
 
-        Of a model that is not calibrated: whether the posterior variance is over half of the prior's.
+        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
         """
 
         def is_unsupported(X: Array) -> Array:
@@ -80,9 +80,9 @@ class LatentMap:
         return self._at(x, is_unsupported)
 
     def expected_error(self, x: Array, colours: Array | None = None) -> ExpectedErrors | None:
-        """How wrong predictions at latents x (M, Q) or (Q,) are expected to be; None where it is not calibrated.
+        """Expected errors of predictions at latents x (M, Q) or (Q,); None if the model is not calibrated.
 
-        0 at a material's own place, where the prediction is its file.
+        0 at a material's own latent, where the prediction is its file.
         """
         if self.left_out is None:
             return None
@@ -121,7 +121,7 @@ class LatentMap:
         return (1.0 - t) * self.latent(a) + t * self.latent(b)
 
     def require_latent(self, x: Place) -> Array:
-        """A latent as float64 (Q,), also that of a material by its name.
+        """A latent, or the latent of a named material, as float64 (Q,).
 
         Raises:
             LatentError: there are not Q finite coordinates.

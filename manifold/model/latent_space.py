@@ -192,7 +192,7 @@ class LatentSpace(ABC):
         )
 
     def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
-        """What a prediction at a latent x (Q,) is made of; at a training latent, of that material alone."""
+        """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])

@@ -40,7 +40,7 @@ class LobeSampling:
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
         """Outgoing directions (P, 3) and their pdf (P,) for wi (P, 3) and uniform variates (P, 2).
 
-        A pdf of 0 marks a sample to throw away.
+        A pdf of 0 marks an invalid sample.
         """
         chosen, u = choose_lobe(self._shares, u)
         wo = cosine_hemisphere(u)

@@ -33,7 +33,7 @@ _DEFAULTS = Settings()
 
 
 class LibraryChangedWarning(UserWarning):
-    """A model was opened with a library that is not the one it was fitted to."""
+    """A model was opened with another library than the one it was fitted to."""
 
 
 class Manifold(LatentMap):
@@ -41,7 +41,7 @@ class Manifold(LatentMap):
 
     Attributes: those of `LatentMap`, and
         statistics: objective at start and end of the fit.
-        notes: diagnostics of all that it predicts, from `load`.
+        notes: diagnostics that apply to all predictions, from `load`.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Manifold(LatentMap):
 
     @property
     def library(self) -> Library:
-        """Where the measured materials are read from."""
+        """The library of the measured materials."""
         return self.materials.library
 
     @property
@@ -101,11 +101,11 @@ class Manifold(LatentMap):
         return mapping_named(self.settings.mapping)
 
     def material(self, name: str) -> MeasuredBRDF:
-        """A measured material as its file has it.
+        """A measured material, as in its file.
 
         Raises:
             UsageError: the model has no such material.
-            LibraryError: the library has lost it.
+            LibraryError: the library no longer has it.
         """
         return self.materials.measured(name)
 
@@ -114,7 +114,7 @@ class Manifold(LatentMap):
         return self.materials.filled(on_progress=on_progress)
 
     def prepare(self, on_progress: Progress | None = None, x: Array | None = None) -> None:
-        """Read ahead what predictions need: the materials, of a monochrome manifold a few of their bands.
+        """Load what predictions need: the materials, or, for a monochrome manifold, some of their bands.
 
         Args:
             on_progress: called with (done, total, what) while they are read.
@@ -131,9 +131,9 @@ class Manifold(LatentMap):
     # -- expected errors ----------------------------------------------------------------------------------
 
     def calibrate(self, on_progress: Progress | None = None) -> None:
-        """Leave every material out once, in seconds to minutes: calibrates the expected errors of the model.
+        """Calibrate the expected errors by leaving every material out once; takes seconds to minutes.
 
-        Models of fewer than four materials stay as they are.
+        Models of fewer than four materials are not changed.
         """
         if len(self.names) >= LEAST_MATERIALS:
             self.left_out = leave_out(self.space, self.materials, self.settings, on_progress)
@@ -178,11 +178,12 @@ class Manifold(LatentMap):
         return PredictedBRDF(materials, replace(combination, weights=combination.weights[used]))
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
-        """What a prediction at a latent x (Q,) is made of; at a training latent, of that material alone."""
+        """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The prediction on the straight line from material a (t = 0) to b (t = 1), reflectances too."""
+        """The prediction on the straight line from material a (t = 0) to b (t = 1), with interpolated
+        reflectances."""
         x = self.between(a, b, t)
         if not self.space.needs_colours:
             return self.predict(x)
@@ -201,7 +202,7 @@ class Manifold(LatentMap):
 
         Args:
             brdf: a material in the bands of the library.
-            criterion: what nearest means, see `manifold.models.criteria`; that of the settings if none is given. Blends
+            criterion: the objective, see `manifold.models.criteria`; by default that of the settings. Blends
                 are always found by cube roots.
         Raises:
             BandMismatchError: it has other bands.
@@ -213,9 +214,9 @@ class Manifold(LatentMap):
         return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
 
     def reconstruct(self, brdf: BRDF) -> PredictedBRDF:
-        """The nearest prediction of a material: samples and analytic lobes, with weights >= 0 in every band.
+        """Non-negative least squares of a material over all samples and analytic lobes, in every band.
 
-        No latent stands for it; see docs/design/nonnegative.md. Arguments and errors as of `embed`.
+        It has no latent; see docs/design/nonnegative.md. Arguments and errors as of `embed`.
         """
         self.bands.require_same(
             brdf.bands, "the material to reconstruct", "resample it, or use its own library"
@@ -244,7 +245,7 @@ class Manifold(LatentMap):
 
         Args:
             path: the model.
-            library: where the library is now, if not where the model remembers it.
+            library: path of the library, if it was moved.
         Raises:
             ModelError: no such file, no model of this package, another version, or damaged.
             LibraryError: the library is not there, or lacks materials of the model.

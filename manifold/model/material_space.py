@@ -1,4 +1,4 @@
-"""Whole materials as points of a latent space, the kind of Hikichi & Iwasaki."""
+"""Whole materials as points of a latent space, the method of Hikichi & Iwasaki."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spac
 
 @dataclass(frozen=True, eq=False)
 class MaterialSpace(ProcessSpace):
-    """Whole materials as points, the kind of Hikichi & Iwasaki.
+    """Whole materials as points, the method of Hikichi & Iwasaki.
 
     Attributes:
         X: latents, shape (N, Q).

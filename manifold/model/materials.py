@@ -52,7 +52,7 @@ class MaterialCache:
 
         Raises:
             UsageError: there is none of that name.
-            LibraryError: the library has lost it.
+            LibraryError: the library no longer has it.
         """
         self.index(name)
         if name not in self._measured:

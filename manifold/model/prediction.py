@@ -148,7 +148,7 @@ class PredictedBRDF:
         return np.sum([share * sampler.pdf(wi, wo) for share, sampler in shares if share > 0.0], axis=0)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
-        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks a sample to throw away.
+        """Outgoing directions (..., 3) and their pdf (...) in 1/sr; pdf 0 marks an invalid sample.
 
         Args:
             wi: incident unit vectors (..., 3).

@@ -20,7 +20,7 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
     Args:
         path: of the model.
         stored: its content.
-        library: where the library is now, if not where the model remembers it.
+        library: path of the library, if it was moved.
     Raises:
         LibraryError: it is not there, lacks materials of the model, or has other bands.
     """

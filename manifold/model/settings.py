@@ -26,8 +26,8 @@ class Settings:
     """How a manifold was fitted.
 
     Attributes:
-        kind: `blend`, every place a non-negative combination of materials; `monochrome`, every band a
-            sample; or `material`, the kind of Hikichi & Iwasaki.
+        kind: `blend`, every point a non-negative combination of materials; `monochrome`, every band a
+            sample; or `material`, the method of Hikichi & Iwasaki.
         latent_dim: Q; of a monochrome manifold the structure coordinates, to which every band adds a colour.
         mapping: name of the mapping.
         optimizer: of `GPLVM`; None is the kind's own. Kinds but `material` have `l-bfgs` only.

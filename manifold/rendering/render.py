@@ -37,12 +37,12 @@ def _d65() -> Illuminant:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """How a picture is made.
+    """Settings of a render.
 
     Attributes:
         size: pixels per side.
         samples: light paths per pixel.
-        seed: fixes the noise: same seed, same picture.
+        seed: of the noise; equal seeds give equal pictures.
         illuminant: the light's spectrum.
         environment: linear RGB radiance as `studio.studio` lays it out, (H, W, 3); that by default.
     """
@@ -95,7 +95,7 @@ def render_material(
     settings: RenderSettings = RenderSettings(),
     on_progress: Progress | None = None,
 ) -> Array:
-    """The ball of a material through a file that is written for it; a BRDF is measured for that, at least 0.
+    """Render the ball of a material through a temporary file; a BRDF is measured first, clipped at 0.
 
     Returns and raises: as `render_bsdf`.
     """
@@ -110,7 +110,7 @@ def render_material(
 
 
 def require_d65(illuminant: Illuminant) -> None:
-    """Raise UsageError for a light under which linear sRGB colours mean nothing."""
+    """Raise UsageError for an illuminant other than D65, under which linear sRGB colours are undefined."""
     if not illuminant.is_d65:
         raise UsageError(
             f"illuminant {illuminant.name} needs a spectrum, and RGB materials have none; use the _spec file, or D65"
@@ -118,7 +118,7 @@ def require_d65(illuminant: Illuminant) -> None:
 
 
 def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Progress | None = None) -> Array:
-    """What the film of a scene sees, float64, shape (size, size, channels).
+    """The channels of a scene's film, float64, shape (size, size, channels).
 
     Rendered in passes that fit in memory, each with a seed of its own that follows from the settings'.
     """
@@ -147,9 +147,9 @@ def rgb_film(size: int) -> dict[str, Any]:
 
 
 def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, Any]:
-    """A film with the channels X, Y, Z of the scene as it were under an illuminant; a white diffuser has Y = 1.
+    """A film with the channels X, Y, Z of the scene under an illuminant; a white diffuser has Y = 1.
 
-    Environments of Mitsuba shine like D65, times a reflectance; what the film weighs by makes up for that.
+    Environments of Mitsuba have the spectrum of D65 times a reflectance; the film compensates for it.
     """
     wavelengths_nm, responses = sensor_responses(illuminant)
     seen = (wavelengths_nm >= 360.0) & (wavelengths_nm <= 830.0)

@@ -29,7 +29,7 @@ class AnalyticBRDF(ABC):
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether turning both directions about the normal changes nothing."""
+        """Whether f is invariant under rotation of both directions about the normal."""
         return True
 
     @abstractmethod

@@ -334,3 +334,10 @@ serve_until_interrupted(server, lambda address: print("ready", flush=True))
     process.stdout.close()
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def test_a_widget_without_its_package_is_one_clear_line():
+    script = "import sys; sys.modules['anywidget'] = None; import manifold.plots.explorer.widget"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "pip install brdf-manifold[notebook]" in run.stderr.splitlines()[-1]
+    assert "During handling" not in run.stderr

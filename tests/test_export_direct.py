@@ -64,6 +64,7 @@ def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
     assert found["clearcoatFactor"] == found["clearcoatRoughnessFactor"] == 0.0
     assert found["sheenColorFactor"] == [0.0, 0.0, 0.0]
     assert found["anisotropyStrength"] == 0.0
+    assert found["metallicFactor"] == 1.0  # not 0.9999999
     np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
 
 

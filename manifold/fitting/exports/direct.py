@@ -19,6 +19,7 @@ from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import to_lab
 from manifold.errors import UsageError
+from manifold.fitting.exports.principled_values import snapped
 from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import EvaluableBRDF, FitSamples
@@ -121,8 +122,12 @@ class _Problem:
         return np.concatenate([at_samples.ravel(), seen.ravel(), _PULL * (x - self._mapped) / self.span])
 
     def settled(self, x: Array) -> dict[str, Any]:
-        """The parameters, where a coat or sheen that is hardly there is none."""
+        """The parameters, where a value at an end of 0 to 1 is that end, and a coat or sheen hardly there is none."""
         made, defaults = self.values(x), self._target.defaults
+        for name in self._target.free:
+            if _range(name) == (0.0, 1.0):
+                value = made[name]
+                made[name] = list(map(snapped, value)) if isinstance(value, list) else snapped(value)
         for names in (self._target.coat, self._target.sheen):
             if names and np.max(made[names[0]]) < _NONE:
                 made |= {name: defaults[name] for name in names}

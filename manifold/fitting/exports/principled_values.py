@@ -59,7 +59,7 @@ class Principled:
         if known.get("spec_trans", 0.0):
             raise UsageError("a fit with spec_trans transmits light, which exports leave out; fit without it")
         numbers: dict[str, Any] = {
-            k: _snapped(known[k]) for k in cls.__dataclass_fields__ if k in known and k != "base_color"
+            k: snapped(known[k]) for k in cls.__dataclass_fields__ if k in known and k != "base_color"
         }
         if "specular" not in known and "eta" in known:
             numbers["specular"] = float(ior_to_f0(float(known["eta"])) / 0.08)
@@ -129,10 +129,10 @@ class Principled:
 
 def _colour(value: Any) -> tuple[float, float, float]:
     red, green, blue = np.broadcast_to(np.asarray(value, float), 3)
-    return _snapped(red), _snapped(green), _snapped(blue)
+    return snapped(red), snapped(green), snapped(blue)
 
 
-def _snapped(value: Any) -> float:
+def snapped(value: Any) -> float:
     """A value from 0 to 1, the ends where a fit has come as near to them as it can."""
     value = min(max(float(value), 0.0), 1.0)
     return 0.0 if value < _END else 1.0 if value > 1.0 - _END else value

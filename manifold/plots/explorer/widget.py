@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import anywidget
-import traitlets
+try:
+    import anywidget
+    import traitlets
+except ImportError as error:
+    words = f"the map as a widget needs anywidget, which is missing ({error}); pip install brdf-manifold[notebook]"
+    raise ImportError(words) from None
 
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.model.colours import ColourChoice, choose_colour

@@ -113,7 +113,7 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
     rows = [("manifold", balls[:2]), ("linear", balls[:2])]
     figure = walk_strip("way", [0.0, 1.0], rows, [False, True])
     assert [axes.get_title() for axes in figure.axes] == ["", "!", "", ""]
-    assert "diagnosed" in figure.get_supxlabel()
+    assert "diagnostic" in figure.get_supxlabel()
     assert walk_strip("way", [0.0, 1.0], rows, [False, False]).get_supxlabel() == ""
 
 

@@ -242,6 +242,16 @@ def test_the_map_says_nothing_of_places_out_of_reach(browser, document, folder):
     made.page.close()
 
 
+def test_a_map_without_a_field_of_errors_goes_to_a_material_too(browser, document, folder):
+    """As maps of four dimensions are."""
+    (folder / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
+    made = visit(browser, (folder / "four.html").as_uri())
+    made.page.locator("#map").press("Enter")
+    made.page.locator("#error-value", has_text="measured material").wait_for()
+    assert made.errors == []
+    made.page.close()
+
+
 def test_curves_are_told_in_words_and_what_is_dashed_is_named(page):
     page.locator("#pinned").select_option(NAMES[3])
     settle(page)
@@ -260,6 +270,18 @@ def test_only_one_place_of_the_page_speaks_by_itself(page):
     assert page.evaluate(script) == ["live"]
     page.locator("#exposure").press("ArrowRight")
     assert page.locator("#exposure").get_attribute("aria-valuetext") == "+0.25 EV"
+
+
+def test_a_choice_stands_beside_its_words(page):
+    script = """[...document.querySelectorAll("input[type=radio]")].filter((radio) => {
+      const words = document.createRange();
+      words.selectNode([...radio.parentElement.childNodes].find((e) => e.nodeType === 3 && e.data.trim()));
+      return words.getBoundingClientRect().top > radio.getBoundingClientRect().bottom;
+    }).map((radio) => radio.value)"""
+    for width in (360, 390, 768, 1280, 1920):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate(script) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_tab_goes_through_a_narrow_page_from_top_to_bottom(page):

@@ -82,7 +82,7 @@ export const facts = {
     this.byId("caption").textContent = this.words(state);
     this.byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
     const place = `${this.words(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
-    const known = error === null ? "" : `${data.error.what} ${error.toFixed(2)}. `;
+    const known = error === null || !data.error ? "" : `${data.error.what} ${error.toFixed(2)}. `;
     this.byId("map").setAttribute("aria-label", `Map of ${data.names.length} materials. ${place}`);
     this.byId("ball").setAttribute("aria-label", `Ball of the material at ${place}`);
     clearTimeout(this.saying);

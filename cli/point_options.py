@@ -57,7 +57,7 @@ def show_points(
     """Print a line per row that is there, and raise FileFormatError where rows failed."""
     made = [outcome for outcome in outcomes if outcome.result is not None]
     results.table(
-        ["file", "place", ""],
+        ["file", "latent", ""],
         [(o.path.name, _place(o), "kept" * o.was_there) for o in made],
     )
     results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")

@@ -346,7 +346,7 @@ def test_the_scene_is_never_overwritten(tmp_path):
     source = tmp_path / "scene.json"
     source.write_text(json.dumps(scene(ball=sphere(0.0, path.name))), encoding="utf-8")
     before = source.read_bytes()
-    with pytest.raises(UsageError, match="might be overwritten"):
+    with pytest.raises(UsageError, match="could be overwritten"):
         budgets.budget_scene(source, Tolerance(5.0), BudgetSettings(16, 4), tmp_path)
     assert source.read_bytes() == before
 
@@ -357,7 +357,7 @@ def test_an_original_behind_a_link_in_the_output_is_never_overwritten(tmp_path):
     before = path.read_bytes()
     link = tmp_path / "out" / path.name
     link.symlink_to(path)
-    with pytest.raises(UsageError, match="might be overwritten"):
+    with pytest.raises(UsageError, match="could be overwritten"):
         budgets.budget_scene(
             scene(a=sphere(0.0, link)), Tolerance(5.0), BudgetSettings(16, 4), tmp_path / "out"
         )

@@ -187,9 +187,7 @@ class LatentSpace(ABC):
         Raises:
             UsageError: the map is of another kind.
         """
-        raise UsageError(
-            f"a map of kind {self.kind}, expected blend, whose places are blends of materials: embed with --kind blend"
-        )
+        raise UsageError(f"a map of kind {self.kind}, expected blend: embed with --kind blend")
 
     def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
         """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""

@@ -103,7 +103,7 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     with stage("Charting speed against accuracy") as step:
         pictures.append(folder / "chart.png")
         figures.save(plot_chart.chart(charts.chart(library, only=CHARTED, on_progress=step)), pictures[-1])
-    with stage("Trying where methods fail") as step:
+    with stage("Testing failure modes") as step:
         pictures.append(folder / "stability.png")
         failures.stability(TRIED, pictures[-1], on_progress=step)
     with stage("Evaluating the model") as step:

@@ -169,7 +169,7 @@ class _Run:
         if missing:
             with self.stage("Reading materials") as step:
                 prepare(step)
-        with self.stage("Making files") as step:
+        with self.stage("Writing files") as step:
             for done, k in enumerate(missing, start=1):
                 outcomes[k] = self._made(points[k], paths[k])
                 if step is not None:

@@ -142,7 +142,7 @@ def _place(row: dict[str, str]) -> tuple[float, ...] | str:
     given = [column for column in ("latent", "material") if column in row] + ["coordinates"] * bool(axes)
     if len(given) != 1:
         raise UsageError(
-            f"found {' and '.join(given) or 'no place'}, expected coordinates, a latent or a material"
+            f"found {' and '.join(given) or 'no latent'}, expected coordinates, a latent or a material"
         )
     if axes:
         if [k for k, _ in axes] != list(range(len(axes))):

@@ -121,7 +121,7 @@ def _map(path: Path, context: ErrorContext) -> mmap.mmap:
         # A pipe would block in open(), a device could go on for ever: only regular files are opened.
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise context.error(
-                "is no regular file, expected an RGL tensor file", remedy="name the .bsdf file itself"
+                "is not a regular file, expected an RGL tensor file", remedy="name the .bsdf file itself"
             )
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size

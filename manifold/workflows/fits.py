@@ -141,7 +141,7 @@ def family_of(names: str | None, path: Path | None, *, wide_colours: bool = Fals
 def find_files(sources: Sequence[Path]) -> list[Path]:
     """The .bsdf files among files and folders, in order; folders are searched at every depth and sorted.
 
-    In folders, what is no regular file is left out.
+    In folders, what is not a regular file is left out.
 
     Raises:
         UsageError: a source is missing, or a folder holds none.

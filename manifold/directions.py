@@ -17,6 +17,11 @@ def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
     return np.stack([sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1)
 
 
+def to_spherical(w: Array) -> tuple[Array, Array]:
+    """Elevation from the normal and azimuth in (-pi, pi], in radians, of directions (..., 3)."""
+    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
+
+
 def normalize(w: Array) -> Array:
     """Vectors (..., 3) scaled to unit length."""
     return w / np.linalg.norm(w, axis=-1, keepdims=True)
@@ -95,11 +100,9 @@ def to_rusinkiewicz(wi: Array, wo: Array) -> tuple[Array, Array, Array, Array]:
     """
     with np.errstate(invalid="ignore"):
         h = half_vector(wi, wo)
-    theta_h = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
-    phi_h = np.arctan2(h[..., 1], h[..., 0])
-    d = _rotate_y(rotate_z(wi, -phi_h), -theta_h)
-    theta_d = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2])
-    return theta_h, theta_d, np.arctan2(d[..., 1], d[..., 0]), phi_h
+    theta_h, phi_h = to_spherical(h)
+    theta_d, phi_d = to_spherical(_rotate_y(rotate_z(wi, -phi_h), -theta_h))
+    return theta_h, theta_d, phi_d, phi_h
 
 
 def _rotate_y(w: Array, angle: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -78,6 +78,11 @@ class Bands:
         if self.count == 1:
             return f"1 band, {self.wavelengths_nm[0]:.1f} nm"
         return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
+
+    def select(self, indices: Iterable[int]) -> Bands:
+        """Some of the bands, by increasing index; RGB stays."""
+        nm = self.wavelengths_nm
+        return self if nm is None else Bands(tuple(nm[b] for b in indices))
 
     def require_same(self, other: Bands, where: str, remedy: str) -> None:
         """Raise BandMismatchError unless `other` has the very same bands."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import colour_cxf
 import numpy as np
+from colour_cxf import cxf3
 
 from manifold.brdf.synthetic.ggx import GGX
 from manifold.brdf.synthetic.instruments import (
@@ -14,9 +16,12 @@ from manifold.brdf.synthetic.instruments import (
     write_mini_diff,
 )
 from manifold.brdf.synthetic.microfacet import Plastic
-from manifold.formats import astm, csv_table, cxf, lighttools, ma_t12, merl, pab_opto, utia, zemax
+from manifold.formats import astm, csv_table, lighttools, ma_t12, merl, utia, zemax
+from manifold.formats.csv_table import angles_deg
 from manifold.formats.dense import DenseTable
+from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.records import Array, Bands
+from manifold.system import atomic
 
 RGB = Bands(None)
 
@@ -63,16 +68,70 @@ def zemax_file(path: Path) -> Path:
     return path
 
 
+def write_cxf(path: Path, readings: Readings) -> None:
+    """Readings at the 12 geometries of an MA-T12 as CxF3; 10 nm steps are taken from the first two bands."""
+    nm = readings.bands.wavelengths_nm or ()
+    specifications, spectra = [], []
+    for name, row in zip(MA_T12_NAMES, readings.values, strict=True):
+        anchor, _, aspecular = name.partition("as")
+        angle = cxf3.Brdfangle(
+            illumination_angle=float(anchor), aspecular=float(aspecular),
+            notation=name,
+        )  # fmt: skip
+        measurement = cxf3.MeasurementSpec(
+            measurement_type=cxf3.MeasurementType(cxf3.EspectrumType.SPECTRUM_REFLECTANCE),
+            geometry_choice=cxf3.GeometryChoice(choice=cxf3.MultiAngleType([angle])),
+            wavelength_range=cxf3.WavelengthRange(start_wl=int(nm[0]), increment=int(nm[1] - nm[0])),
+            device=cxf3.Device(model=readings.instrument),
+        )
+        specifications.append(cxf3.ColorSpecification(measurement_spec=measurement, id=f"M0_{name}"))
+        spectra.append(
+            cxf3.ReflectanceSpectrum(
+                value=[float(v) for v in np.pi * row], color_specification=f"M0_{name}", start_wl=int(nm[0])
+            )
+        )
+    item = cxf3.Object(
+        color_values=cxf3.ColorValues(choice=list(spectra)),
+        name=readings.name,
+        id="o1",
+        object_type="Standard",
+    )
+    document = cxf3.CxF(
+        resources=cxf3.Resources(
+            object_collection=cxf3.ObjectCollection([item]),
+            color_specification_collection=cxf3.ColorSpecificationCollection(specifications),
+        )
+    )
+    atomic.write_text(path, colour_cxf.write_cxf(document).decode("utf-8"))
+
+
+def write_pab_opto(path: Path, readings: Readings) -> None:
+    """A pab-opto file of one band at one incidence, that of the first reading."""
+    wi = readings.wi[0]
+    rows = np.flatnonzero(np.isclose(readings.wi, wi).all(axis=1) & readings.measured[:, 0])
+    theta_i, phi_i = angles_deg(readings)[0, :2]
+    nm = (readings.bands.wavelengths_nm or (0.0,))[0]
+    lines = [
+        f"#sample_name {readings.name}", f"#incident_angle {theta_i:.9g} {phi_i:.9g}", f"#intheta {theta_i:.9g}",
+        f"#inphi {phi_i:.9g}", f"#wavelength {nm:g}", f"#datapoints_in_file: {rows.size}",
+        "#format: theta phi DSF",
+    ]  # fmt: skip
+    values = readings.values[rows, 0] * readings.wo[rows, 2]
+    for (theta, phi), value in zip(angles_deg(readings)[rows, 2:], values, strict=True):
+        lines.append(f"{theta:.9g}\t{phi:.9g}\t{value:.9g}")
+    atomic.write_text(path, "\n".join(lines) + "\n")
+
+
 def write_every_format(folder: Path) -> dict[str, Path]:
     """A file of each format, by its name."""
     spectro = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
     paths = {name: folder / f"smooth{suffix}" for name, suffix in SUFFIXES.items()}
     ma_t12.write(paths["ma-t12"], spectro)
     csv_table.write(paths["csv"], spectro)
-    cxf.write(paths["cxf"], spectro)
+    write_cxf(paths["cxf"], spectro)
     astm.write(paths["astm"], spectro)
     write_mini_diff(paths["mini-diff"], smooth(MINI_DIFF_BANDS), "smooth")
-    pab_opto.write(paths["pab-opto"], spectro.select_bands([10]), dsf=True)
+    write_pab_opto(paths["pab-opto"], spectro.select_bands([10]))
     lighttools.write(paths["lighttools"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
     zemax_file(paths["zemax"])
     merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))

@@ -295,7 +295,7 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
     si.uv = mi.Point2f(np.tile([1 / 6, 3 / 6, 5 / 6], 200).astype(np.float32), 0.5)
     value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.copy()))).T
     closed = (
-        model.load_materials()
+        model.materials.filled()
     )  # a field has no unmeasured cells, not even where it passes a measured material
     for k, brdf in enumerate((closed[0], closed[2], model.predict(0.5 * (a + b)))):
         expected = np.maximum(brdf.eval_cos(wi[k::3], wo[k::3]), 0.0)
@@ -323,7 +323,7 @@ def test_a_texture_of_latents_blends_as_the_map_does(models, rng, tmp_path):
     value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(wo.T.copy()))).T
     for k, x in enumerate(places):
         u = model.weights(x)
-        closed = PredictedBRDF(model.load_materials(), Combination(model.mapping, u))
+        closed = PredictedBRDF(model.materials.filled(), Combination(model.mapping, u))
         expected = np.maximum(closed.eval_cos(wi[k::3], wo[k::3]), 0.0)
         np.testing.assert_allclose(
             value[k::3], expected, rtol=0.01, atol=0.01 * np.median(expected)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from instrument_files import RGB, dense, smooth, write_every_format
+from instrument_files import RGB, dense, smooth, write_every_format, write_pab_opto
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.synthetic.instruments import MINI_DIFF_BANDS
@@ -16,7 +16,7 @@ from manifold.cli.main import run
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.formats import csv_table, lighttools, merl, pab_opto, registry
+from manifold.formats import csv_table, lighttools, merl, registry
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import cube_root_error
 from manifold.records import Bands
@@ -75,7 +75,7 @@ def test_files_of_several_incidences_become_one_brdf(files, tmp_path):
     for k, z in enumerate(np.unique(np.round(readings.wi[:, 2], 6))):
         paths.append(tmp_path / f"incidence{k}.txt")
         rows = np.flatnonzero(np.isclose(readings.wi[:, 2], z, atol=1e-5))
-        pab_opto.write(paths[-1], readings.select_pairs(rows), dsf=True)
+        write_pab_opto(paths[-1], readings.select_pairs(rows))
     made = convert(paths, tmp_path / "out.bsdf")
     assert made.error.nodes == len(readings)
     assert made.error.linear < 0.01

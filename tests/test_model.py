@@ -101,7 +101,7 @@ def test_refined_latents_are_no_worse_than_the_principal_components(model):
 
 
 def test_gram_matrix_agrees_with_a_loop(library, model):
-    materials = model.load_materials()
+    materials = model.materials.filled()
     grid = RusinkiewiczGrid(6, 5, 4)
     found = gram.gram_matrix(materials, mapping_named("cube-root"), grid)
     S = np.zeros((len(materials), len(materials)))
@@ -399,7 +399,7 @@ def test_monochrome_predictions_agree_with_the_sum_written_out(library):
     colours = model.colours.like(x, "syn_gloss_red")
     wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
     V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
-    T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.load_materials()])
+    T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.materials.filled()])
     found = model.predict(x, colours).eval(wi, wo)
     np.testing.assert_allclose(found, (V @ T) ** 3, rtol=1e-6)  # roots in single precision
     of_materials = V.reshape(3, len(model.names), -1).sum(axis=2).mean(axis=0)

@@ -47,7 +47,7 @@ def test_a_new_material_is_nearer_than_any_of_the_library(model, pairs):
     brdf, cosines = MeasuredBRDF(measured(LEFT_OUT)), cosine_weight(*pairs)
     truth, predicted = brdf.eval(*pairs), model.reconstruct(brdf)
     found = predicted.eval(*pairs)
-    nearest = min(cube_root_error(truth, m.eval(*pairs), cosines) for m in model.load_materials())
+    nearest = min(cube_root_error(truth, m.eval(*pairs), cosines) for m in model.materials.filled())
     assert cube_root_error(truth, found, cosines) < 0.2 * nearest
     assert found.min() >= 0.0
     assert plausibility(predicted).negative_share == 0.0

@@ -68,7 +68,7 @@ def made(reports):
 
 @pytest.fixture(scope="module")
 def data(model):
-    return Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
+    return Data.evaluate(model.materials.filled(), RusinkiewiczGrid.named("default"))
 
 
 def method(made, key):
@@ -148,7 +148,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
     wi, wo, above = RusinkiewiczGrid.named("default").directions()
     n_pairs, wi, wo = len(wi), wi[above], wo[above]
     w = cosine_weight(wi, wo)
-    f = np.stack([m.eval(wi, wo) for m in model.load_materials()])
+    f = np.stack([m.eval(wi, wo) for m in model.materials.filled()])
     methods = [*model_methods(model), *standard_methods()]
     chosen = next(m for m in methods if m.key == key)
     result = method(made, key)
@@ -173,7 +173,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
 def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
     """The reconstruction of the nearest material is a measured BRDF: it can be asked directly."""
     model, result = models["material"], method(reports["material"], "nearest")
-    materials = model.load_materials()
+    materials = model.materials.filled()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
     wi, wo = multi_angle_pairs()
@@ -191,7 +191,7 @@ def test_colours_and_plausibility_are_those_of_the_prediction(models, reports):
 def test_three_errors_stand_side_by_side(models, reports):
     """Of the nearest material, which is a measured BRDF: all three can be had directly."""
     model, result = models["material"], method(reports["material"], "nearest")
-    materials = model.load_materials()
+    materials = model.materials.filled()
     data = Data.evaluate(materials, RusinkiewiczGrid.named("default"))
     nearest = [c.source for c in encode_all(data, standard_methods()[0]).combinations]
     balls = BallErrors(materials, data.bands)
@@ -220,8 +220,8 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
     model = models["material"]
     made = report.make_report(model, "hikichi")
     wi, wo, above = grid.directions()
-    f = np.stack([m.eval(wi[above], wo[above]) for m in model.load_materials()])
-    data = Data.evaluate(model.load_materials(), RusinkiewiczGrid.named("default"))
+    f = np.stack([m.eval(wi[above], wo[above]) for m in model.materials.filled()])
+    data = Data.evaluate(model.materials.filled(), RusinkiewiczGrid.named("default"))
     linear = next(m for m in standard_methods() if m.key == "linear")
     for i in range(len(f)):
         predicted = np.tensordot(linear.leave_out(data, i).weights, f, axes=1)

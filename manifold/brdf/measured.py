@@ -103,10 +103,10 @@ class MeasuredBRDF:
         """
         if list(bands) == list(range(self._bands.count)):
             return self
-        if self._bands.wavelengths_nm is None:
+        if self._bands.is_rgb:
             raise UsageError(f"bands {list(bands)} of an RGB material, expected all three")
         selected = copy.copy(self)
-        selected._bands = Bands(tuple(self._bands.wavelengths_nm[b] for b in bands))
+        selected._bands = self._bands.select(bands)
         selected._spectra = np.ascontiguousarray(self._spectra[..., list(bands)])
         return selected
 

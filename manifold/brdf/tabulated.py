@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 
 from manifold.brdf.synthetic.analytic import AnalyticBRDF
-from manifold.directions import from_spherical, hemisphere_quadrature, to_rusinkiewicz
+from manifold.directions import from_spherical, hemisphere_quadrature, to_rusinkiewicz, to_spherical
 from manifold.errors import UsageError
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
@@ -57,8 +57,8 @@ class DenseBRDF(TabulatedBRDF):
         if self._coordinates == "half-difference":
             theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
             return self._blend([(theta_h, None), (theta_d, None), (phi_d, np.pi)])
-        theta_i, phi_i = _angles(wi)
-        theta_o, phi_o = _angles(wo)
+        theta_i, phi_i = to_spherical(wi)
+        theta_o, phi_o = to_spherical(wo)
         if self._isotropic:
             phi_o, phi_i = phi_o - phi_i + self._axes[1][0], np.full_like(phi_i, self._axes[1][0])
         return self._blend([(theta_i, None), (phi_i, 2 * np.pi), (theta_o, None), (phi_o, 2 * np.pi)])
@@ -106,7 +106,7 @@ class ReadingsBRDF(TabulatedBRDF):
         """
         whole = np.isfinite(readings.values).all(axis=1)
         wi, wo, values = readings.wi[whole], readings.wo[whole], readings.values[whole]
-        theta, phi = _angles(wi)
+        theta, phi = to_spherical(wi)
         phi = np.where(theta < 1e-6, 0.0, phi)
         keys = np.round(np.stack([theta, phi], axis=1), 5)
         incidences, group = np.unique(keys, axis=0, return_inverse=True)
@@ -131,7 +131,7 @@ class ReadingsBRDF(TabulatedBRDF):
     def _eval(self, wi: Array, wo: Array) -> Array:
         swap = (wi[:, 2] < np.cos(self._thetas[-1]) - 1e-9) & (wo[:, 2] > wi[:, 2])
         wi, wo = np.where(swap[:, None], wo, wi), np.where(swap[:, None], wi, wo)
-        theta, phi = _angles(wi)
+        theta, phi = to_spherical(wi)
         h = wi + wo
         h /= np.linalg.norm(h, axis=1, keepdims=True)
         low, high, t = _bracket(self._thetas, theta, None)
@@ -199,14 +199,9 @@ class _Slice:
         return values + lobe * (np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO) - 1.0)[:, None]
 
 
-def _angles(w: Array) -> tuple[Array, Array]:
-    """Elevation from the normal and azimuth in radians, of (..., 3)."""
-    return np.arctan2(np.hypot(w[..., 0], w[..., 1]), w[..., 2]), np.arctan2(w[..., 1], w[..., 0])
-
-
 def _disk(w: Array, turn: Array | float) -> Array:
     """Directions (n, 3), turned about the normal, as points of a disk whose radius is the elevation."""
-    theta, phi = _angles(w)
+    theta, phi = to_spherical(w)
     return np.stack([theta * np.cos(phi + turn), theta * np.sin(phi + turn)], axis=-1)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError
-from manifold.formats.csv_table import band_heads
+from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
 from manifold.formats.tristimulus import xyz_to_linear_srgb
@@ -265,14 +265,6 @@ def write(path: Path, readings: Readings) -> None:
         f'SAMPLE_NAME "{readings.name}"', f'SYSTEM_NAME "{readings.instrument}"', 'MEAS_NAME "BRDF"',
         f"NUM_POINTS {len(readings)}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),
     ]  # fmt: skip
-    table = np.hstack([_angles(readings), readings.values])
+    table = np.hstack([np.deg2rad(angles_deg(readings)), readings.values])
     lines += [",".join(f"{value:.9g}" for value in row) for row in table]
     atomic.write_text(path, "\n".join(lines) + "\n")
-
-
-def _angles(readings: Readings) -> Array:
-    columns = []
-    for w in (readings.wi, readings.wo):
-        columns.append(np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2]))
-        columns.append(np.arctan2(w[:, 1], w[:, 0]) % (2.0 * np.pi))
-    return np.stack(columns, axis=1)

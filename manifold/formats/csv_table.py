@@ -8,10 +8,12 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from manifold.directions import to_spherical
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
@@ -72,8 +74,6 @@ def read(path: Path) -> list[Readings]:
             instrument = value.strip() if key.strip().lower() == "instrument" else instrument
     found_readings = read_table(rows, place, name, instrument)
     if texture and len(found_readings) == 1:
-        from dataclasses import replace
-
         return [replace(found_readings[0], texture=texture)]
     return found_readings
 
@@ -94,8 +94,8 @@ def angles_deg(readings: Readings) -> Array:
     """theta_i, phi_i, theta_o, phi_o in degrees of every pair, azimuths from 0 to 360, shape (P, 4)."""
     columns = []
     for w in (readings.wi, readings.wo):
-        columns.append(np.rad2deg(np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2])))
-        columns.append(np.rad2deg(np.arctan2(w[:, 1], w[:, 0])) % 360.0)
+        theta, phi = to_spherical(w)
+        columns += [np.rad2deg(theta), np.rad2deg(phi) % 360.0]
     return np.stack(columns, axis=1)
 
 

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from manifold.formats.geometry_names import geometry_directions, geometry_name
-from manifold.formats.readings import MA_T12_NAMES, Readings, aspecular_pair
+from manifold.formats.geometry_names import geometry_directions
+from manifold.formats.readings import Readings, aspecular_pair
 from manifold.formats.spectro_table import TAKEN_AS_PERCENT, looks_like_percent
 from manifold.formats.text import Place, decode, read_bytes
 from manifold.records import Array
-from manifold.system import atomic
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes
@@ -180,42 +179,3 @@ def _common_bands(wavelengths: list[Array], values: list[Array]) -> tuple[Array,
     for row, nm, value in zip(table, wavelengths, values, strict=True):
         row[np.searchsorted(bands, nm)] = value
     return bands, table
-
-
-def write(path: Path, readings: Readings) -> None:
-    """Readings at the 12 geometries of an MA-T12 as CxF3; 10 nm steps are taken from the first two bands."""
-    from colour_cxf import cxf3, write_cxf
-
-    nm = readings.bands.wavelengths_nm or ()
-    specifications, spectra = [], []
-    for name, row in zip(MA_T12_NAMES, readings.values, strict=True):
-        anchor, _, aspecular = name.partition("as")
-        angle = cxf3.Brdfangle(
-            illumination_angle=float(anchor), aspecular=float(aspecular),
-            notation=geometry_name(float(anchor), float(aspecular)),
-        )  # fmt: skip
-        measurement = cxf3.MeasurementSpec(
-            measurement_type=cxf3.MeasurementType(cxf3.EspectrumType.SPECTRUM_REFLECTANCE),
-            geometry_choice=cxf3.GeometryChoice(choice=cxf3.MultiAngleType([angle])),
-            wavelength_range=cxf3.WavelengthRange(start_wl=int(nm[0]), increment=int(nm[1] - nm[0])),
-            device=cxf3.Device(model=readings.instrument),
-        )
-        specifications.append(cxf3.ColorSpecification(measurement_spec=measurement, id=f"M0_{name}"))
-        spectra.append(
-            cxf3.ReflectanceSpectrum(
-                value=[float(v) for v in np.pi * row], color_specification=f"M0_{name}", start_wl=int(nm[0])
-            )
-        )
-    item = cxf3.Object(
-        color_values=cxf3.ColorValues(choice=list(spectra)),
-        name=readings.name,
-        id="o1",
-        object_type="Standard",
-    )
-    document = cxf3.CxF(
-        resources=cxf3.Resources(
-            object_collection=cxf3.ObjectCollection([item]),
-            color_specification_collection=cxf3.ColorSpecificationCollection(specifications),
-        )
-    )
-    atomic.write_text(path, write_cxf(document).decode("utf-8"))

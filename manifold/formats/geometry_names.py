@@ -39,8 +39,3 @@ def geometry_directions(text: str) -> tuple[Array, Array] | None:
         return None
     wi, wo = aspecular_pair(*angles)
     return (wi, wo) if wo[2] > 0.0 else None
-
-
-def geometry_name(anchor: float, aspecular: float, azimuth: float = 0.0) -> str:
-    """`45as-15`, with `az90` behind it where the other leg is out of plane."""
-    return f"{anchor:g}as{aspecular:g}" + (f"az{azimuth:g}" if azimuth else "")

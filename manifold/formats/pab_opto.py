@@ -18,7 +18,6 @@ from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
 from manifold.formats.tristimulus import xyz_to_linear_srgb
 from manifold.records import Array
-from manifold.system import atomic
 
 _REMEDY = "export the measurement again"
 _MOST_ROWS = 5_000_000
@@ -147,31 +146,3 @@ def merge(parts: Sequence[Readings]) -> Readings:
         np.concatenate([getattr(part, key) for part in parts]) for key in ("wi", "wo", "values", "weights")
     )
     return replace(first, wi=wi, wo=wo, values=values, weights=weights, notes=notes)
-
-
-def write(path: Path, readings: Readings, *, dsf: bool = False) -> None:
-    """A file of one incidence: the first of the readings decides which; one band, or linear sRGB is refused.
-
-    Raises:
-        FileFormatError: the readings have several bands.
-    """
-    if readings.bands.count != 1:
-        raise FileFormatError(f"{path.name}: {readings.bands}, expected one band; select one")
-    wi = readings.wi[0]
-    rows = np.flatnonzero(np.isclose(readings.wi, wi).all(axis=1) & readings.measured[:, 0])
-    theta_i, phi_i = _degrees(wi[None])[0]
-    nm = (readings.bands.wavelengths_nm or (0.0,))[0]
-    lines = [
-        f"#sample_name {readings.name}", f"#incident_angle {theta_i:.9g} {phi_i:.9g}", f"#intheta {theta_i:.9g}",
-        f"#inphi {phi_i:.9g}", f"#wavelength {nm:g}", f"#datapoints_in_file: {rows.size}",
-        f"#format: theta phi {'DSF' if dsf else 'BSDF'}",
-    ]  # fmt: skip
-    values = readings.values[rows, 0] * (readings.wo[rows, 2] if dsf else 1.0)
-    for (theta, phi), value in zip(_degrees(readings.wo[rows]), values, strict=True):
-        lines.append(f"{theta:.9g}\t{phi:.9g}\t{value:.9g}")
-    atomic.write_text(path, "\n".join(lines) + "\n")
-
-
-def _degrees(w: Array) -> Array:
-    theta = np.arctan2(np.hypot(w[:, 0], w[:, 1]), w[:, 2])
-    return np.rad2deg(np.stack([theta, np.arctan2(w[:, 1], w[:, 0]) % (2.0 * np.pi)], axis=1))

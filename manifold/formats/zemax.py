@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, rotate_z
 from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
@@ -39,16 +39,7 @@ def directions(theta_i: float, radial: Array, azimuth: Array, rotation: float = 
     c, s = np.cos(theta_i), np.sin(theta_i)
     # About the y axis: radial 0 becomes the mirror direction, azimuth 0 points from there to the normal.
     turned = np.stack([-x * c + z * s, -y, x * s + z * c], axis=-1)
-    cr, sr = np.cos(rotation), np.sin(rotation)
-    wo = np.stack(
-        [
-            cr * turned[..., 0] - sr * turned[..., 1],
-            sr * turned[..., 0] + cr * turned[..., 1],
-            turned[..., 2],
-        ],
-        -1,
-    )
-    return from_spherical(theta_i, np.pi + rotation), wo
+    return from_spherical(theta_i, np.pi + rotation), rotate_z(turned, rotation)
 
 
 def read(path: Path) -> list[Readings]:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as Fields
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
 
-from manifold.errors import ShapeError
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
 from manifold.model.appearance import appearance_pairs, roots_at
 from manifold.model.combination import Combination
-from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, Samples, require_shape
+from manifold.model.latent_space import (
+    Embedded,
+    LatentSpace,
+    LeftOutSearch,
+    checked_colours,
+    require_bands,
+    require_shape,
+)
 from manifold.models.blending import blend_weights
 from manifold.models.colour_paths import ColourPaths
 from manifold.models.decoder import Decoder, EncodingPairs
@@ -55,10 +61,6 @@ class BlendSpace(LatentSpace):
     takes_colours: ClassVar[bool] = True
     is_nonnegative: ClassVar[bool] = True
 
-    def with_kernel(self, kernel: Kernel) -> BlendSpace:
-        """The same places under another kernel."""
-        return replace(self, kernel=kernel)
-
     @property
     def arrays(self) -> dict[str, Array]:
         """What a file has to hold, by name."""
@@ -76,7 +78,7 @@ class BlendSpace(LatentSpace):
         Raises:
             ValueError: the arrays do not fit each other, or the number of bands.
         """
-        X, bands = stored["X"], stored["bands"].astype(np.int64)
+        X, bands = stored["X"], require_bands("bands", stored["bands"], n_bands)
         N, n = len(X), len(X) * len(bands)
         shapes = {
             "reflectances": (N, n_bands), "dark": (N, n), "bright": (N, n), "dark_coordinate": (N,),
@@ -84,8 +86,6 @@ class BlendSpace(LatentSpace):
         }  # fmt: skip
         for name, shape in shapes.items():
             require_shape(name, stored[name], shape)
-        if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
-            raise ValueError(f"dataset 'bands' holds {bands.tolist()}, expected increasing bands")
         names = ("dark", "bright", "dark_coordinate", "bright_coordinate", "sample_reflectances")
         paths = ColourPaths(*(stored[name] for name in names))
         return cls(X, paths, bands, stored["reflectances"], kernel)
@@ -154,23 +154,16 @@ class BlendSpace(LatentSpace):
         Raises:
             ShapeError: they are neither, or not finite.
         """
-        if colours is None:
-            return None
-        colours = np.asarray(colours, dtype=np.float64)
         n_bands = self.reflectances.shape[1]
-        if colours.shape not in ((n_bands,), (2, n_bands)) or not np.all(np.isfinite(colours)):
-            raise ShapeError(
-                f"colours have shape {colours.shape}, expected ({n_bands},) or (2, {n_bands}), finite"
-            )
-        return colours
+        return checked_colours(colours, (n_bands,), (2, n_bands))
 
     def embedding_bands(self, n_bands: int) -> Array:
         """Bands whose values find a place: the samples of the paths."""
         return self.bands
 
-    def samples(self, mapped: Array, cosines: Array) -> Samples:
+    def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Samples from mapped values (N, B_s, P): a row holds one band of a material."""
-        return Samples(mapped.reshape(-1, mapped.shape[2]), cosines)
+        return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self) -> EncodingPairs:
         """Direction pairs of the encoding grid and of a ball's light."""

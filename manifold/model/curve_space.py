@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from manifold.errors import ShapeError
-from manifold.model.latent_space import Embedded, Samples, require_shape
+from manifold.model.latent_space import Embedded, checked_colours, require_bands, require_shape
 from manifold.model.process_space import ProcessSpace
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
@@ -41,10 +40,6 @@ class CurveSpace(ProcessSpace):
     takes_colours: ClassVar[bool] = True
     needs_colours: ClassVar[bool] = True
 
-    def with_kernel(self, kernel: Kernel) -> CurveSpace:
-        """The same latents under another kernel."""
-        return replace(self, kernel=kernel)
-
     def without(self, material: int) -> CurveSpace:
         """The same curves less that of one material."""
         X, own, colours, reflectances = (
@@ -66,12 +61,10 @@ class CurveSpace(ProcessSpace):
         Raises:
             ValueError: the arrays do not fit each other, or the number of bands.
         """
-        X, bands = stored["X"], stored["sample_bands"].astype(np.int64)
+        X, bands = stored["X"], require_bands("sample_bands", stored["sample_bands"], n_bands)
         require_shape("sample_colours", stored["sample_colours"], (len(X), len(bands)))
         for name in ("colours", "reflectances"):
             require_shape(name, stored[name], (len(X), n_bands))
-        if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
-            raise ValueError(f"dataset 'sample_bands' holds {bands.tolist()}, expected increasing bands")
         return cls(X, stored["sample_colours"], bands, stored["colours"], stored["reflectances"], kernel)
 
     def numbers(self, n_bands: int) -> int:
@@ -141,21 +134,15 @@ class CurveSpace(ProcessSpace):
         Raises:
             ShapeError: they are not (B,) or not finite.
         """
-        if colours is None:
-            return None
-        colours = np.asarray(colours, dtype=np.float64)
-        n_bands = self.colours.shape[1]
-        if colours.shape != (n_bands,) or not np.all(np.isfinite(colours)):
-            raise ShapeError(f"colours have shape {colours.shape}, expected ({n_bands},), finite")
-        return colours
+        return checked_colours(colours, (self.colours.shape[1],))
 
     def embedding_bands(self, n_bands: int) -> Array:
         """Bands whose values find a latent: the sample bands."""
         return self.sample_bands
 
-    def samples(self, mapped: Array, cosines: Array) -> Samples:
+    def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Training samples from mapped values (N, B_s, P): a row holds one band of a material."""
-        return Samples(mapped.reshape(-1, mapped.shape[2]), cosines)
+        return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The structure and colours of a material with values f (B, P) in all bands."""

@@ -42,8 +42,8 @@ def decoder_at(
         f = np.empty((len(located), brdf.bands.count))
         brdf.eval_into(located, f)
         rows.append(mapping.forward(f, cosines).T)  # [B_e, P]
-    samples = space.samples(np.stack(rows), cosines)
-    return Decoder(space.gp, samples.mapped, mapping, samples.cosines)
+    mapped, cosines = space.samples(np.stack(rows), cosines)
+    return Decoder(space.gp, mapped, mapping, cosines)
 
 
 def encoder_at(

@@ -10,13 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from collections.abc import Mapping as Fields
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.errors import ShapeError, UsageError
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
@@ -52,19 +52,6 @@ class Embedded:
     relative_error: float
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Mapped values of the training samples of a space at P direction pairs, as an encoder takes them.
-
-    Attributes:
-        mapped: one row per sample, shape (n, P').
-        cosines: cos(theta_i) cos(theta_o) per column, shape (P',).
-    """
-
-    mapped: Array
-    cosines: Array
-
-
 class LatentSpace(ABC):
     """What whole-material and per-band spaces have in common.
 
@@ -91,9 +78,9 @@ class LatentSpace(ABC):
         """The Gaussian process of the training samples."""
         return GPWeights(self.latents_of(np.arange(len(self.X))), self.kernel)
 
-    @abstractmethod
-    def with_kernel(self, kernel: Kernel) -> LatentSpace:
+    def with_kernel(self, kernel: Kernel) -> Self:
         """The same latents under another kernel."""
+        return replace(self, kernel=kernel)  # type: ignore[type-var]
 
     @property
     @abstractmethod
@@ -164,8 +151,8 @@ class LatentSpace(ABC):
         """Bands whose values find a latent."""
 
     @abstractmethod
-    def samples(self, mapped: Array, cosines: Array) -> Samples:
-        """Training samples from mapped values (N, B_e, P) in the embedding bands, and cosines (P,)."""
+    def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
+        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, and cosines (P,) as (P',)."""
 
     def embedding_pairs(self) -> EncodingPairs:
         """Direction pairs at which a new material is compared with what the space predicts."""
@@ -222,3 +209,22 @@ def require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:
     """Raise ValueError unless an array of a file has a shape."""
     if np.shape(found) != shape:
         raise ValueError(f"dataset '{name}' has shape {np.shape(found)}, expected {shape}")
+
+
+def require_bands(name: str, found: Array, n_bands: int) -> Array:
+    """Band indices of a file, as integers. Raises ValueError unless they increase and there are such bands."""
+    bands = found.astype(np.int64)
+    if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
+        raise ValueError(f"dataset '{name}' holds {bands.tolist()}, expected increasing bands")
+    return bands
+
+
+def checked_colours(colours: Array | None, *shapes: tuple[int, ...]) -> Array | None:
+    """Colours as float64. Raises ShapeError unless they have one of the shapes and are finite."""
+    if colours is None:
+        return None
+    colours = np.asarray(colours, dtype=np.float64)
+    if colours.shape not in shapes or not np.all(np.isfinite(colours)):
+        expected = " or ".join(map(str, shapes))
+        raise ShapeError(f"colours have shape {colours.shape}, expected {expected}, finite")
+    return colours

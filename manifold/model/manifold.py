@@ -109,10 +109,6 @@ class Manifold(LatentMap):
         """
         return self.materials.measured(name)
 
-    def load_materials(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All measured materials in the order of the latents, unmeasured cells filled."""
-        return self.materials.filled(on_progress=on_progress)
-
     def prepare(self, on_progress: Progress | None = None, x: Array | None = None) -> None:
         """Load what predictions need: the materials, or, for a monochrome manifold, some of their bands.
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.errors import UsageError
-from manifold.model.latent_space import Embedded, Samples, require_shape
+from manifold.model.latent_space import Embedded, require_shape
 from manifold.model.process_space import ProcessSpace
 from manifold.models.encoder import Encoder
 from manifold.models.kernels import Kernel
@@ -36,10 +36,6 @@ class MaterialSpace(ProcessSpace):
     sample_bands: None = None
     kind: ClassVar[str] = "material"
     takes_colours: ClassVar[bool] = False
-
-    def with_kernel(self, kernel: Kernel) -> MaterialSpace:
-        """The same latents under another kernel."""
-        return replace(self, kernel=kernel)
 
     def without(self, material: int) -> MaterialSpace:
         """The same latents less that of one material."""
@@ -102,9 +98,9 @@ class MaterialSpace(ProcessSpace):
         """Bands whose values find a latent: a few, evenly spaced."""
         return evenly_spaced(n_bands, _EMBEDDING_BANDS)
 
-    def samples(self, mapped: Array, cosines: Array) -> Samples:
+    def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Training samples from mapped values (N, B_e, P): a row holds all bands of a material."""
-        return Samples(mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1]))
+        return mapped.reshape(len(mapped), -1), np.tile(cosines, mapped.shape[1])
 
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """The latent of a material with values f (B, P) in all bands."""

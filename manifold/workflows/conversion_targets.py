@@ -10,7 +10,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf import goniometer
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
 from manifold.formats import astm, csv_table, lighttools, merl, utia, zemax
 from manifold.formats.dense import DenseTable
@@ -87,7 +87,7 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
     for wi, wo, above in RusinkiewiczGrid(*merl.SHAPE, squared_theta_h=True, offset=0.0).blocks(_BLOCK):
         block = np.zeros((int(above.sum()), 3))
         for turn in turns:
-            a, b = (_turned(_off_horizon(w[above]), turn) for w in (wi, wo))
+            a, b = (rotate_z(_off_horizon(w[above]), turn) for w in (wi, wo))
             # One node stands for both directions of the light.
             block += 0.5 * (brdf.eval(a, b) + brdf.eval(b, a)) / turns.size
         values[start : start + len(wi)][above] = block
@@ -199,11 +199,6 @@ def _off_horizon(w: Array) -> Array:
     lifted[low] *= np.sqrt(1.0 - _LOWEST**2) / np.maximum(np.hypot(w[low, 0], w[low, 1]), 1e-300)[:, None]
     lifted[low, 2] = _LOWEST
     return lifted
-
-
-def _turned(w: Array, turn: float) -> Array:
-    c, s = np.cos(turn), np.sin(turn)
-    return np.stack([c * w[..., 0] - s * w[..., 1], s * w[..., 0] + c * w[..., 1], w[..., 2]], axis=-1)
 
 
 TARGETS: Mapping[str, Target] = {

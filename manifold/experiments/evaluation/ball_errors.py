@@ -10,7 +10,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.records import Array, Bands
+from manifold.records import Array
 
 _AT_ONCE = 8  # predictions evaluated together
 
@@ -21,12 +21,6 @@ def values_at(materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Value
     for k, material in enumerate(materials):
         material.eval_into(pairs, f[k])
     return Values(f, pairs.wi, pairs.wo)
-
-
-def some_of(bands: Bands, chosen: Array) -> Bands:
-    """The bands that are chosen, by their wavelengths; RGB stays."""
-    nm = bands.wavelengths_nm
-    return bands if nm is None else Bands(tuple(nm[b] for b in chosen))
 
 
 class BallErrors:
@@ -40,7 +34,7 @@ class BallErrors:
     def __init__(self, materials: Sequence[MeasuredBRDF], bands: Array) -> None:
         """Colour the balls in bands (B',)."""
         self._ball = ball_colours.ball()
-        self._bands = some_of(materials[0].bands, bands)
+        self._bands = materials[0].bands.select(bands)
         self.pairs = DirectionPairs(self._ball.wi, self._ball.wo)
         self.values = values_at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
         self._chosen = bands

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from manifold.colour.conversion import to_xyz
-from manifold.experiments.evaluation.ball_errors import some_of
 from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.samples import Samples
 from manifold.experiments.evaluation.tabulated import Data
@@ -106,7 +105,7 @@ def fit_nonnegative_pair(sample_bands: int) -> Fit:
 
     def fit(data: Data, training: Array) -> Encode:
         atoms = _Atoms.of(data, training, Dictionary(PAIR_EXPONENTS), sample_bands)
-        axis = some_of(data.materials[0].bands if data.materials else Bands(None), data.bands)
+        axis = (data.materials[0].bands if data.materials else Bands(None)).select(data.bands)
         unit = np.array([to_xyz(row, axis) for row in np.eye(axis.count)]).T
 
         def encode(i: int) -> Combination:

@@ -105,7 +105,7 @@ def _ill_conditioned(bed: TestBed, length_scale: float) -> Measurement:
     model, truth = bed.model("material"), held_out(bed)
     x = bed.once("latent of the held-out plastic", lambda: model.embed(truth).latent)
     weights = GPWeights(model.X, SquaredExponential(0.0, length_scale)).weights(x[None])[0]
-    brdf = PredictedBRDF(model.load_materials(), Combination(model.mapping, weights))
+    brdf = PredictedBRDF(model.materials.filled(), Combination(model.mapping, weights))
     return Measurement(in_error_of_nearest(bed, brdf))
 
 

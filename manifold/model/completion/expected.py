@@ -115,8 +115,7 @@ def errors_of(samples: LibrarySamples, m: int, on_grid: Array, on_ball: Array) -
 
 def sample_axis(samples: LibrarySamples) -> Bands:
     """The spectral axis of the sample bands."""
-    nm = samples.bands.wavelengths_nm
-    return samples.bands if nm is None else Bands(tuple(nm[b] for b in samples.sample_bands))
+    return samples.bands.select(samples.sample_bands)
 
 
 def in_sample_bands(samples: LibrarySamples) -> LibrarySamples:

@@ -196,7 +196,7 @@ def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:
         raise UsageError(
             f"{bands} cover nothing between {SEEN_NM[0]:g} and {SEEN_NM[1]:g} nm, the range of renders"
         )
-    return Bands(tuple(bands.wavelengths_nm[k] for k in seen)), seen
+    return bands.select(seen), seen
 
 
 def _by_size(files: list[BsdfFile]) -> list[int]:

@@ -148,7 +148,7 @@ def json_difference(result: FitResult, samples: FitSamples) -> float:
     """Largest difference of the BSDF that the written JSON re-creates, over the largest value."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fit.json"
-        fit_json.write(path, result, fit_json.Source("benchmark"))
+        fit_json.write_document(path, fit_json.document(result, fit_json.Source("benchmark")))
         bsdf = fit_json.read_bsdf(path)
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     si = dr.zeros(mi.SurfaceInteraction3f, len(samples))

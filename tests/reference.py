@@ -58,3 +58,9 @@ def central_differences(function, x, step=1e-5):
         behind[index] -= step
         gradient[index] = (function(ahead) - function(behind)) / (2 * step)
     return gradient
+
+
+def left_out(method, data, i):
+    """The prediction of material i by an evaluation method: from the others, or by the one fit that serves all."""
+    everything = np.arange(data.n_materials)
+    return method.fit(data, np.delete(everything, i) if method.refits else everything)(i)

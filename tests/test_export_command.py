@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
     write_bsdf(path / "copper_rgb.bsdf", measured(COPPER))
     result = fit_bsdf(measured(COPPER), principled(["base_color", "metallic", "roughness"]))
     source = fit_json.Source("copper", file="copper_rgb.bsdf")
-    fit_json.write(path / "copper_rgb.fit.json", result, source)
+    fit_json.write_document(path / "copper_rgb.fit.json", fit_json.document(result, source))
     return path
 
 

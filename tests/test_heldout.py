@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import real_rgl_folder
+from reference import left_out
 from small_library import NAMES, measured
 
 from manifold.brdf.measured import MeasuredBRDF
@@ -139,7 +140,7 @@ def test_models_are_fitted_without_the_left_out_material(data, key, monkeypatch)
 
 @pytest.mark.parametrize("key", SUMS_TO_1)
 def test_no_method_gives_the_left_out_material_a_weight(data, key):
-    combination = METHODS[key].leave_out(data, 2)
+    combination = left_out(METHODS[key], data, 2)
     weights = combination.weights.reshape(*combination.weights.shape[:-1], len(NAMES), -1)
     assert np.all(weights[..., 2, :] == 0.0)
     np.testing.assert_allclose(combination.weights.sum(axis=-1), 1.0, atol=1e-9)
@@ -302,7 +303,7 @@ def test_of_many_bands_some_are_selected_evenly(many_bands):
 @pytest.mark.parametrize("key", ["monochrome_2_1", "monochrome_0_2"])
 def test_monochrome_methods_predict_every_band(many_bands, key):
     data = Data.evaluate(many_bands, GRID, evenly_spaced(60, 8))
-    combination = METHODS[key].leave_out(data, 1)
+    combination = left_out(METHODS[key], data, 1)
     assert combination.weights.shape[0] == 60
     wi, wo, above = GRID.directions()
     wi, wo = wi[above], wo[above]
@@ -310,7 +311,7 @@ def test_monochrome_methods_predict_every_band(many_bands, key):
     predicted = combination.evaluate(values)
     assert predicted.shape == values.f.shape[1:]
     # Better than the nearest of the others, in all bands as in those learned from.
-    nearest = METHODS["nearest"].leave_out(data, 1).evaluate(values)
+    nearest = left_out(METHODS["nearest"], data, 1).evaluate(values)
     assert relative_error(values.f[1], predicted, values.cosines) < relative_error(
         values.f[1], nearest, values.cosines
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import real_rgl_files
+from reference import left_out
 from small_library import NAMES, measured
 
 from manifold.brdf.measured import MeasuredBRDF
@@ -51,7 +52,7 @@ def test_nothing_is_learned_from_the_left_out_material(data, key):
 
 @pytest.mark.parametrize("key", KEYS)
 def test_the_left_out_material_has_no_weight_and_no_value_is_negative(data, key):
-    combination = METHODS[key].leave_out(data, OUT)
+    combination = left_out(METHODS[key], data, OUT)
     dictionary = combination.dictionary
     of_samples = combination.weights[:, : -len(dictionary.lobes)].reshape(3, -1, len(NAMES), 3)
     assert combination.weights.min() >= 0.0
@@ -60,7 +61,7 @@ def test_the_left_out_material_has_no_weight_and_no_value_is_negative(data, key)
 
 
 def test_a_pair_is_nine_numbers(data):
-    weights = METHODS["nonnegative_pair"].leave_out(data, OUT).weights
+    weights = left_out(METHODS["nonnegative_pair"], data, OUT).weights
     used = weights.any(axis=0)
     assert used.sum() <= 3
     assert METHODS["nonnegative_pair"].numbers(3) == 9
@@ -68,7 +69,7 @@ def test_a_pair_is_nine_numbers(data):
 
 @pytest.mark.parametrize("key", KEYS)
 def test_predictions_are_those_of_the_brdf(data, materials, key):
-    combination = METHODS[key].leave_out(data, OUT)
+    combination = left_out(METHODS[key], data, OUT)
     found = PredictedBRDF(materials, combination).eval(data.wi, data.wo)
     np.testing.assert_allclose(found, combination.evaluate(data), rtol=1e-6, atol=1e-15)  # single precision
 
@@ -86,7 +87,7 @@ def test_many_bands_are_predicted_from_a_few(materials, key):
         nm = np.linspace(400, 700, 60, dtype=np.float32)
         spectral.append(MeasuredBRDF(replace(file, wavelengths_nm=nm, spectra=spectra)))
     data = Data.evaluate(spectral, GRID)
-    combination = METHODS[key].leave_out(data, OUT)
+    combination = left_out(METHODS[key], data, OUT)
     assert combination.weights.shape[0] == 60
     truth = spectral[OUT].eval(data.wi, data.wo)
     samples = [m.select_bands(combination.sample_bands.tolist()) for m in spectral]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference import left_out
 from scipy.linalg import solve
 from small_library import NAMES, measured, small_library
 
@@ -100,7 +101,7 @@ def test_held_out_methods_never_use_the_material_itself(models, data, kind):
     for m in model_methods(models[kind]):
         if m.is_held_out:
             for i in (0, data.n_materials - 1):
-                combination = m.leave_out(data, i)
+                combination = left_out(m, data, i)
                 weights = combination.weights.reshape(*combination.weights.shape[:-1], data.n_materials, -1)
                 assert np.all(weights[..., i, :] == 0.0)
                 np.testing.assert_allclose(combination.weights.sum(axis=-1), 1.0, atol=1e-9)
@@ -129,9 +130,9 @@ def test_latents_kept_of_curves_are_the_closed_form_for_blocks(model, data):
     latents = model.gp.X[rows]
     moved = replace(model.space, colours=latents[None, :, -1].repeat(data.n_materials, axis=0))
     at_samples = Manifold(model.materials, moved, model.settings, {})
-    found = method_of(at_samples, "gp_latents_kept").leave_out(data, i).mapped(data).T
+    found = left_out(method_of(at_samples, "gp_latents_kept"), data, i).mapped(data).T
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    assert kept.leave_out(data, i).variance.shape == (len(bands),)
+    assert left_out(kept, data, i).variance.shape == (len(bands),)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -154,7 +155,7 @@ def test_errors_agree_with_a_direct_computation(model, data, made, key):
     result = method(made, key)
     negative = 0
     for i in range(len(f)):
-        c = chosen.leave_out(data, i)
+        c = left_out(chosen, data, i)
         T = c.mapping.forward(f, np.broadcast_to(w, f.shape[:2]))
         if c.sample_bands is None:
             mapped = np.tensordot(c.weights, T, axes=1)
@@ -224,7 +225,7 @@ def test_other_grids_are_walked_in_blocks(models, monkeypatch):
     data = Data.evaluate(model.materials.filled(), RusinkiewiczGrid.named("default"))
     linear = next(m for m in standard_methods() if m.key == "linear")
     for i in range(len(f)):
-        predicted = np.tensordot(linear.leave_out(data, i).weights, f, axes=1)
+        predicted = np.tensordot(left_out(linear, data, i).weights, f, axes=1)
         expected = rmse(f[i], predicted, n_pairs=grid.n_pairs)
         assert method(made, "linear").rmse[i] == pytest.approx(expected, rel=1e-9)
 

@@ -153,26 +153,6 @@ def test_a_new_sample_embeds_where_no_nearby_latent_is_better(rng):
         assert here <= cost(other) + 1e-4  # L-BFGS stops at a relative decrease of 1e-9 to 1e-5
 
 
-def test_rows_may_share_coordinates(rng):
-    """Three rows each share their first coordinate, as the bands of a material share its structure."""
-    Y, split = curved(rng, 30), 10
-    shared, own = rng.normal(size=(10, 1)), rng.normal(size=(30, 1))
-
-    def expand(z):
-        return np.column_stack([np.repeat(z[:split], 3), z[split:]])
-
-    def contract(dX):
-        return np.concatenate([dX[:, 0].reshape(10, 3).sum(axis=1), dX[:, 1]])
-
-    z0 = np.concatenate([shared.ravel(), own.ravel()])
-    objective = SparseObjective(Y, 12, SquaredExponential(1e-2))
-    X0 = expand(z0)
-    z, Z, _, _ = minimise(objective, z0, X0[:8], expand=expand, contract=contract, max_iter=50)
-    assert objective(expand(z), Z)[0] < objective(X0, X0[:8])[0]
-    numeric = reference.central_differences(lambda v: objective(expand(v), X0[:8])[0], z0)
-    np.testing.assert_allclose(contract(objective(X0, X0[:8])[1]), numeric, atol=1e-6 * np.abs(numeric).max())
-
-
 def test_inducing_points_can_stay_where_they_are(rng):
     Y = curved(rng)
     X0 = pca_start_of_factor(Y, 2)

@@ -86,11 +86,6 @@ def _digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def write(path: Path, result: FitResult, source: Source) -> None:
-    """Write a fit. Raises: as `atomic.replacing`."""
-    write_document(path, document(result, source))
-
-
 def write_document(path: Path, content: dict[str, Any]) -> None:
     """Write what `document` has made. Raises: as `atomic.replacing`."""
     atomic.write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

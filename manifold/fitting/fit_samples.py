@@ -168,7 +168,7 @@ def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
     return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
 
 
-def from_readings(readings: Readings, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
+def from_readings(readings: Readings) -> FitSamples:
     """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most.
 
     Raises:
@@ -183,22 +183,14 @@ def from_readings(readings: Readings, *, max_pairs: int = MAX_PAIRS) -> FitSampl
     read = readings.select_pairs(kept)
     f = np.maximum(read.values, 0.0)
     weight = read.weights * read.wi[:, 2]
-    return FitSamples.from_arrays(read.wi, read.wo, f, bands=read.bands, weight=weight).subsample(max_pairs)
+    return FitSamples.from_arrays(read.wi, read.wo, f, bands=read.bands, weight=weight).subsample(MAX_PAIRS)
 
 
-def from_brdf(
-    brdf: EvaluableBRDF, *, grid: RusinkiewiczGrid | None = None, max_pairs: int = MAX_PAIRS
-) -> FitSamples:
-    """Samples of a BRDF, dense around the mirror direction.
-
-    Args:
-        brdf: what to sample; negative values of a prediction count as 0.
-        grid: direction pairs; the default grid of `metrics` if None.
-        max_pairs: how many of them, at most.
-    """
-    wi, wo, above = (grid or RusinkiewiczGrid()).directions()
+def from_brdf(brdf: EvaluableBRDF) -> FitSamples:
+    """Samples of a BRDF, dense around the mirror direction; negative values of a prediction count as 0."""
+    wi, wo, above = RusinkiewiczGrid().directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
-    if len(keep) > max_pairs:
-        keep = np.sort(np.random.default_rng(0).permutation(keep)[:max_pairs])
+    if len(keep) > MAX_PAIRS:
+        keep = np.sort(np.random.default_rng(0).permutation(keep)[:MAX_PAIRS])
     wi, wo = wi[keep], wo[keep]
     return FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)

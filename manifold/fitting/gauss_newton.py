@@ -273,9 +273,7 @@ def find_minima(
     return distinct(scale, ends, 0.02)
 
 
-def refine_bands(
-    evaluator: Evaluator, samples: FitSamples, metric: Metric, p: Array, iterations: int = 20
-) -> tuple[Array, Array]:
+def refine_bands(evaluator: Evaluator, samples: FitSamples, metric: Metric, p: Array) -> tuple[Array, Array]:
     """Values of the parameters per band, each band by itself, what bands share kept.
 
     Levenberg-Marquardt in all bands at once. Values stay above 0: Mitsuba takes no negative spectra.
@@ -285,7 +283,6 @@ def refine_bands(
         samples: what is fitted.
         metric: measure of the residuals.
         p: where to begin, shape (K,).
-        iterations: at most.
     Returns:
         Values (K,), and f_cos (M, B) there.
     """
@@ -299,7 +296,7 @@ def refine_bands(
     value, slope = evaluator.band_jacobian(p)
     cost = np.sum((root * (metric(value) - target)) ** 2, axis=0)  # (B,)
     damping = np.full(len(index), 1e-3)
-    for _ in range(iterations):
+    for _ in range(20):
         residual = root * (metric(value) - target)
         J = (root * metric.slope(value))[..., None] * slope  # (M, B, n)
         hessian = np.einsum("mbi,mbj->bij", J, J)

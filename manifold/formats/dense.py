@@ -97,7 +97,7 @@ class DenseTable:
             return from_rusinkiewicz(*angles)
         return from_spherical(angles[0], angles[1]), from_spherical(angles[2], angles[3])
 
-    def readings(self, limit: int | None = None, rng: np.random.Generator | None = None) -> Readings:
+    def readings(self, limit: int | None = None) -> Readings:
         """The measured nodes above the horizon as readings; at most `limit` of them, drawn at random.
 
         Raises:
@@ -105,8 +105,7 @@ class DenseTable:
         """
         index = np.flatnonzero(np.isfinite(self.values).any(axis=-1).reshape(-1))
         if limit is not None and index.size > 2 * limit:  # about half a MERL table lies below the horizon
-            generator = rng or np.random.default_rng(0)
-            index = np.sort(generator.choice(index, min(index.size, 8 * limit), replace=False))
+            index = np.sort(np.random.default_rng(0).choice(index, min(index.size, 8 * limit), replace=False))
         wi, wo = self.directions(index)
         above = np.flatnonzero((wi[:, 2] > 1e-9) & (wo[:, 2] > 1e-9))
         if limit is not None and above.size > limit:

@@ -143,7 +143,7 @@ class GPWeights:
             S: Gram matrix of the outputs, shape (N, N); centred here.
             n_outputs: D.
         """
-        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        S = centre_gram(_require_square(S, self.n_samples))
         return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
 
     def explained(self, S: Array) -> float:
@@ -155,7 +155,7 @@ class GPWeights:
         Args:
             S: Gram matrix of the outputs, shape (N, N); centred here.
         """
-        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        S = centre_gram(_require_square(S, self.n_samples))
         residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
         return 1.0 - residual / float(np.trace(S))
 
@@ -259,7 +259,7 @@ class GPWeights:
         Source: Hikichi & Iwasaki, eq. 15.
         """
         X_new = _require_latents(X_new, self.X.shape[1], "X_new")
-        S = centre_gram(_require_square(S, self.n_samples, "S"))
+        S = centre_gram(_require_square(S, self.n_samples))
         V = self.weights(X_new)
         distances = cdist(X_new, self.X)
         nearest = distances.argmin(axis=1)
@@ -311,10 +311,10 @@ def _require_latents(X: Array, columns: int | None, name: str) -> Array:
     return X
 
 
-def _require_square(S: Array, n: int, name: str) -> Array:
+def _require_square(S: Array, n: int) -> Array:
     S = np.asarray(S, dtype=np.float64)
     if S.shape != (n, n):
-        raise ShapeError(f"{name} has shape {S.shape}, expected ({n}, {n})")
+        raise ShapeError(f"S has shape {S.shape}, expected ({n}, {n})")
     if not np.all(np.isfinite(S)):
-        raise ShapeError(f"{name} has non-finite values, expected a finite Gram matrix")
+        raise ShapeError("S has non-finite values, expected a finite Gram matrix")
     return S

@@ -19,12 +19,10 @@ def shared_pair(
     cosines: Array,
     rows: csr_matrix,
     to_xyz: Array,
-    *,
-    picture: float = 1.0,
 ) -> Array:
     """Weights v >= 0 of two samples in every band, and of a third that is alike in all: 2 + 2 B + 1 numbers.
 
-    Minimises `sum w (v g - t)^2 / sum w t^2 + picture / K sum_k |J_k 3 rows_k (t^2 (v g - t))|^2`: cube roots as in
+    Minimises `sum w (v g - t)^2 / sum w t^2 + 1 / K sum_k |J_k 3 rows_k (t^2 (v g - t))|^2`: cube roots as in
     `reconstruction_weights`, and `L*`, `a*`, `b*` of averages of light, linearised at the target by the slopes J. All
     pairs are compared by the first term; the best of them exactly.
 
@@ -35,7 +33,6 @@ def shared_pair(
         cosines: cos(theta_i) cos(theta_o) per direction pair, shape (P,).
         rows: averages over groups of pairs, (K, P); see `picture_rows`.
         to_xyz: XYZ of f = 1 / pi in each band alone, shape (3, B).
-        picture: weight of the second term.
     Returns:
         Shape (B, n), zero but for the columns of the pair and of white.
     """
@@ -46,7 +43,7 @@ def shared_pair(
     if norm == 0.0:
         return best
     gram, cross = (samples * weight) @ samples.T / norm, (targets * weight) @ samples.T / norm
-    J = lab_slopes(rows @ np.maximum(targets, 0.0).T ** 3, to_xyz) * np.sqrt(picture / rows.shape[0])
+    J = lab_slopes(rows @ np.maximum(targets, 0.0).T ** 3, to_xyz) * np.sqrt(1.0 / rows.shape[0])
     sloped = [(3.0 * rows.multiply(t**2)).tocsr() for t in targets]
     averages = np.array([s @ samples.T for s in sloped])  # of 3 t^2 g, [B, K, n]
     y = np.einsum("klb,bk->kl", J, np.array([s @ t for s, t in zip(sloped, targets, strict=True)])).ravel()

@@ -49,7 +49,6 @@ class SparseObjective:
         self.n_outputs = n_outputs
         self.kernel = kernel
         self.prior = prior
-        self._squared_norm = float(np.sum(self.Y**2))
 
     def __call__(self, X: Array, Z: Array) -> tuple[float, Array, Array]:
         """F at latents X (N, Q) and inducing points Z (M, Q), dF/dX (N, Q) and dF/dZ (M, Q).
@@ -124,40 +123,34 @@ class SparsePosterior:
 
 def minimise(
     objective: Callable[[Array, Array], tuple[float, Array, Array]],
-    latents: Array,
+    X: Array,
     Z: Array,
     *,
-    expand: Callable[[Array], Array] = lambda z: z,
-    contract: Callable[[Array], Array] = lambda dX: dX,
     move_inducing: bool = True,
     max_iter: int = 300,
     tol: float = 1e-6,
     callback: FitCallback | None = None,
 ) -> tuple[Array, Array, int, int]:
-    """Minimise F over whatever describes the latents, and over inducing points, by L-BFGS.
+    """Minimise F over latents and inducing points by L-BFGS.
 
     Args:
         objective: (X, Z) to (F, dF/dX, dF/dZ), as `SparseObjective`.
-        latents: what describes the latents, any shape: where the search starts.
+        X: latents, shape (N, Q): where the search starts.
         Z: inducing points, shape (M, Q).
-        expand: from the description to X (N, Q); linear. Rows may share coordinates, for instance.
-        contract: its transpose: from dF/dX (N, Q) to the derivatives by the description.
         move_inducing: whether Z is minimised over too.
         max_iter, tol: limit on iterations; relative gain below which it ends.
         callback: `callback(iteration, F)`; StopIteration ends the search with the best so far.
     Returns:
-        The description, Z, iterations and evaluations.
+        X, Z, iterations and evaluations.
     """
-    split, rounds = latents.size, 0
+    split, rounds = X.size, 0
 
     def unpack(z: Array) -> tuple[Array, Array]:
-        return z[:split].reshape(latents.shape), z[split:].reshape(Z.shape) if move_inducing else Z
+        return z[:split].reshape(X.shape), z[split:].reshape(Z.shape) if move_inducing else Z
 
     def flat(z: Array) -> tuple[float, Array]:
-        description, inducing = unpack(z)
-        F, dX, dZ = objective(expand(description), inducing)
-        parts = [contract(dX).reshape(-1), *([dZ.reshape(-1)] if move_inducing else [])]
-        return F, np.concatenate(parts)
+        F, dX, dZ = objective(*unpack(z))
+        return F, np.concatenate([dX.reshape(-1), *([dZ.reshape(-1)] if move_inducing else [])])
 
     def report(intermediate_result: Any) -> None:
         nonlocal rounds
@@ -165,7 +158,7 @@ def minimise(
         if callback is not None:
             callback(rounds, float(intermediate_result.fun))
 
-    start = np.concatenate([latents.reshape(-1), *([Z.reshape(-1)] if move_inducing else [])])
+    start = np.concatenate([X.reshape(-1), *([Z.reshape(-1)] if move_inducing else [])])
     options = {"maxiter": max_iter, "maxfun": 10 * max_iter, "ftol": tol, "gtol": tol, "maxcor": 20}
     found = minimize(flat, start, jac=True, method="L-BFGS-B", callback=report, options=options)
     return (*unpack(found.x), max(rounds, 1), int(found.nfev))

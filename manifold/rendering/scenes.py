@@ -78,8 +78,6 @@ def material_ball(
     material: Mapping[str, Any] | Any,
     film: Mapping[str, Any],
     environment: Array | None = None,
-    *,
-    max_depth: int = 8,
 ) -> dict[str, Any]:
     """The scene, for `mi.load_dict` in the variant that is set.
 
@@ -88,13 +86,12 @@ def material_ball(
         material: BSDF of the ball, as a dictionary or an object.
         film: dictionary of a film; its shape should be square.
         environment: linear RGB radiance, float32, shape (H, W, 3), laid out as `studio` does; that by default.
-        max_depth: of light paths.
     """
     transform = mi.ScalarTransform4f
     image = studio() if environment is None else np.ascontiguousarray(environment, dtype=np.float32)
     return {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": max_depth},
+        "integrator": {"type": "path", "max_depth": 8},
         "sensor": {
             "type": "perspective",
             "fov": _FIELD_OF_VIEW_DEG,

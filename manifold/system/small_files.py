@@ -43,10 +43,10 @@ def read_bytes(path: Path, *, advice: str, most: int) -> bytes:
     return content
 
 
-def read_text(path: Path, *, advice: str, most: int = MOST_TEXT) -> str:
+def read_text(path: Path, *, advice: str) -> str:
     """A text in UTF-8. Raises: as `read_bytes`, or it is none."""
     try:
-        return read_bytes(path, advice=advice, most=most).decode("utf-8-sig")
+        return read_bytes(path, advice=advice, most=MOST_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _cannot_read(path, "no text in UTF-8", advice) from error
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from manifold.experiments.chart.experiment import Chart, make_chart
-from manifold.experiments.readings.curve import COUNTS, Curve, measure_curves
+from manifold.experiments.readings.curve import Curve, measure_curves
 from manifold.library.store import Library
 from manifold.model.completion.samples import LibrarySamples
 from manifold.model.manifold import Manifold
@@ -44,7 +44,6 @@ def chart(
 def readings_chart(
     library: Path | None = None,
     only: Sequence[str] = (),
-    counts: Sequence[int] = COUNTS,
     on_progress: Progress | None = None,
 ) -> list[Curve]:
     """Errors of left-out materials of a library, completed from n readings.
@@ -52,11 +51,10 @@ def readings_chart(
     Args:
         library: `library.zarr` by default.
         only: keys of methods; all by default.
-        counts: n.
         on_progress: called with (done, total, name).
     Raises:
         UsageError, LibraryError: as `measure_curves` and `Library.open`.
     """
     opened = Library.open(Path("library.zarr") if library is None else library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
-    return measure_curves(samples, counts, only, on_progress)
+    return measure_curves(samples, only=only, on_progress=on_progress)

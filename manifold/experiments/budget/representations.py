@@ -178,13 +178,13 @@ def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: P
     return sorted(builder.found, key=lambda candidate: (candidate.size, candidate.predicted, candidate.name))
 
 
-def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool, *, evaluations: int = 1 << 18) -> float:
+def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool) -> float:
     """Time of a million evaluations of a BSDF on the backend at hand, in ms: the best of three runs."""
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
     made = mi.load_dict(dict(bsdf))
     context, best = mi.BSDFContext(), np.inf
     if not backend.choose().is_llvm:
-        evaluations = min(evaluations, 2000)
+        evaluations = 2000
         si = mi.SurfaceInteraction3f()
         si.wi = mi.Vector3f(0.6, 0.0, 0.8)
         wo = mi.Vector3f(0.0, 0.6, 0.8)
@@ -194,7 +194,7 @@ def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool, *, evaluations: int = 1 
                 made.eval(context, si, wo)
             best = min(best, time.perf_counter() - start)
         return 1e9 * best / evaluations
-    dr = backend.drjit()
+    dr, evaluations = backend.drjit(), 1 << 18
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, evaluations)
     si = dr.zeros(mi.SurfaceInteraction3f, evaluations)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.model.combination import Combination
 from manifold.records import Array
@@ -42,12 +40,3 @@ class Method:
     refits: bool = True
     sample_bands: int | None = None
     fits_model: bool = False
-
-    def leave_out(self, data: Data, i: int) -> Combination:
-        """The prediction of material i."""
-        everything = np.arange(data.n_materials)
-        return self.fit(data, np.delete(everything, i) if self.refits else everything)(i)
-
-    def predict(self, data: Data, i: int) -> Array:
-        """The predicted values of material i at the data's pairs and bands, shape (P, B')."""
-        return self.leave_out(data, i).in_bands(data.bands).evaluate(data)

@@ -15,8 +15,8 @@ from manifold.errors import ShapeError
 from manifold.experiments.evaluation.baselines import fit_pca
 from manifold.experiments.evaluation.cross_validation import cross_validate, encode_all, leave_out
 from manifold.experiments.evaluation.errors import measure_errors, standardised_error
-from manifold.experiments.evaluation.latent_models import fit_gplvm, fit_monochrome, fit_settings
-from manifold.experiments.evaluation.methods import standard_methods
+from manifold.experiments.evaluation.latent_models import fit_settings
+from manifold.experiments.evaluation.methods import STANDARD, standard_methods
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.gplvm import GPLVM
 from manifold.io_rgl import read_bsdf
@@ -199,8 +199,8 @@ def test_pca_agrees_with_a_singular_value_decomposition(data):
 
 def test_a_training_material_is_encoded_to_itself(data):
     everything = np.arange(len(NAMES))
-    for fit in (fit_gplvm(2, optimizer="l-bfgs"), fit_monochrome(2, 1)):
-        predicted = fit(data, everything)(2).evaluate(data)
+    for settings in (STANDARD["gplvm_2"], STANDARD["monochrome_2_1"]):
+        predicted = fit_settings(settings)(data, everything)(2).evaluate(data)
         assert data.relative_error(2, predicted) < 0.02
 
 
@@ -208,7 +208,7 @@ def test_a_comparison_is_the_sum_of_what_methods_predict(data):
     chosen = [METHODS["linear"], METHODS["pca_6_cube_root"]]
     errors = measure_errors([encode_all(data, m).combinations for m in chosen], data.bands, _blocks(data, 3))
     for method, found in zip(chosen, errors, strict=True):
-        predicted = [method.predict(data, i) for i in range(len(NAMES))]
+        predicted = [left_out(method, data, i).in_bands(data.bands).evaluate(data) for i in range(len(NAMES))]
         for i, f in enumerate(predicted):
             assert found.linear[i] == pytest.approx(relative_error(data.f[i], f, data.cosines), rel=1e-9)
             assert found.cube_root[i] == pytest.approx(cube_root_error(data.f[i], f, data.cosines), rel=1e-9)
@@ -252,26 +252,17 @@ def test_folds_predict_as_their_own_fits_do(data):
 def test_the_error_of_a_fit_says_what_it_learned_from(data):
     alike = Data(np.concatenate([data.f[:1], np.repeat(data.f[1:2], 5, axis=0)]), data.wi, data.wo)
     with pytest.raises(ShapeError, match=r"learning from 5 of 6 materials: .*; import more that differ"):
-        cross_validate(alike, fit_gplvm(2), leave_out(6))
+        cross_validate(alike, fit_settings(STANDARD["gplvm_2"]), leave_out(6))
 
 
 @pytest.mark.parametrize("kind", ["material", "monochrome"])
-def test_the_settings_of_a_manifold_are_fitted_as_its_kind(data, kind):
-    by = {"criterion": "cube-root"}
-    fits = {"material": fit_gplvm(2, optimizer="l-bfgs", **by), "monochrome": fit_monochrome(2, **by)}
-    settings = Settings(kind=kind, latent_dim=2, optimizer="l-bfgs")
-    training = np.arange(1, len(NAMES))
-    found, expected = (fit(data, training)(0).weights for fit in (fit_settings(settings), fits[kind]))
-    np.testing.assert_array_equal(found, expected)
-
-
-@pytest.mark.parametrize("fit", [fit_gplvm, fit_monochrome])
-def test_a_criterion_is_least_for_the_latents_that_it_finds(data, fit):
+def test_a_criterion_is_least_for_the_latents_that_it_finds(data, kind):
     """Of the cube root, over the pairs that serve to encode; a search that stops may leave a little."""
     training, some = np.arange(1, len(NAMES)), slice(None, None, data.stride)
     errors = {}
     for criterion in ("decoded", "cube-root"):
-        f = fit(2, criterion=criterion, prior=0.0)(data, training)(0).evaluate(data)[some]
+        settings = Settings(kind, 2, optimizer="l-bfgs", prior=0.0, criterion=criterion)
+        f = fit_settings(settings)(data, training)(0).evaluate(data)[some]
         weight = data.cosines[some]
         errors[criterion] = (
             relative_error(data.f[0, some], f, weight),

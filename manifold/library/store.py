@@ -25,6 +25,7 @@ from manifold.library.schema import FIELDS, SCHEMA_VERSION
 from manifold.library.writing import first_line, make_store, read_bands
 from manifold.library.zarr_reading import attributes_of, open_group, read_array, read_extra, shape_of
 from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.system.stages import told
 
 if TYPE_CHECKING:
     import zarr
@@ -270,14 +271,11 @@ class Library:
             One line per damaged material, naming it; empty if all is well.
         """
         problems = []
-        names = self.names
-        for done, name in enumerate(names, start=1):
+        for name in told(self.names, callback, str):
             try:
                 self.read(name)
             except ManifoldError as error:
                 problems.append(str(error))
-            if callback:
-                callback(done, len(names), name)
         return problems
 
     def cache_get(self, key: str) -> dict[str, Array] | None:

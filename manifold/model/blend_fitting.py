@@ -16,6 +16,7 @@ from manifold.model.appearance import roots_at
 from manifold.model.decoding import encoding_pairs, integrating_sphere
 from manifold.models.blending import Layout, blend_layout
 from manifold.records import Array, Progress, evenly_spaced
+from manifold.system.stages import told
 
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: below, nothing is seen
@@ -73,14 +74,12 @@ def appearance_distances(
     ball, pairs = ball_colours.ball(), encoding_pairs()
     wi, wo = profile_pairs()
     colours, logs, profiles = [], [], []
-    for done, material in enumerate(materials, start=1):
+    for material in told(materials, on_progress, "looks"):
         brdf = material.select_bands(bands)
         colours.append(ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands))
         f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
         logs.append((np.log(f + _FLOOR) * np.sqrt(pairs.cosines)[:, None]).ravel())
         profiles.append(np.cbrt(np.maximum(brdf.eval(wi, wo), 0.0)))  # [incidences, directions, B]
-        if on_progress is not None:
-            on_progress(done, len(materials), "looks")
     xyz = np.stack(colours)
     white = srgb_to_xyz(np.ones(3))
     difference = np.stack([delta_e_2000(xyz, one[None], white).mean(axis=1) for one in xyz])

@@ -25,6 +25,7 @@ from manifold.models.colour_paths import fit_paths
 from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
+from manifold.system.stages import told
 
 _LIT_DEG = np.array([0.0, 45.0])
 _MOST_ALBEDO = (
@@ -111,12 +112,10 @@ def _fit_curves(
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)
-    for n, material in enumerate(materials.filled()):
+    for n, material in told(enumerate(materials.filled()), on_progress, "colours"):
         f = material.eval(pairs.wi, pairs.wo).T
         colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
-        if on_progress is not None:
-            on_progress(n + 1, len(materials.names), "colours")
     statistics = {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
     return replace(space, colours=colours, reflectances=reflectances), statistics
 

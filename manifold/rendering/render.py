@@ -24,6 +24,7 @@ from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin.bsdf import register_always
 from manifold.system import temporary
+from manifold.system.stages import told
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once
@@ -127,11 +128,9 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Pro
     seeds = np.random.SeedSequence(settings.seed).generate_state(n_passes)
     ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
     total: Array | float = 0.0
-    for k, count in enumerate(np.diff(ends, prepend=0)):
+    for k, count in told(enumerate(np.diff(ends, prepend=0)), on_progress):
         picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
         total = total + int(count) * np.array(picture, dtype=np.float64)
-        if on_progress is not None:
-            on_progress(k + 1, n_passes, "")
     return np.asarray(total) / settings.samples
 
 

@@ -51,10 +51,12 @@ class Stages:
         return within
 
 
-def told(items: Iterable[T], on_progress: Progress | None) -> Iterator[T]:
-    """The items, one after the other; tells how many are done with."""
+def told(
+    items: Iterable[T], on_progress: Progress | None, what: str | Callable[[T], str] = ""
+) -> Iterator[T]:
+    """The items, one after the other; tells how many are done with, and what they are, or the last one is."""
     known = list(items)
     for done, item in enumerate(known, start=1):
         yield item
         if on_progress is not None:
-            on_progress(done, len(known), "")
+            on_progress(done, len(known), what if isinstance(what, str) else what(item))

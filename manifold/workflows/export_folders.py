@@ -13,6 +13,7 @@ from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
 from manifold.records import Progress
+from manifold.system.stages import told
 from manifold.workflows.exports import (
     ExportOutcome,
     Subject,
@@ -55,7 +56,7 @@ def export_all(
         raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
     outcomes = []
     with OutputIndex(folder, "exports") as index:
-        for name, (identity, read) in subjects.items():
+        for name, (identity, read) in told(subjects.items(), on_progress, lambda item: item[0]):
             path = folder / f"{name}{target.suffix}"
             made_of = {"material": identity, "target": target.name, "direct": is_direct}
             known = index.result(path, made_of)
@@ -66,8 +67,6 @@ def export_all(
                 made = outcomes[-1].export
                 if made is not None:
                     index.add(path, made_of, made)
-            if on_progress is not None:
-                on_progress(len(outcomes), len(subjects), name)
     return outcomes
 
 

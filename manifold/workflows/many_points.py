@@ -16,6 +16,7 @@ from manifold.model.manifold import Manifold
 from manifold.records import Progress, Stage, no_stage
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, require_d65
+from manifold.system.stages import told
 from manifold.workflows import renders
 from manifold.workflows.output_index import OutputIndex, file_sha256
 from manifold.workflows.point_table import Point, PointTable
@@ -169,11 +170,14 @@ class _Run:
         if missing:
             with self.stage("Reading materials") as step:
                 prepare(step)
+<<<<<<< HEAD
         with self.stage("Writing files") as step:
             for done, k in enumerate(missing, start=1):
+=======
+        with self.stage("Making files") as step:
+            for k in told(missing, step, lambda k: points[k].name):
+>>>>>>> 460bccf (Methods that are fitted are named by a manifold's settings; loops that tell their progress share one)
                 outcomes[k] = self._made(points[k], paths[k])
-                if step is not None:
-                    step(done, len(missing), points[k].name)
         return [outcome for outcome in outcomes if outcome is not None]
 
     def _kept(self, point: Point, path: Path) -> PointOutcome | None:

@@ -17,6 +17,7 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
+from manifold.system.stages import told
 
 if TYPE_CHECKING:
     from manifold.experiments.evaluation.report import Report
@@ -53,11 +54,8 @@ def embed(
         from manifold.experiments.evaluation import selection
 
         with stage("Reading materials") as step:
-            materials = []
-            for name in opened.names:
-                materials.append(MeasuredBRDF(fill_unmeasured(opened.read(name))))
-                if step is not None:
-                    step(len(materials), len(opened.names), name)
+            names = told(opened.names, step, str)
+            materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in names]
         with stage("Leaving materials out") as step:
             settings, candidates = selection.choose(
                 materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim, on_progress=step

@@ -8,7 +8,7 @@ zeros like those of its files. Everything follows from one seed. Files are marke
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
 from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.system.stages import told
 
 _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
 # Noise from cell to cell, as a share of the value: 0.2 to 0.7 % in most real files, 1 % in coats, 2 to 4 % where
@@ -135,32 +136,31 @@ def write(
         UsageError: the folder cannot be made.
     """
     materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
-    measured = [(m.name, lambda m=m: measure(m, seed=seed, rgb=rgb)) for m in materials]
-    return write_files(folder, measured, "rgb" if rgb else "spec", keep=keep, on_progress=on_progress)
+    writers = {m.name: lambda path, m=m: write_bsdf(path, measure(m, seed=seed, rgb=rgb)) for m in materials}
+    return write_files(
+        folder, "_rgb.bsdf" if rgb else "_spec.bsdf", writers, keep=keep, on_progress=on_progress
+    )
 
 
 def write_files(
     folder: Path | str,
-    materials: Sequence[tuple[str, Callable[[], BsdfFile]]],
-    suffix: str,
+    ending: str,
+    writers: Mapping[str, Callable[[Path], None]],
     *,
     keep: bool = False,
     on_progress: Progress | None = None,
 ) -> list[Path]:
-    """Write `NAME_SUFFIX.bsdf` for every name and what measures it; arguments, errors and result as in `write`."""
+    """Write a file for every name and what writes it, the ending behind the name; else as `write`."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
-    paths = []
-    for done, (name, measure_it) in enumerate(materials, start=1):
-        paths.append(folder / f"{name}_{suffix}.bsdf")
-        if not (keep and paths[-1].exists()):
-            write_bsdf(paths[-1], measure_it())
-        if on_progress is not None:
-            on_progress(done, len(materials), name)
-    return paths
+    paths = {name: folder / f"{name}{ending}" for name in writers}
+    for name in told(writers, on_progress, str):
+        if not (keep and paths[name].exists()):
+            writers[name](paths[name])
+    return list(paths.values())
 
 
 def _theta_i(rng: np.random.Generator) -> Array:

@@ -8,12 +8,13 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.brdf.synthetic.corpus import Material, isotropic_materials
+from manifold.brdf.synthetic.corpus import Material, isotropic_materials, write_files
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import ma_t12
@@ -151,21 +152,15 @@ def write(
     """
     if instrument not in _WRITERS:
         raise UsageError(f"no instrument '{instrument}', expected one of {', '.join(INSTRUMENTS)}")
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
     bands, suffix = _WRITERS[instrument]
-    chosen, paths = materials(), []
-    for done, material in enumerate(chosen, start=1):
+
+    def write_one(path: Path, material: Material) -> None:
         rng = np.random.default_rng([seed, *instrument.encode(), *material.name.encode()])
-        paths.append(folder / f"{material.name}{suffix}")
         brdf = material.truth(bands)
         if instrument == "ma-t12":
-            write_ma_t12(paths[-1], brdf, material.name, rng, flakes=material.family in _FLAKY)
+            write_ma_t12(path, brdf, material.name, rng, flakes=material.family in _FLAKY)
         else:
-            write_mini_diff(paths[-1], brdf, material.name, rng)
-        if on_progress is not None:
-            on_progress(done, len(chosen), material.name)
-    return paths
+            write_mini_diff(path, brdf, material.name, rng)
+
+    writers = {material.name: partial(write_one, material=material) for material in materials()}
+    return write_files(folder, suffix, writers, on_progress=on_progress)

@@ -14,6 +14,7 @@ from manifold.brdf.synthetic.corpus import rgl_bands, write_files
 from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.formats.neural_weights import NeuralWeights, read_neural_weights
+from manifold.io_rgl import write_bsdf
 from manifold.records import Array, Bands, BsdfFile, Progress
 
 RGB = Bands(None)
@@ -102,8 +103,8 @@ def write_neural(
         FileFormatError: the source holds no neural fits, or damaged ones.
     """
     fits = read_neural_fits(source, rgl_bands() if spectral else RGB)
-    measured = [(name, lambda brdf=brdf: _measure(brdf)) for name, brdf in fits.items()]
-    return write_files(folder, measured, "spec" if spectral else "rgb", on_progress=on_progress)
+    writers = {name: lambda path, b=brdf: write_bsdf(path, _measure(b)) for name, brdf in fits.items()}
+    return write_files(folder, "_spec.bsdf" if spectral else "_rgb.bsdf", writers, on_progress=on_progress)
 
 
 def _measure(brdf: NeuralBRDF) -> BsdfFile:

@@ -8,19 +8,14 @@ from dataclasses import dataclass
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
 from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_pca
-from manifold.experiments.evaluation.blends import fit_blend
-from manifold.experiments.evaluation.latent_models import (
-    SAMPLE_BANDS,
-    fit_gplvm,
-    fit_monochrome,
-    fit_published,
-)
+from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS, fit_published, fit_settings
 from manifold.experiments.evaluation.method import Fit
 from manifold.experiments.evaluation.nonnegative import (
     NUMBERS_PER_BAND,
     fit_nonnegative,
     fit_nonnegative_pair,
 )
+from manifold.model.settings import Settings
 
 PUBLISHED = "published"
 AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"
@@ -103,19 +98,19 @@ def _pca(mapping: str, k: int) -> Setting:
 
 def _gplvm(mapping: str, Q: int) -> Setting:
     key, prior = f"gplvm_{Q}_{mapping}", 0.0 if Q == 2 else 0.1
-    fit = fit_gplvm(Q, mapping=mapping, prior=prior)
+    fit = fit_settings(Settings("material", Q, mapping, optimizer="l-bfgs", prior=prior, criterion="decoded"))
     return Setting(key, f"GPLVM {Q}, {mapping}", "GPLVM, whole materials", key, fit, lambda B: Q)
 
 
 def _monochrome(Q: int, bands: int) -> Setting:
     key = f"monochrome_{Q}_1_{bands}"
     title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
-    fit = fit_monochrome(Q, 1, sample_bands=bands)
+    fit = fit_settings(Settings("monochrome", Q, sample_bands=bands, criterion="decoded"))
     return Setting(key, title, "GPLVM, monochrome samples", key, fit, lambda B: Q + B, sample_bands=bands)
 
 
 def _blend(Q: int) -> Setting:
-    fit = fit_blend(Q, SAMPLE_BANDS)
+    fit = fit_settings(Settings("blend", Q))
     return Setting(
         f"blend_{Q}", f"blend {Q}+2", BLENDS, f"blend_{Q}", fit, lambda B: Q + 2 * B,
         sample_bands=SAMPLE_BANDS,

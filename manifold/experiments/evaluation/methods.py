@@ -5,13 +5,14 @@ A new method is one more entry.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_oracle, fit_pca
-from manifold.experiments.evaluation.blends import fit_blend
 from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
-    fit_gplvm,
     fit_monochrome,
     fit_published,
+    fit_settings,
 )
 from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.nonnegative import (
@@ -20,6 +21,7 @@ from manifold.experiments.evaluation.nonnegative import (
     fit_nonnegative_pair,
 )
 from manifold.experiments.evaluation.tabulated import MAX_BANDS
+from manifold.model.settings import Settings
 
 
 def standard_methods() -> list[Method]:
@@ -46,42 +48,44 @@ def baseline_methods() -> list[Method]:
 
 def gplvm_methods() -> list[Method]:
     """Models of this package at settings of their own."""
+    pair = Method(
+        "nonnegative_pair", "two samples + Lambertian", lambda B: 3 + 2 * B, fit_nonnegative_pair(SAMPLE_BANDS),
+        sample_bands=SAMPLE_BANDS, fits_model=True,
+    )  # fmt: skip
     return [
-        Method("gplvm_2", "GPLVM, 2, cube root", lambda B: 2, fit_gplvm(2), fits_model=True),
-        Method("gplvm_6", "GPLVM, 6, cube root", lambda B: 6, fit_gplvm(6, prior=0.1), fits_model=True),
-        _monochrome("monochrome_2_1", "monochrome, 2 + 1 per band", 2, 1),
-        _monochrome("monochrome_3_1", "monochrome, 3 + 1 per band", 3, 1),
-        _monochrome("monochrome_0_2", "monochrome, 2 per band", 0, 2),
+        _model("gplvm_2", "GPLVM, 2, cube root", lambda B: 2, None),
+        _model("gplvm_6", "GPLVM, 6, cube root", lambda B: 6, None),
+        _model("monochrome_2_1", "monochrome, 2 + 1 per band", lambda B: 2 + B),
+        _model("monochrome_3_1", "monochrome, 3 + 1 per band", lambda B: 3 + B),
         Method(
-            "nonnegative_pair",
-            "two samples + Lambertian",
-            lambda B: 3 + 2 * B,
-            fit_nonnegative_pair(SAMPLE_BANDS),
-            sample_bands=SAMPLE_BANDS,
-            fits_model=True,
+            "monochrome_0_2", "monochrome, 2 per band", lambda B: 2 * min(B, MAX_BANDS),
+            fit_monochrome(Settings(kind="monochrome", latent_dim=0), "decoded", n_colour=2),
+            sample_bands=SAMPLE_BANDS, fits_model=True,
         ),
-        Method(
-            "blend_2",
-            "blend, 2 + 2 per band",
-            lambda B: 2 + 2 * B,
-            fit_blend(2),
-            sample_bands=SAMPLE_BANDS,
-            fits_model=True,
-        ),
-        Method(
-            "blend_3",
-            "blend, 3 + 2 per band",
-            lambda B: 3 + 2 * B,
-            fit_blend(3),
-            sample_bands=SAMPLE_BANDS,
-            fits_model=True,
-        ),
-    ]
+        pair,
+        _model("blend_2", "blend, 2 + 2 per band", lambda B: 2 + 2 * B),
+        _model("blend_3", "blend, 3 + 2 per band", lambda B: 3 + 2 * B),
+    ]  # fmt: skip
 
 
-def _monochrome(key: str, title: str, n_structure: int, n_colour: int) -> Method:
-    def numbers(B: int) -> int:
-        return n_structure + n_colour * (B if n_colour == 1 else min(B, MAX_BANDS))
+def _whole(latent_dim: int, prior: float) -> Settings:
+    return Settings("material", latent_dim, optimizer="l-bfgs", prior=prior, criterion="decoded")
 
-    fit = fit_monochrome(n_structure, n_colour)
-    return Method(key, title, numbers, fit, sample_bands=SAMPLE_BANDS, fits_model=True)
+
+STANDARD = {
+    "gplvm_2": _whole(2, 0.0),
+    "gplvm_6": _whole(6, 0.1),
+    "monochrome_2_1": Settings("monochrome", 2, criterion="decoded"),
+    "monochrome_3_1": Settings("monochrome", 3, criterion="decoded"),
+    "blend_2": Settings("blend", 2),
+    "blend_3": Settings("blend", 3),
+}
+"""Settings of the models among the methods, by key."""
+
+
+def _model(
+    key: str, title: str, numbers: Callable[[int], int], sample_bands: int | None = SAMPLE_BANDS
+) -> Method:
+    return Method(
+        key, title, numbers, fit_settings(STANDARD[key]), sample_bands=sample_bands, fits_model=True
+    )

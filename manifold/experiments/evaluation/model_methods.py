@@ -8,11 +8,11 @@ from scipy.linalg import cho_solve
 from manifold.experiments.evaluation.baselines import fit_pca
 from manifold.experiments.evaluation.latent_models import fit_settings
 from manifold.experiments.evaluation.method import Encode, Fit, Method
+from manifold.experiments.evaluation.methods import STANDARD
 from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
-from manifold.model.settings import Settings
 from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
@@ -73,17 +73,7 @@ def _method(
 
 def replaced_keys(model: Manifold) -> set[str]:
     """Keys of the standard methods that are the model's own under another name."""
-    standard = {
-        "gplvm_2": Settings(criterion="decoded", kind="material", latent_dim=2, optimizer="l-bfgs"),
-        "gplvm_6": Settings(
-            criterion="decoded", kind="material", latent_dim=6, optimizer="l-bfgs", prior=0.1
-        ),
-        "monochrome_2_1": Settings(criterion="decoded", kind="monochrome", latent_dim=2),
-        "monochrome_3_1": Settings(criterion="decoded", kind="monochrome", latent_dim=3),
-        "blend_2": Settings(kind="blend", latent_dim=2),
-        "blend_3": Settings(kind="blend", latent_dim=3),
-    }
-    same = {key for key, settings in standard.items() if model.settings == settings}
+    same = {key for key, settings in STANDARD.items() if model.settings == settings}
     return same | {f"pca_{_pca_count(model)}_log_relative"}
 
 

@@ -134,7 +134,7 @@ def test_models_are_fitted_without_the_left_out_material(data, key, monkeypatch)
     other = data.f.copy()
     other[2] = 3.0 * data.f[4][::-1]
     for f in (data.f, other):
-        METHODS[key].predict(Data(f, data.wi, data.wo), 2)
+        left_out(METHODS[key], Data(f, data.wi, data.wo), 2)
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-12)
 
 
@@ -147,28 +147,34 @@ def test_no_method_gives_the_left_out_material_a_weight(data, key):
     assert np.all(np.isfinite(combination.evaluate(data)))
 
 
+def predicted(method, data, i):
+    """The values of material i as the method predicts them from the others, at the data's pairs and bands."""
+    return left_out(method, data, i).in_bands(data.bands).evaluate(data)
+
+
 @pytest.mark.parametrize("key", [key for key in MODELS if key != "published"])
 def test_models_of_this_package_predict_nothing_negative(data, key):
-    assert METHODS[key].predict(data, 1).min() >= 0.0
+    assert predicted(METHODS[key], data, 1).min() >= 0.0
 
 
 def test_more_knowledge_is_never_worse(data):
     """Nearest, the best point between the nearest two, the best between any two: each contains the one before."""
     for i in range(len(NAMES)):
         errors = [
-            data.relative_error(i, METHODS[key].predict(data, i)) for key in ("nearest", "linear", "oracle")
+            data.relative_error(i, predicted(METHODS[key], data, i))
+            for key in ("nearest", "linear", "oracle")
         ]
         assert errors == sorted(errors, reverse=True)
 
 
 def test_the_nearest_material_has_the_smallest_error(data):
     for i in range(len(NAMES)):
-        found = data.relative_error(i, METHODS["nearest"].predict(data, i))
+        found = data.relative_error(i, predicted(METHODS["nearest"], data, i))
         assert found == pytest.approx(min(data.relative_error(i, f) for n, f in enumerate(data.f) if n != i))
 
 
 def test_the_mix_of_two_is_the_best_of_all_mixes(data):
-    best = data.relative_error(0, METHODS["oracle"].predict(data, 0))
+    best = data.relative_error(0, predicted(METHODS["oracle"], data, 0))
     for a in range(1, 6):
         for b in range(1, a):
             for t in np.linspace(0.0, 1.0, 11):
@@ -208,7 +214,7 @@ def test_a_comparison_is_the_sum_of_what_methods_predict(data):
     chosen = [METHODS["linear"], METHODS["pca_6_cube_root"]]
     errors = measure_errors([encode_all(data, m).combinations for m in chosen], data.bands, _blocks(data, 3))
     for method, found in zip(chosen, errors, strict=True):
-        predicted = [left_out(method, data, i).in_bands(data.bands).evaluate(data) for i in range(len(NAMES))]
+        predicted = [predicted(method, data, i) for i in range(len(NAMES))]
         for i, f in enumerate(predicted):
             assert found.linear[i] == pytest.approx(relative_error(data.f[i], f, data.cosines), rel=1e-9)
             assert found.cube_root[i] == pytest.approx(cube_root_error(data.f[i], f, data.cosines), rel=1e-9)

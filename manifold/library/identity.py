@@ -8,6 +8,7 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,12 @@ def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
     """The array fields that a file has: an RGB file has no `wavelengths_nm`."""
     return {name: getattr(file, name) for name in ARRAY_FIELDS if getattr(file, name) is not None}
+
+
+def file_sha256(path: Path) -> str:
+    """The hash of a file, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def content_sha256(file: BsdfFile, source_file: str, sha256: str) -> str:

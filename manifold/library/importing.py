@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import Literal, TypeVar
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
-from manifold.library.identity import alike, require_material_name
+from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.library.store import Library
 from manifold.library.writing import make_store, read_bands, write_material
 from manifold.records import Bands, BsdfFile, Progress
@@ -60,7 +59,7 @@ class _Source:
         if self.mapped is not None:
             return self.mapped
         file = read_bsdf(self.path)
-        if _sha256(self.path) != self.sha256:
+        if file_sha256(self.path) != self.sha256:
             raise FileFormatError(f"{self.path}: changed while it was imported; import again")
         return file
 
@@ -159,7 +158,7 @@ def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
             file = read_bsdf(path)
             require_material_name(file.name)
             kept = file if next(mapped) < most else None
-            source = _Source(path, _sha256(path), file.name, file.bands, kept)
+            source = _Source(path, file_sha256(path), file.name, file.bands, kept)
             report.step(path)
             return source
         except ManifoldError as error:
@@ -170,11 +169,6 @@ def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
         return None
 
     return [source for source in _in_threads(load, paths) if source]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _most_mapped() -> int:

@@ -12,6 +12,7 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
+from manifold.library.identity import file_sha256
 from manifold.records import Progress
 from manifold.system.stages import told
 from manifold.workflows.exports import (
@@ -21,7 +22,7 @@ from manifold.workflows.exports import (
     subject_of,
     subject_of_file,
 )
-from manifold.workflows.output_index import OutputIndex, file_sha256
+from manifold.workflows.output_index import OutputIndex
 
 
 def export_all(

@@ -19,13 +19,13 @@ from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
+from manifold.library.identity import file_sha256
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
-from manifold.workflows.output_index import file_sha256
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import unicodedata
@@ -21,7 +20,7 @@ from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.fitting.processes import in_processes
 from manifold.formats import registry
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.library.identity import require_material_name
+from manifold.library.identity import file_sha256, require_material_name
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.diagnostics import Diagnosis
@@ -230,7 +229,7 @@ def fit_prediction(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=tuple(float(v) for v in x),
         model=model.name,
-        model_sha256=_sha256(model),
+        model_sha256=file_sha256(model),
         colour=chosen.words,
     )
     content = fit_json.document(_fit(samples, settings, stages.begin("fitting")), source)
@@ -275,11 +274,6 @@ def _printable(name: str) -> str:
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in name)
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _use_one_thread() -> None:
     """One process per core: more threads in each would only wait for each other."""
     backend.drjit().set_thread_count(0)
@@ -289,7 +283,7 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
     """The fit of a file, not yet written: whoever is killed here leaves nothing behind."""
     name = material_name(path)
     try:
-        source = Source(name=name, file=path.name, sha256=_sha256(path))
+        source = Source(name=name, file=path.name, sha256=file_sha256(path))
         there = _earlier(target, source, settings)
         if there is not None:
             return FitOutcome(name, target, there, was_there=True, file=path)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import ManifoldError, UsageError
-from manifold.library.identity import hash_arrays
+from manifold.library.identity import file_sha256, hash_arrays
 from manifold.model import predicted_file
 from manifold.model.manifold import Manifold
 from manifold.records import Progress, Stage, no_stage
@@ -18,7 +18,7 @@ from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.system.stages import told
 from manifold.workflows import renders
-from manifold.workflows.output_index import OutputIndex, file_sha256
+from manifold.workflows.output_index import OutputIndex
 from manifold.workflows.point_table import Point, PointTable
 
 Check = Callable[[Path], None]
@@ -73,10 +73,9 @@ def predict_all(
             resolution=resolution, n_theta_i=n_theta_i,
         ).to_json()  # fmt: skip
 
-    made_of = _MadeOf(model, loaded, how)
+    made_of = _made_of(model, loaded, how)
     with OutputIndex(folder, "predictions") as index:
-        run = _Run(index, made_of, make, check, stage)
-        return run.all(table.points, paths, loaded.prepare)
+        return _make_missing(index, table.points, paths, made_of, make, loaded.prepare, check, stage)
 
 
 def render_all(
@@ -112,29 +111,27 @@ def render_all(
         ) as source:
             return renders.render(source, path, settings).to_json()
 
-    made_of = _MadeOf(model, loaded, how)
+    made_of = _made_of(model, loaded, how)
     paths = [_path(folder, point, ".png", images.SUFFIXES) for point in table.points]
     with OutputIndex(folder, "renders") as index:
-        run = _Run(index, made_of, make, check, stage)
-        return run.all(table.points, paths, loaded.prepare)
+        return _make_missing(index, table.points, paths, made_of, make, loaded.prepare, check, stage)
 
 
-class _MadeOf:
-    """All that a file depends on."""
+def _made_of(model: Path, loaded: Manifold, how: dict[str, Any]) -> Callable[[Point], dict[str, Any]]:
+    """What tells all that a row's file depends on."""
+    hashes = {"model_sha256": file_sha256(model), "library_hash": loaded.library.content_hash}
 
-    def __init__(self, model: Path, loaded: Manifold, how: dict[str, Any]) -> None:
-        self._loaded, self._how = loaded, how
-        self._hashes = {"model_sha256": file_sha256(model), "library_hash": loaded.library.content_hash}
-
-    def __call__(self, point: Point) -> dict[str, Any]:
-        x = self._loaded.require_latent(point.place)
+    def made_of(point: Point) -> dict[str, Any]:
+        x = loaded.require_latent(point.place)
         colour: dict[str, Any] = asdict(point.colour)
         file = point.colour.reflectance
         if isinstance(file, Path):
             if not file.is_file():
                 raise UsageError(f"{file}: no such file, expected a reflectance")
             colour["reflectance"] = file_sha256(file)
-        return self._hashes | self._how | {"latent": x.tolist(), "colour": colour}
+        return hashes | how | {"latent": x.tolist(), "colour": colour}
+
+    return made_of
 
 
 def _path(folder: Path, point: Point, ending: str, endings: tuple[str, ...]) -> Path:
@@ -143,24 +140,27 @@ def _path(folder: Path, point: Point, ending: str, endings: tuple[str, ...]) -> 
     return folder / (point.name if has_one else f"{point.name}{ending}")
 
 
-@dataclass(frozen=True)
-class _Run:
-    """Makes what is missing.
+def _make_missing(
+    index: OutputIndex, points: Sequence[Point], paths: Sequence[Path], made_of: Callable[[Point], dict[str, Any]],
+    make: Callable[[Point, Path], dict[str, Any]], prepare: Callable[[Progress | None], None],
+    check: Check | None, stage: Stage,
+) -> list[PointOutcome]:  # fmt: skip
+    """An outcome per row.
 
-    Attributes:
+    Args:
         index: of the folder.
+        points, paths: the rows and their files.
         made_of: all that a row's file depends on.
         make: writes a row's file and says what is known of it.
+        prepare: called once, if anything is to be made.
         check: called before a file is replaced, if any.
         stage: opens the progress of a part of the work.
     """
 
-    index: OutputIndex
-    made_of: Callable[[Point], dict[str, Any]]
-    make: Callable[[Point, Path], dict[str, Any]]
-    check: Check | None
-    stage: Stage
+    def kept(point: Point, path: Path) -> dict[str, Any] | None:
+        return index.result(path, made_of(point))
 
+<<<<<<< HEAD
     def all(
         self, points: Sequence[Point], paths: Sequence[Path], prepare: Callable[[Progress | None], None]
     ) -> list[PointOutcome]:
@@ -179,24 +179,32 @@ class _Run:
 >>>>>>> 460bccf (Methods that are fitted are named by a manifold's settings; loops that tell their progress share one)
                 outcomes[k] = self._made(points[k], paths[k])
         return [outcome for outcome in outcomes if outcome is not None]
+=======
+    def made(point: Point, path: Path) -> dict[str, Any]:
+        if check is not None:
+            check(path)
+        result = make(point, path)
+        index.add(path, made_of(point), result)
+        return result
+>>>>>>> d7874fa (One hash of a file; rows of a table are made by a function, not by two classes)
 
-    def _kept(self, point: Point, path: Path) -> PointOutcome | None:
-        try:
-            result = self.index.result(path, self.made_of(point))
-        except ManifoldError as error:
-            return _failed(point, path, error)
-        return None if result is None else PointOutcome(point, path, result, was_there=True)
-
-    def _made(self, point: Point, path: Path) -> PointOutcome:
-        try:
-            if self.check is not None:
-                self.check(path)
-            result = self.make(point, path)
-            self.index.add(path, self.made_of(point), result)
-        except ManifoldError as error:
-            return _failed(point, path, error)
-        return PointOutcome(point, path, result)
+    outcomes = [
+        _attempt(kept, point, path, was_there=True) for point, path in zip(points, paths, strict=True)
+    ]
+    missing = [k for k, found in enumerate(outcomes) if found.result is None and found.failure is None]
+    if missing:
+        with stage("Reading materials") as step:
+            prepare(step)
+    with stage("Making files") as step:
+        for k in told(missing, step, lambda k: points[k].name):
+            outcomes[k] = _attempt(made, points[k], paths[k])
+    return outcomes
 
 
-def _failed(point: Point, path: Path, error: ManifoldError) -> PointOutcome:
-    return PointOutcome(point, path, None, failure=str(error))
+def _attempt(
+    ask: Callable[[Point, Path], dict[str, Any] | None], point: Point, path: Path, *, was_there: bool = False
+) -> PointOutcome:
+    try:
+        return PointOutcome(point, path, ask(point, path), was_there)
+    except ManifoldError as error:
+        return PointOutcome(point, path, None, failure=str(error))

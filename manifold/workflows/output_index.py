@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from contextlib import suppress
@@ -11,6 +10,7 @@ from typing import Any
 
 from manifold import __version__
 from manifold.errors import FileFormatError, UsageError
+from manifold.library.identity import file_sha256
 from manifold.system import atomic, small_files
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
@@ -106,9 +106,3 @@ class OutputIndex:
                     name, entry = json.loads(line)
                     entries[str(name)] = entry
         return entries
-
-
-def file_sha256(path: Path) -> str:
-    """The hash of a file, in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -214,13 +214,13 @@ def test_a_comparison_is_the_sum_of_what_methods_predict(data):
     chosen = [METHODS["linear"], METHODS["pca_6_cube_root"]]
     errors = measure_errors([encode_all(data, m).combinations for m in chosen], data.bands, _blocks(data, 3))
     for method, found in zip(chosen, errors, strict=True):
-        predicted = [predicted(method, data, i) for i in range(len(NAMES))]
-        for i, f in enumerate(predicted):
+        values = [predicted(method, data, i) for i in range(len(NAMES))]
+        for i, f in enumerate(values):
             assert found.linear[i] == pytest.approx(relative_error(data.f[i], f, data.cosines), rel=1e-9)
             assert found.cube_root[i] == pytest.approx(cube_root_error(data.f[i], f, data.cosines), rel=1e-9)
             n_pairs = len(data.cosines) + 10
             assert found.rmse(n_pairs)[i] == pytest.approx(rmse(data.f[i], f, n_pairs=n_pairs), rel=1e-9)
-        assert found.negative_share == np.mean(np.array(predicted) < 0)
+        assert found.negative_share == np.mean(np.array(values) < 0)
 
 
 def _blocks(data, count):

@@ -345,7 +345,7 @@ def test_names_on_the_map_do_not_cover_each_other(model):
     renderer = figure.canvas.get_renderer()
     boxes = [text.get_window_extent(renderer).extents for text in figure.axes[0].texts]
     area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in boxes)
-    covered = sum(plot_latents._overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k])
+    covered = sum(figures.overlap(a, b) for k, a in enumerate(boxes) for b in boxes[:k])
     assert covered < 0.05 * area
 
 

@@ -146,7 +146,7 @@ def _opened(content: bytes, path: Path) -> ModelRecord:
         )
     if content[_DIGEST] != _digest(content):
         raise ValueError("its hash does not match its content")
-    values = json.loads(content[offset : offset + length], parse_constant=_refuse)
+    values = json.loads(content[offset : offset + length], parse_constant=small_files.refuse_constant)
     names = [str(name) for name in values["names"]]
     if len(set(names)) < len(names):
         raise ValueError("a material is named twice")
@@ -182,10 +182,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"a model cannot hold {type(value).__name__}")
-
-
-def _refuse(name: str) -> None:
-    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _finite(values: Any, name: str) -> Any:

@@ -19,6 +19,11 @@ Box = tuple[float, float, float, float]
 _SUFFIXES = (".png", ".pdf", ".svg")
 
 
+def overlap(a: Box, b: Box) -> float:
+    """Common area of two boxes."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of that many inches, drawn without a window."""
     figure = Figure(figsize=(width, height), dpi=110, layout="constrained")

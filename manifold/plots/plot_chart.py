@@ -16,7 +16,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of
 from manifold.experiments.chart.fits import FAMILY
 from manifold.experiments.chart.registry import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
-from manifold.plots.figures import Box, new_figure
+from manifold.plots.figures import Box, new_figure, overlap
 from manifold.records import Array
 
 _ERRORS = ("delta_e", "cube_root_error", "relative_error")
@@ -219,7 +219,7 @@ def _place(
             x, y = point[0] + dx, point[1] + dy
             box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
             outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
-            cost = gap * height + 4.0 * sum(_common(box, other) for other in taken) + 1e4 * outside
+            cost = gap * height + 4.0 * sum(overlap(box, other) for other in taken) + 1e4 * outside
             own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
             cost += 4.0 * height * max(own - theirs, 0.0)
             if best is None or cost < best[0]:
@@ -231,8 +231,3 @@ def _place(
 def _distances(box: Box, points: Array) -> Array:
     """From a box to points (K, 2), shape (K,)."""
     return np.linalg.norm(points - np.clip(points, box[:2], box[2:]), axis=1)
-
-
-def _common(a: Box, b: Box) -> float:
-    """Common area of two boxes (left, bottom, right, top)."""
-    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import Box, new_figure
+from manifold.plots.figures import Box, new_figure, overlap
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
@@ -152,13 +152,8 @@ def _best_place(
             x, y = point[0] + dx, point[1] + dy
             box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
             outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
-            cost = sum(_overlap(box, other) for other in taken) + 0.4 * height * gap + 1e3 * outside
+            cost = sum(overlap(box, other) for other in taken) + 0.4 * height * gap + 1e3 * outside
             if best is None or cost < best[0]:
                 best = (cost, (dx, dy), box)
     assert best is not None
     return best[1], best[2]
-
-
-def _overlap(a: Box, b: Box) -> float:
-    """Common area of two boxes (left, bottom, right, top)."""
-    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)

@@ -64,7 +64,7 @@ def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
     """
     try:
         text = read_bytes(path, advice=f"name {expected}", most=most).decode()
-        return json.loads(text, parse_constant=_refuse_constant)
+        return json.loads(text, parse_constant=refuse_constant)
     except RecursionError as error:
         raise FileFormatError(f"{path}: nested too deeply for {expected}; name another file") from error
     except UnicodeDecodeError as error:
@@ -73,7 +73,8 @@ def read_json(path: Path, expected: str, most: int = MOST_TEXT) -> Any:
         raise FileFormatError(f"{path}: {error}, expected {expected}; name another file") from error
 
 
-def _refuse_constant(name: str) -> None:
+def refuse_constant(name: str) -> None:
+    """Refuse NaN and infinities. Raises: ValueError, always."""
     raise ValueError(f"{name} is not a number of JSON")
 
 

@@ -160,33 +160,12 @@ def _make_missing(
     def kept(point: Point, path: Path) -> dict[str, Any] | None:
         return index.result(path, made_of(point))
 
-<<<<<<< HEAD
-    def all(
-        self, points: Sequence[Point], paths: Sequence[Path], prepare: Callable[[Progress | None], None]
-    ) -> list[PointOutcome]:
-        """An outcome per row; `prepare` is called once, if anything is to be made."""
-        outcomes = [self._kept(point, path) for point, path in zip(points, paths, strict=True)]
-        missing = [k for k, outcome in enumerate(outcomes) if outcome is None]
-        if missing:
-            with self.stage("Reading materials") as step:
-                prepare(step)
-<<<<<<< HEAD
-        with self.stage("Writing files") as step:
-            for done, k in enumerate(missing, start=1):
-=======
-        with self.stage("Making files") as step:
-            for k in told(missing, step, lambda k: points[k].name):
->>>>>>> 460bccf (Methods that are fitted are named by a manifold's settings; loops that tell their progress share one)
-                outcomes[k] = self._made(points[k], paths[k])
-        return [outcome for outcome in outcomes if outcome is not None]
-=======
     def made(point: Point, path: Path) -> dict[str, Any]:
         if check is not None:
             check(path)
         result = make(point, path)
         index.add(path, made_of(point), result)
         return result
->>>>>>> d7874fa (One hash of a file; rows of a table are made by a function, not by two classes)
 
     outcomes = [
         _attempt(kept, point, path, was_there=True) for point, path in zip(points, paths, strict=True)
@@ -195,7 +174,7 @@ def _make_missing(
     if missing:
         with stage("Reading materials") as step:
             prepare(step)
-    with stage("Making files") as step:
+    with stage("Writing files") as step:
         for k in told(missing, step, lambda k: points[k].name):
             outcomes[k] = _attempt(made, points[k], paths[k])
     return outcomes

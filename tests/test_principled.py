@@ -19,7 +19,7 @@ from manifold.fitting.bsdf_evaluation import LaneEvaluator, ScalarEvaluator, eva
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter, Layout, principled
 from manifold.fitting.fit_metrics import METRICS, Metric, best_diffuse, relative_residual
 from manifold.fitting.fit_samples import FitSamples
-from manifold.fitting.gauss_newton import GaussNewton, Minimum, listed, search
+from manifold.fitting.gauss_newton import GaussNewton, Minimum, search, select_minima
 from manifold.fitting.identifiability import AMBIGUOUS, DETERMINED, UNSEEN
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
@@ -213,9 +213,9 @@ def test_a_rival_is_listed_only_where_no_minimum_as_good_lies_in_its_part():
     def is_as_good(cost, least):
         return cost < 2.0 * least
 
-    assert listed([best, rival], is_as_good) == [best, rival]
-    assert listed([best, bad_rival], is_as_good) == [best]
-    assert listed([best, inside, rival], is_as_good) == [best, inside]
+    assert select_minima([best, rival], is_as_good) == [best, rival]
+    assert select_minima([best, bad_rival], is_as_good) == [best]
+    assert select_minima([best, inside, rival], is_as_good) == [best, inside]
 
 
 def test_a_lambertian_surface_becomes_diffuse_unless_principled_is_asked_for(rng):

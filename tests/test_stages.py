@@ -10,13 +10,13 @@ import sys
 import pytest
 from small_library import small_model
 
-from manifold.system.stages import PROGRESS_VARIABLE, Stages, told
+from manifold.system.stages import PROGRESS_VARIABLE, Stages, with_progress
 
 
 def test_shares_of_stages_add_up():
     heard = []
     stages = Stages(lambda *step: heard.append(step), {"read": 3, "fit": 1})
-    for _ in told("ab", stages.begin("read")):
+    for _ in with_progress("ab", stages.begin("read")):
         pass
     stages.begin("fit")(1, 1, "valley")
     assert heard == [
@@ -26,7 +26,7 @@ def test_shares_of_stages_add_up():
 
 def test_nobody_is_told_where_nobody_listens():
     assert Stages(None, {"read": 1}).begin("read") is None
-    assert list(told([1, 2], None)) == [1, 2]
+    assert list(with_progress([1, 2], None)) == [1, 2]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from manifold.fitting.bsdf_parameters import Layout
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.records import Array, Progress
-from manifold.system.stages import Stages, told
+from manifold.system.stages import Stages, with_progress
 
 _VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
 
@@ -203,7 +203,7 @@ def _cost(minimum: Minimum) -> float:
     return minimum.cost
 
 
-def listed(minima: list[Minimum], is_as_good: Callable[[float, float], bool]) -> list[Minimum]:
+def select_minima(minima: list[Minimum], is_as_good: Callable[[float, float], bool]) -> list[Minimum]:
     """Minima, best first, and of the rivals those that noise may hide and in whose part no such minimum lies.
 
     Args:
@@ -227,7 +227,7 @@ def find_minima(
     evaluator: Evaluator, samples: FitSamples, metric: Metric, options: GaussNewton,
     coarse: Evaluator, on_progress: Progress | None = None,
 ) -> list[Minimum]:  # fmt: skip
-    """All distinct minima found, best first; of few samples followed by rivals, see `listed`.
+    """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`.
 
     Args:
         evaluator: of all samples.
@@ -249,21 +249,23 @@ def find_minima(
         parts = _outer_quarters(points, layout)
         rivals = [
             minimize(first, start, options.iterations, options.tolerance, part)
-            for start, part in told(parts, at_start)
+            for start, part in with_progress(parts, at_start)
         ]
         starts += [start for start, _ in parts] + [min(rivals, key=_cost).p for _ in parts[:1]]
-        in_starts = told(starts, stages.begin("refinement"))
+        in_starts = with_progress(starts, stages.begin("refinement"))
         ends = [minimize(first, start, options.iterations, options.tolerance) for start in in_starts]
         return [*distinct(scale, ends, 0.02), *sorted(rivals, key=_cost)]
-    rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in told(starts, at_start)]
+    rough = [
+        minimize(first, start, options.coarse_iterations, 1e-4) for start in with_progress(starts, at_start)
+    ]
     candidates = distinct(scale, rough, 0.05)
     best = candidates[0].cost
     chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
     full = Residuals(evaluator, samples, metric)
-    in_chosen = told(chosen, stages.begin("refinement"))
+    in_chosen = with_progress(chosen, stages.begin("refinement"))
     ends = [minimize(full, one.p, options.iterations, options.tolerance) for one in in_chosen]
     best_end = min(ends, key=_cost)
-    for _ in told(range(options.n_walks), stages.begin("valleys")):
+    for _ in with_progress(range(options.n_walks), stages.begin("valleys")):
         starts = _along_the_valley(full, samples, best_end, options)
         beside = [minimize(full, start, options.iterations, options.tolerance) for start in starts]
         ends += beside

@@ -263,7 +263,7 @@ def _judge(
     def is_as_good(cost: float, best: float) -> bool:
         return identifiability.is_as_good(cost, best, variance, layout.size)
 
-    minima = gauss_newton.listed(minima, is_as_good)
+    minima = gauss_newton.select_minima(minima, is_as_good)
     as_good = [is_as_good(one.cost, best.cost) for one in minima]
     others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
     statements = identifiability.identify_parameters(layout, best.p, J, variance, others, tried.kept)

@@ -25,7 +25,7 @@ from manifold.library.schema import FIELDS, SCHEMA_VERSION
 from manifold.library.writing import first_line, make_store, read_bands
 from manifold.library.zarr_reading import attributes_of, open_group, read_array, read_extra, shape_of
 from manifold.records import Array, Bands, BsdfFile, Progress
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 if TYPE_CHECKING:
     import zarr
@@ -271,7 +271,7 @@ class Library:
             One line per damaged material, naming it; empty if all is well.
         """
         problems = []
-        for name in told(self.names, callback, str):
+        for name in with_progress(self.names, callback, str):
             try:
                 self.read(name)
             except ManifoldError as error:

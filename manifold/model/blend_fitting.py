@@ -16,7 +16,7 @@ from manifold.model.appearance import roots_at
 from manifold.model.decoding import encoding_pairs, integrating_sphere
 from manifold.models.blending import Layout, blend_layout
 from manifold.records import Array, Progress, evenly_spaced
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: below, nothing is seen
@@ -74,7 +74,7 @@ def appearance_distances(
     ball, pairs = ball_colours.ball(), encoding_pairs()
     wi, wo = profile_pairs()
     colours, logs, profiles = [], [], []
-    for material in told(materials, on_progress, "looks"):
+    for material in with_progress(materials, on_progress, "looks"):
         brdf = material.select_bands(bands)
         colours.append(ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands))
         f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)

@@ -25,7 +25,7 @@ from manifold.models.colour_paths import fit_paths
 from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 _LIT_DEG = np.array([0.0, 45.0])
 _MOST_ALBEDO = (
@@ -112,7 +112,7 @@ def _fit_curves(
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)
-    for n, material in told(enumerate(materials.filled()), on_progress, "colours"):
+    for n, material in with_progress(enumerate(materials.filled()), on_progress, "colours"):
         f = material.eval(pairs.wi, pairs.wo).T
         colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)

@@ -15,7 +15,7 @@ from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.expected_error import LEAST_MATERIALS, ExpectedError
 from manifold.records import Array, Progress, evenly_spaced
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 _PREFIX = "left_out_"
@@ -144,7 +144,7 @@ def leave_out(
     table = MaterialTable(materials.with_negative_values(on_progress), bands)
     find = space.left_out_search(table, materials, settings)
     places, ball, cube_root = np.empty_like(space.X), np.empty(len(space.X)), np.empty(len(space.X))
-    for i in told(range(len(space.X)), on_progress, "left-out materials"):
+    for i in with_progress(range(len(space.X)), on_progress, "left-out materials"):
         places[i], combination = find(i)
         ball[i], cube_root[i] = table.errors(i, combination)
     return LeftOut(space, places, ball, cube_root)

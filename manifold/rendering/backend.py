@@ -175,7 +175,7 @@ def choose_among(
         return Backend("scalar", advice=None)
     probes: list[Probe] = []
     for library in libraries:
-        probes.append(libllvm.tried(library, attempt, refresh=refresh))
+        probes.append(libllvm.cached_probe(library, attempt, refresh=refresh))
         if probes[-1].outcome == WORKS:
             return Backend("llvm", library, probes=tuple(probes))
     found = "; ".join(f"{p.library.name} {p.outcome}" for p in probes) or "no libLLVM"

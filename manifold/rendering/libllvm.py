@@ -190,7 +190,7 @@ def _tiny_file() -> BsdfFile:
 # -- remembering ----------------------------------------------------------------------------------------------
 
 
-def tried(library: Path, attempt: Callable[[Path], str] = probe, *, refresh: bool = False) -> Probe:
+def cached_probe(library: Path, attempt: Callable[[Path], str] = probe, *, refresh: bool = False) -> Probe:
     """What becomes of a library: the remembered answer, or that of an attempt, which is remembered from now on.
 
     What tells of a busy machine rather than of the library is not remembered.

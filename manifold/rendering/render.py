@@ -24,7 +24,7 @@ from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin.bsdf import register_always
 from manifold.system import temporary
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 20  # samples rendered at once
@@ -128,7 +128,7 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Pro
     seeds = np.random.SeedSequence(settings.seed).generate_state(n_passes)
     ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
     total: Array | float = 0.0
-    for k, count in told(enumerate(np.diff(ends, prepend=0)), on_progress):
+    for k, count in with_progress(enumerate(np.diff(ends, prepend=0)), on_progress):
         picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
         total = total + int(count) * np.array(picture, dtype=np.float64)
     return np.asarray(total) / settings.samples

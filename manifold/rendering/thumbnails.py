@@ -12,7 +12,7 @@ from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import scenes
 from manifold.rendering.images import tone_map
 from manifold.rendering.render import RenderSettings, render_material
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 SIZE, SAMPLES = 96, 64
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
@@ -27,7 +27,7 @@ def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[A
     cached = model.library.cache_get(key)
     if cached is not None:
         return list(cached["images"].astype(np.float64))
-    images = [of_material(model.library.read(name)) for name in told(model.names, on_progress, str)]
+    images = [of_material(model.library.read(name)) for name in with_progress(model.names, on_progress, str)]
     model.library.cache_put(key, {"images": np.stack(images).astype(np.float32)})
     return images
 

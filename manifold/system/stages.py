@@ -51,7 +51,7 @@ class Stages:
         return within
 
 
-def told(
+def with_progress(
     items: Iterable[T], on_progress: Progress | None, what: str | Callable[[T], str] = ""
 ) -> Iterator[T]:
     """The items, one after the other; tells how many are done with, and what they are, or the last one is."""

@@ -14,7 +14,7 @@ from manifold.io_rgl import material_name
 from manifold.library import Library
 from manifold.library.identity import file_sha256
 from manifold.records import Progress
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 from manifold.workflows.exports import (
     ExportOutcome,
     Subject,
@@ -57,7 +57,7 @@ def export_all(
         raise UsageError(f"{folder}: named like a file, expected a folder for {len(subjects)} exports")
     outcomes = []
     with OutputIndex(folder, "exports") as index:
-        for name, (identity, read) in told(subjects.items(), on_progress, lambda item: item[0]):
+        for name, (identity, read) in with_progress(subjects.items(), on_progress, lambda item: item[0]):
             path = folder / f"{name}{target.suffix}"
             made_of = {"material": identity, "target": target.name, "direct": is_direct}
             known = index.result(path, made_of)

@@ -16,7 +16,7 @@ from manifold.model.manifold import Manifold
 from manifold.records import Progress, Stage, no_stage
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, require_d65
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 from manifold.workflows import renders
 from manifold.workflows.output_index import OutputIndex
 from manifold.workflows.point_table import Point, PointTable
@@ -175,7 +175,7 @@ def _make_missing(
         with stage("Reading materials") as step:
             prepare(step)
     with stage("Writing files") as step:
-        for k in told(missing, step, lambda k: points[k].name):
+        for k in with_progress(missing, step, lambda k: points[k].name):
             outcomes[k] = _attempt(made, points[k], paths[k])
     return outcomes
 

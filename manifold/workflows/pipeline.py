@@ -17,7 +17,7 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 if TYPE_CHECKING:
     from manifold.experiments.evaluation.report import Report
@@ -54,7 +54,7 @@ def embed(
         from manifold.experiments.evaluation import selection
 
         with stage("Reading materials") as step:
-            names = told(opened.names, step, str)
+            names = with_progress(opened.names, step, str)
             materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in names]
         with stage("Leaving materials out") as step:
             settings, candidates = selection.choose(

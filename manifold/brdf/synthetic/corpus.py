@@ -23,7 +23,7 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
 from manifold.records import Array, Bands, BsdfFile, Progress
-from manifold.system.stages import told
+from manifold.system.stages import with_progress
 
 _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
 # Noise from cell to cell, as a share of the value: 0.2 to 0.7 % in most real files, 1 % in coats, 2 to 4 % where
@@ -157,7 +157,7 @@ def write_files(
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
     paths = {name: folder / f"{name}{ending}" for name in writers}
-    for name in told(writers, on_progress, str):
+    for name in with_progress(writers, on_progress, str):
         if not (keep and paths[name].exists()):
             writers[name](paths[name])
     return list(paths.values())

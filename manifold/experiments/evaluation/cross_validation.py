@@ -43,8 +43,8 @@ def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
     return [(np.setdiff1d(everything, fold), fold) for fold in folds]
 
 
-def all_seen(n_materials: int) -> list[Split]:
-    """Learn from all materials, and predict them."""
+def all_as_training(n_materials: int) -> list[Split]:
+    """One split, without any held out: all materials are training materials, and all are predicted."""
     return [(np.arange(n_materials), np.arange(n_materials))]
 
 
@@ -103,7 +103,7 @@ def cross_validate(
 
 def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:
     """Encode every material: left out of the fit if the method refits, else all by one fit."""
-    splits = (leave_out if method.refits else all_seen)(data.n_materials)
+    splits = (leave_out if method.refits else all_as_training)(data.n_materials)
     return cross_validate(data, method.fit, splits, on_material=on_material)
 
 

@@ -37,8 +37,7 @@ def explore(
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
 ) -> None:
-    """Explore the map in a web page: drag a point, and see the ball, slices, reflectance and neighbours of the
-    prediction.
+    """Explore the map in a web page: drag a point to see the ball, slices, reflectance and nearest materials.
 
     The page is served on the loopback interface only, until Ctrl-C; it can also write .bsdf files, render, fit,
     export, locate files and complete readings. For the notebook widget, see docs/explorer.md.

@@ -49,8 +49,7 @@ def relative_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> floa
 
 
 def cube_root_error(f: Array, f_star: Array, weight: Array | float = 1.0) -> float:
-    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; closer to perceived
-    differences."""
+    """`||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`, as `relative_error`; nearer to what is seen."""
     return float(_errors_of(f, f_star, weight).cube_root_error)
 
 

@@ -80,7 +80,7 @@ class Bands:
         return f"{self.count} bands, {self.wavelengths_nm[0]:.1f} to {self.wavelengths_nm[-1]:.1f} nm"
 
     def select(self, indices: Iterable[int]) -> Bands:
-        """Some of the bands, by increasing index; RGB stays."""
+        """The bands of increasing indices; of RGB, whose three channels belong together, always all three."""
         nm = self.wavelengths_nm
         return self if nm is None else Bands(tuple(nm[b] for b in indices))
 

@@ -64,8 +64,7 @@ def physical_file(
     Both orders of directions are averaged, before and after measuring; while the file is not reciprocal within 5 %,
     incidences are refined, then both grids, up to three times as many nodes per axis: what is not smooth there
     keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are scaled down
-    there,
-    with `keeps_hue` all bands alike.
+    there, with `keeps_hue` all bands alike.
     """
     best, least = None, np.inf
     for incidences, nodes in _REFINED:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from manifold.records import Array, Bands
 
 class WrappedBRDF(ABC):
     """A BRDF with its values changed by `eval`, sampled as it was."""
+
+    _albedo_nodes: ClassVar[int] = 32  # of the quadrature, in elevation and in azimuth
 
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF."""
@@ -37,6 +40,6 @@ class WrappedBRDF(ABC):
         """f * cos(theta_o) in 1/sr, shape (..., B)."""
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
-    def albedo(self, wi: Array, resolution: int = 32) -> Array:
+    def albedo(self, wi: Array) -> Array:
         """Directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""
-        return quadrature_albedo(self, wi, resolution)
+        return quadrature_albedo(self, wi, self._albedo_nodes)

@@ -17,6 +17,7 @@ from manifold.fitting.fit_samples import FitSamples
 from manifold.records import Array, Progress
 from manifold.system.stages import Stages, with_progress
 
+_BAND_ITERATIONS = 20  # of `refine_bands`, at most
 _VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
 
 
@@ -298,7 +299,7 @@ def refine_bands(evaluator: Evaluator, samples: FitSamples, metric: Metric, p: A
     value, slope = evaluator.band_jacobian(p)
     cost = np.sum((root * (metric(value) - target)) ** 2, axis=0)  # (B,)
     damping = np.full(len(index), 1e-3)
-    for _ in range(20):
+    for _ in range(_BAND_ITERATIONS):
         residual = root * (metric(value) - target)
         J = (root * metric.slope(value))[..., None] * slope  # (M, B, n)
         hessian = np.einsum("mbi,mbj->bij", J, J)

@@ -70,8 +70,7 @@ def write_checked(
     found = plausibility_of_file(file)
     if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
         raise UsageError(
-            f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 "
-            "degrees, "
+            f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 degrees, "
             f"expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or use --force"
         )
     write_bsdf(output, file)

@@ -87,9 +87,8 @@ class CurveSpace(ProcessSpace):
     def join(self, X: Array, colours: Array | None) -> Array:
         """Latents at structures X (M, Q) in all bands of colours (B,), or in the sample bands where there are none.
 
-        Without colours they are blended from those of the surrounding
-        materials: weights fall with the fourth power of
-        the distance, so that there are no seams, and near a material its own colours.
+        Without colours they are blended from those of the surrounding materials: weights fall with the fourth power
+        of the distance, so that there are no seams, and near a material its own colours.
         """
         colours = self.require_colours(colours)
         if colours is not None:

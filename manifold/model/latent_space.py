@@ -118,8 +118,7 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def join(self, X: Array, colours: Array | None) -> Array:
-        """Latents of the process at X (M, Q) in colours (B,), or in those of the surrounding
-        materials, (M R, Q')."""
+        """Latents (M R, Q') of the process at X (M, Q), in colours (B,) or those of surrounding materials."""
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:

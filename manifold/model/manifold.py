@@ -178,8 +178,7 @@ class Manifold(LatentMap):
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The prediction on the straight line from material a (t = 0) to b (t = 1), with interpolated
-        reflectances."""
+        """The prediction between materials a (t = 0) and b (t = 1), at interpolated latents and reflectances."""
         x = self.between(a, b, t)
         if not self.space.needs_colours:
             return self.predict(x)

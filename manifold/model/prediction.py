@@ -251,7 +251,6 @@ class ClippedBRDF(WrappedBRDF):
         super().__init__(brdf)
         self._seen = 0
         self._cut = 0
-        self.albedo = brdf.albedo  # type: ignore[assignment, method-assign]
 
     @property
     def clipped_share(self) -> float:
@@ -264,3 +263,7 @@ class ClippedBRDF(WrappedBRDF):
         self._seen += f.size
         self._cut += int(np.count_nonzero(f < 0))
         return np.maximum(f, 0.0)
+
+    def albedo(self, wi: Array) -> Array:
+        """Directional albedo (..., B) of the wrapped BRDF, negative values included, at wi (..., 3)."""
+        return self._brdf.albedo(wi)

@@ -68,8 +68,10 @@ def two_dimensions(X: Array) -> Array:
 
 
 def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
-    """The expected error as the ground of a two-dimensional map, with its colour bar; the posterior's share of the
-    prior's standard deviation, of a model that is not calibrated. Hatched where the data do not support predictions.
+    """The expected error as the background of a two-dimensional map, with its colour bar.
+
+    Of a model that is not calibrated: the posterior over the prior standard deviation. Hatched where the data do not
+    support predictions.
     """
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     margin = _MARGIN * (high - low)

@@ -54,7 +54,13 @@ class Stages:
 def with_progress(
     items: Iterable[T], on_progress: Progress | None, what: str | Callable[[T], str] = ""
 ) -> Iterator[T]:
-    """The items, one after the other; tells how many are done with, and what they are, or the last one is."""
+    """The items in order, reporting after each how many are done.
+
+    Args:
+        items: what is iterated over; listed first, for their number.
+        on_progress: called with (done, total, what); may be None.
+        what: the text of the report, or a function of the item that was done.
+    """
     known = list(items)
     for done, item in enumerate(known, start=1):
         yield item

@@ -23,8 +23,7 @@ from manifold.workflows.instrument_inspection import inspect_instrument_file
 def inspect(
     path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
 ) -> Inspection:
-    """Look at a file of a BRDF or of an instrument, a library folder, or a model file, recognised by their
-    content.
+    """Inspect a file of a BRDF or an instrument, a library or a model, recognised by content.
 
     Args:
         path: what to look at.

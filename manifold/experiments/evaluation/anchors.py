@@ -1,5 +1,4 @@
-"""Fits to the evaluated material itself, for comparison with held-out predictions: Mitsuba's principled, neural
-fits."""
+"""Fits to the evaluated material itself, beside held-out predictions: Mitsuba's principled, neural fits."""
 
 from __future__ import annotations
 

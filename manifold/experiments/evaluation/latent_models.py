@@ -47,7 +47,7 @@ def fit_gplvm(s: Settings, criterion: str, tolerance: float, *, is_clipped: bool
 
 def fit_published(data: Data, training: Array) -> Encode:
     """As Hikichi & Iwasaki: raw values, 2-D, mu = 1e-4, direct local search; the latent by mapped residual."""
-    settings = Settings(kind="material", mapping="identity")
+    settings = Settings("material", 2, "identity", mu=1e-4, optimizer="dls")
     return fit_gplvm(settings, "mapped", _TOLERANCE, is_clipped=False)(data, training)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from manifold.brdf.wrapped import WrappedBRDF
@@ -17,6 +19,8 @@ class CorrectedBRDF(WrappedBRDF):
     Sampled as the prediction is: factors are between 1/2 and 2.
     """
 
+    _albedo_nodes: ClassVar[int] = 48  # as of predictions
+
     def __init__(self, predicted: PredictedBRDF, factors: NearbyFactors):
         """Factors are in the bands of the prediction."""
         super().__init__(predicted)
@@ -28,7 +32,3 @@ class CorrectedBRDF(WrappedBRDF):
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))
         factors = self._factors.at(places(wi.reshape(-1, 3), wo.reshape(-1, 3)))
         return np.asarray(f * factors.T.reshape(f.shape) ** 3)
-
-    def albedo(self, wi: Array, resolution: int = 48) -> Array:
-        """Directional albedo, shape (..., B), by quadrature over half vectors."""
-        return super().albedo(wi, resolution)

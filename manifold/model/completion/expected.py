@@ -59,8 +59,7 @@ class Calibration:
 
 
 def indicators_of(found: Completion) -> Array:
-    """Indicators of the error of a completion: root mean square residual of readings, spread of hypotheses;
-    shape (2,)."""
+    """Indicators of its error, shape (2,): root mean square residual of readings, spread of hypotheses."""
     return np.array([float(np.sqrt(np.mean(found.misfits**2))), found.spread])
 
 

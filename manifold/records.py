@@ -34,26 +34,27 @@ class Bands:
     """The spectral axis of a BRDF: B wavelengths, or the three channels of linear sRGB.
 
     Attributes:
-        wavelengths_nm: band centres in nm, strictly increasing, shape (B,); None for RGB.
+        wavelengths_nm: band centres in nm, strictly increasing, shape (B,), any sequence or array; None for RGB.
+    Raises:
+        ShapeError: the wavelengths are none, not finite, or do not increase.
     """
 
     wavelengths_nm: tuple[float, ...] | None
 
-    @classmethod
-    def from_array(cls, wavelengths_nm: Array | None) -> Bands:
-        """Bands of a wavelength array in nm, shape (B,), or of RGB for None.
-
-        Raises:
-            ShapeError: the wavelengths are none, not finite, or do not increase.
-        """
-        if wavelengths_nm is None:
-            return cls(None)
-        nm = np.asarray(wavelengths_nm, dtype=np.float64)
+    def __post_init__(self) -> None:
+        if self.wavelengths_nm is None:
+            return
+        nm = np.asarray(self.wavelengths_nm, dtype=np.float64)
         if nm.ndim != 1 or nm.size == 0 or not np.all(np.isfinite(nm)) or np.any(np.diff(nm) <= 0):
             raise ShapeError(
                 f"wavelengths have shape {nm.shape}, expected (B,), finite and increasing, in nm"
             )
-        return cls(tuple(nm.tolist()))
+        object.__setattr__(self, "wavelengths_nm", tuple(nm.tolist()))
+
+    @classmethod
+    def from_array(cls, wavelengths_nm: Array | None) -> Bands:
+        """Bands of a wavelength array in nm, shape (B,), or of RGB for None. Raises: as the class."""
+        return cls(wavelengths_nm)  # type: ignore[arg-type]
 
     @property
     def is_rgb(self) -> bool:

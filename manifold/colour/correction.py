@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.colour.tables import colour_science
 from manifold.errors import UsageError
 from manifold.records import Array
 
@@ -20,14 +21,16 @@ _LEAST = 1e-3  # of the largest value: what is darker counts as this dark
 
 def _expansions() -> dict[str, Callable[[Array], Array]]:
     """How three bands (n, 3) become terms (n, T), simplest first."""
-    from colour.characterisation import matrix_augmented_Cheung2004, polynomial_expansion_Finlayson2015
+    of = colour_science().characterisation
 
     def cheung(terms: int) -> Callable[[Array], Array]:
-        return lambda x: np.asarray(matrix_augmented_Cheung2004(x, terms))
+        return lambda x: np.asarray(of.matrix_augmented_Cheung2004(x, terms))
 
     return {
         "linear": lambda x: x,
-        "root polynomial of degree 2": lambda x: np.asarray(polynomial_expansion_Finlayson2015(x, 2, True)),
+        "root polynomial of degree 2": lambda x: np.asarray(
+            of.polynomial_expansion_Finlayson2015(x, 2, True)
+        ),
         **{f"Cheung 2004, {terms} terms": cheung(terms) for terms in (5, 7, 8, 10, 11, 14, 20)},
     }
 

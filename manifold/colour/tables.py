@@ -22,8 +22,11 @@ OBSERVER = "CIE 1931 2 Degree Standard Observer"
 
 @lru_cache(maxsize=1)
 def colour_science() -> ModuleType:
-    """The package colour-science, imported without its remarks on optional packages."""
-    with warnings.catch_warnings():
+    """The package colour-science, imported without its remarks on optional packages.
+
+    It changes how NumPy prints arrays; the caller's options are restored.
+    """
+    with warnings.catch_warnings(), np.printoptions():
         warnings.simplefilter("ignore")
         import colour
         import colour.quality

@@ -66,7 +66,7 @@ class _Source:
 
 def import_files(
     library_path: Path | str,
-    sources: Iterable[Path | str],
+    sources: Iterable[Path | str] | Path | str,
     *,
     replace: bool = False,
     on_progress: Progress | None = None,
@@ -78,7 +78,7 @@ def import_files(
 
     Args:
         library_path: the library.
-        sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`.
+        sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`; one of them, or several.
         replace: exchange materials that are there under the same name with other content.
         on_progress: called with (done, total, name) after each file.
     Returns:
@@ -88,7 +88,7 @@ def import_files(
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
     """
-    paths = _find(sources)
+    paths = _find([sources] if isinstance(sources, str | Path) else sources)
     library = staging.resolved(library_path)
     expected = Library.open(library).bands if library.exists() else None
     report = _Report(2 * len(paths), on_progress)

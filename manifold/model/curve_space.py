@@ -110,11 +110,11 @@ class CurveSpace(ProcessSpace):
 
     def material_weights(self, X: Array, colours: Array | None) -> Array:
         """Weights at structures X (M, Q) summed over the samples of a material, averaged over bands, shape (M, N)."""
-        index = self.training_index(X[0], colours) if len(X) == 1 else None
-        if index is not None:
-            return np.eye(len(self.X))[[index]]
         V = self.gp.weights(self.join(X, colours))
-        return V.reshape(len(X), -1, len(self.X), len(self.sample_bands)).sum(axis=3).mean(axis=1)
+        weights = V.reshape(len(X), -1, len(self.X), len(self.sample_bands)).sum(axis=3).mean(axis=1)
+        index = self.training_indices(X, colours)
+        weights[index >= 0] = np.eye(len(self.X))[index[index >= 0]]
+        return np.asarray(weights)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material whose structure x (Q,) and colours (B,) these are."""

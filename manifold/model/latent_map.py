@@ -71,10 +71,8 @@ class LatentMap:
         """
 
         def is_unsupported(X: Array) -> Array:
-            if len(X) == 1 and self.space.training_index(X[0], colours) is not None:
-                return np.zeros(1, dtype=bool)
             if self.left_out is not None:
-                return self.left_out.is_unsupported(X)
+                return self.left_out.is_unsupported(X) & (self.space.training_indices(X, colours) < 0)
             return self.space.variance_fraction(X, colours) > EXTRAPOLATION
 
         return self._at(x, is_unsupported)
@@ -87,9 +85,9 @@ class LatentMap:
         if self.left_out is None:
             return None
         x = require_latents(x, self.settings.latent_dim)
-        if x.ndim == 1 and self.space.training_index(x, colours) is not None:
-            return ExpectedErrors(np.zeros(()), np.zeros(()))
-        return self.left_out.expected(x)
+        found = self.left_out.expected(x)
+        is_predicted = self.space.training_indices(np.atleast_2d(x), colours).reshape(x.shape[:-1]) < 0
+        return ExpectedErrors(found.ball * is_predicted, found.cube_root * is_predicted)
 
     def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""

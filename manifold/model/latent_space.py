@@ -197,11 +197,18 @@ class LatentSpace(ABC):
         k = int(first_equal_row(x[None], self.X)[0])
         return k if k >= 0 else None
 
+    def training_indices(self, X: Array, colours: Array | None) -> Array:
+        """The material that each of the latents X (M, Q) with these colours (B,) is, or -1, shape (M,)."""
+        found = first_equal_row(X, self.X)
+        for m in np.flatnonzero(found >= 0):
+            index = self.training_index(X[m], colours)
+            found[m] = -1 if index is None else index
+        return found
+
     def variance_fraction(self, X: Array, colours: Array | None) -> Array:
         """Posterior over prior variance at X (M, Q), averaged over bands, shape (M,); 0 at a material."""
-        if len(X) == 1 and self.training_index(X[0], colours) is not None:
-            return np.zeros(1)
-        return self.gp.variance_fraction(self.join(X, colours)).reshape(len(X), -1).mean(axis=1)
+        found = self.gp.variance_fraction(self.join(X, colours)).reshape(len(X), -1).mean(axis=1)
+        return np.where(self.training_indices(X, colours) < 0, found, 0.0)
 
 
 def require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, cast
 
 from manifold.errors import UsageError
 from manifold.mapping import mapping_named
+from manifold.metrics import RusinkiewiczGrid
 from manifold.models.criteria import CRITERIA
 from manifold.models.kernels import Kernel, kernel_named
 from manifold.models.search import OPTIMIZERS
@@ -74,8 +76,11 @@ class Settings:
             raise UsageError(
                 f"criterion '{self.criterion}' for kind blend, expected cube-root: leave --criterion out"
             )
-        if self.sample_bands < 2:
-            raise UsageError(f"{self.sample_bands} sample bands, expected at least 2")
+        for name, least in (("latent_dim", 0), ("sample_bands", 2)):  # 0: colours alone, as the report tries
+            value = getattr(self, name)
+            if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+                raise UsageError(f"{name} is {value!r}, expected a whole number from {least}")
+        RusinkiewiczGrid.named(self.grid)  # checks it
         self.covariance()  # checks it
 
     def covariance(self) -> Kernel:

@@ -24,6 +24,15 @@ class Visit:
     page: Any
     errors: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
+    address: str = ""
+
+    def open(self, address: str) -> None:
+        """Load a page of the map and wait for its first picture."""
+        self.address = address.split("#")[0]
+        self.page.goto("about:blank")  # else another fragment of the same page would not load it
+        self.page.goto(address)
+        self.page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")
+        assert self.errors == []
 
 
 @contextmanager
@@ -44,19 +53,17 @@ def chromium() -> Iterator[Any]:
 
 
 def visit(browser: Any, address: str, *, width: int = 1280, height: int = 900, **options: Any) -> Visit:
-    """Open a page of the map and wait for its first picture."""
+    """Open a page of the map in a window of its own and wait for its first picture."""
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
     made = Visit(page)
     page.on("console", lambda m: made.errors.append(m.text) if _is_error(m) else None)
     page.on("pageerror", lambda error: made.errors.append(str(error)))
-    own = address.split("#")[0]
     page.on(
-        "request", lambda request: made.requests.append(request.url) if _leaves(request.url, own) else None
+        "request",
+        lambda request: made.requests.append(request.url) if _leaves(request.url, made.address) else None,
     )
     page.set_default_timeout(20_000)
-    page.goto(address)
-    page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")
-    assert made.errors == []
+    made.open(address)
     return made
 
 

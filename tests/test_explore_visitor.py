@@ -49,20 +49,41 @@ def browser():
         yield started
 
 
-@pytest.fixture
-def page(browser, address):
-    """A fresh page, which leaves no error behind."""
-    made = visit(browser, address)
-    yield made.page
-    assert made.errors == []
-    made.page.close()
+@pytest.fixture(scope="module")
+def opened(browser, address):
+    """A page that stays for many tests."""
+    return visit(browser, address)
 
 
 @pytest.fixture
-def served(document, tmp_path):
+def page(opened):
+    """The open page as it was at the start, which leaves no error behind."""
+    page = opened.page
+    page.set_viewport_size({"width": 1280, "height": 900})
+    page.evaluate("""() => {
+      document.activeElement.blur();
+      document.getElementById("search").value = "";
+      scrollTo(0, 0);
+      Object.assign(window.explorer, { spectra: [] }).problem("");
+      window.explorer.reset();
+    }""")
+    settle(page)
+    yield page
+    assert opened.errors == []
+
+
+@pytest.fixture(scope="module")
+def elsewhere(browser, address):
+    """A window that shows one page after the other: to open one takes Chromium seconds."""
+    return visit(browser, address)
+
+
+@pytest.fixture(scope="module")
+def served(document, tmp_path_factory):
     """A server whose commands do nothing."""
-    context = Context(tmp_path, tmp_path / "model.h5", tmp_path / "library.zarr", NAMES, 2, True)
-    queue = Queue(tmp_path, (sys.executable, "-c", "print('{}')"))
+    folder = tmp_path_factory.mktemp("served")
+    context = Context(folder, folder / "model.h5", folder / "library.zarr", NAMES, 2, True)
+    queue = Queue(folder, (sys.executable, "-c", "print('{}')"))
     server = ExplorerServer(
         make_page(document | {"served": {"targets": [["gltf", "glTF 2.0"]]}}), context, queue=queue
     )
@@ -71,6 +92,11 @@ def served(document, tmp_path):
     server.shutdown()
     server.server_close()
     server.queue.close()
+
+
+@pytest.fixture(scope="module")
+def served_page(browser, served):
+    return visit(browser, served.address)
 
 
 def state(page):
@@ -94,18 +120,18 @@ def choose_spectrum(page, name, blue, red):
     ["illuminant=toString", "x=1e308,1e308", "x=-1e9,0&pin=1e300,0", "lamp=5,5",
      f'path=["{NAMES[0]}","{NAMES[1]}",null]', f'path=["{NAMES[0]}","{NAMES[1]}","1"]'],
 )  # fmt: skip
-def test_a_link_that_nobody_copied_opens_a_page_that_works(browser, address, fragment):
-    made = visit(browser, f"{address}#{fragment}")
-    now = state(made.page)
-    reach = made.page.evaluate("window.explorer.map.reach")
+def test_a_link_that_nobody_copied_opens_a_page_that_works(elsewhere, address, fragment):
+    elsewhere.open(f"{address}#{fragment}")
+    page = elsewhere.page
+    now = state(page)
+    reach = page.evaluate("window.explorer.map.reach")
     for place in filter(None, (now["x"], (now["pin"] or {}).get("x"))):
         assert all(low <= v <= high for v, (low, high) in zip(place, reach, strict=True))
     assert now["lamp"][0] ** 2 + now["lamp"][1] ** 2 < 1
     assert now["illuminant"] == "D65"
     assert now["path"] is None
-    assert "NaN" not in made.page.locator("#facts").inner_text()
-    assert made.errors == []
-    made.page.close()
+    assert "NaN" not in page.locator("#facts").inner_text()
+    assert elsewhere.errors == []
 
 
 def test_each_state_keeps_the_spectrum_that_it_was_shown_in(page):
@@ -224,7 +250,7 @@ def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
     assert page.locator("#problem").is_hidden()
 
 
-def test_the_map_says_nothing_of_places_out_of_reach(browser, document, folder):
+def test_the_map_says_nothing_of_places_out_of_reach(elsewhere, document, folder):
     """Where the materials lie along a line, most of the canvas is: no border there, as between errors."""
     flat = [[a, 0.05 * b] for a, b in document["X"]]
     low, high = ([f(row[q] for row in flat) for q in (0, 1)] for f in (min, max))
@@ -235,21 +261,19 @@ def test_the_map_says_nothing_of_places_out_of_reach(browser, document, folder):
         "values": [2.0] * len(document["error"]["values"]),
     }
     (folder / "flat.html").write_text(make_page(document | {"X": flat, "error": error}), encoding="utf-8")
-    made = visit(browser, (folder / "flat.html").as_uri())
+    elsewhere.open((folder / "flat.html").as_uri())
     script = """() => { const { canvas, field } = window.explorer.map;
       return [...new Uint32Array(field.getContext("2d").getImageData(0, 0, 64, 64).data.buffer)]; }"""
-    assert len(set(made.page.evaluate(script))) == 1
-    made.page.close()
+    assert len(set(elsewhere.page.evaluate(script))) == 1
 
 
-def test_a_map_without_a_field_of_errors_goes_to_a_material_too(browser, document, folder):
+def test_a_map_without_a_field_of_errors_goes_to_a_material_too(elsewhere, document, folder):
     """As maps of four dimensions are."""
     (folder / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
-    made = visit(browser, (folder / "four.html").as_uri())
-    made.page.locator("#map").press("Enter")
-    made.page.locator("#error-value", has_text="measured material").wait_for()
-    assert made.errors == []
-    made.page.close()
+    elsewhere.open((folder / "four.html").as_uri())
+    elsewhere.page.locator("#map").press("Enter")
+    elsewhere.page.locator("#error-value", has_text="measured material").wait_for()
+    assert elsewhere.errors == []
 
 
 def test_curves_are_told_in_words_and_what_is_dashed_is_named(page):
@@ -298,38 +322,35 @@ def test_tab_goes_through_a_narrow_page_from_top_to_bottom(page):
     assert all(b > a - 60 for a, b in pairwise(tops))  # beside each other in a row
 
 
-def test_a_folder_or_a_file_that_is_gone_is_a_message(browser, served):
-    made = visit(browser, served.address)
-    made.page.evaluate("""() => {
+def test_a_folder_or_a_file_that_is_gone_is_a_message(served_page):
+    served_page.page.evaluate("""() => {
       const gone = () => Promise.reject(new DOMException("it could not be read", "NotReadableError"));
       return window.explorer.takeDropped([{ name: "folder", size: 0, slice: () => ({ text: gone }), text: gone }]);
     }""")
-    assert "folder: it could not be read" in made.page.locator("#problem").inner_text()
-    assert made.errors == []
-    made.page.close()
+    assert "folder: it could not be read" in served_page.page.locator("#problem").inner_text()
+    assert served_page.errors == []
 
 
-def test_all_files_that_are_dropped_are_taken_under_their_names(browser, served):
-    made = visit(browser, served.address)
-    made.page.evaluate("""() => {
+def test_all_files_that_are_dropped_are_taken_under_their_names(served_page, served):
+    served_page.page.evaluate("""() => {
       const files = new DataTransfer();
       for (const name of ["a.bsdf", "b \\u00e9.bsdf"]) files.items.add(new File(["tensor_file..."], name));
       document.dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
     }""")
-    made.page.locator("#jobs li").nth(1).wait_for()
-    assert sorted(job.action.title for job in served.queue.jobs()) == ["locate a", "locate b-"]
-    assert made.errors == []
-    made.page.close()
+    for title in ("locate a", "locate b-"):
+        served_page.page.locator("#jobs li[data-state=done]", has_text=title).wait_for()
+    assert {"locate a", "locate b-"} <= {job.action.title for job in served.queue.jobs()}
+    assert served_page.errors == []
 
 
-def test_a_tab_that_is_looked_at_again_shows_what_another_asked_for(browser, served):
-    made, other = visit(browser, served.address), visit(browser, served.address)
-    other.page.locator("#do-render").click()
-    other.page.locator("#jobs li").wait_for()
-    made.page.evaluate("window.dispatchEvent(new Event('focus'))")
-    made.page.locator("#jobs li", has_text="render here.png").wait_for()
-    for page in (made.page, other.page):
-        page.close()
+def test_a_tab_that_is_looked_at_again_shows_what_another_asked_for(browser, served, served_page):
+    other, asked = visit(browser, served.address).page, "render here.png"
+    other.locator("#do-render").click()
+    other.locator("#jobs li", has_text=asked).wait_for()
+    assert served_page.page.locator("#jobs li", has_text=asked).count() == 0
+    served_page.page.evaluate("window.dispatchEvent(new Event('focus'))")
+    served_page.page.locator("#jobs li", has_text=asked).wait_for()
+    other.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])

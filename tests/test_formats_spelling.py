@@ -358,3 +358,54 @@ def test_texture_and_flake_images_stay_with_the_readings(tmp_path, rng):
     assert found.texture["values"][0]["Coarseness"] > 1.0
     assert list(found.texture["images"]) == list(MA_T12_NAMES[6:])
     assert all(image.startswith(b"\x89PNG") for image in found.texture["images"].values())
+
+
+def zemax_text(rows, azimuths=(0, 90, 180), radials=(0, 30, 50, 90), comment="# a scatterometer") -> str:
+    """A Zemax file of one incidence of 30 degrees, as its users' scripts write them: tabs, half a plane."""
+    lists = (
+        ("SampleRotation", [0]),
+        ("AngleOfIncidence", [30]),
+        ("ScatterAzimuth", azimuths),
+        ("ScatterRadial", radials),
+    )
+    lines = [
+        comment,
+        "Source\tMeasured",
+        "Symmetry\tPlaneSymmetrical",
+        "SpectralContent\tMonochrome",
+        "ScatterType\tBRDF",
+    ]
+    for key, angles in lists:
+        lines += [f"{key}\t{len(angles)}", "\t".join(map(str, angles)) + "\t"]
+    rows = ["\t".join(f"{v:.3e}" for v in row) for row in rows]
+    return "\n".join([*lines, "", "Monochrome", "DataBegin", "TIS\t0.1", *rows, "DataEnd", ""])
+
+
+def test_zeros_that_fill_a_zemax_table_up_to_the_horizon_are_not_data(tmp_path):
+    """Instruments end at 80 degrees or so; dark directions less steep than others with light are measured."""
+    path = tmp_path / "black.bsdf"
+    path.write_text(zemax_text([[0.2, 0.1, 0.0, 0.05], [0.2, 0.1, 0.0, 0.0], [0.2, 0.1, 0.0, 0.0]]))
+    found = registry.read_readings(path)
+    theta = np.rad2deg(np.arccos(found.wo[:, 2]))
+    assert sorted(found.values[:, 0]) == [0.0, 0.0, 0.05, 0.1, 0.1, 0.1, 0.2]
+    np.testing.assert_allclose(np.sort(theta[found.values[:, 0] == 0.0]), [20.0, 56.17], atol=0.01)
+    assert any("1 zeros near the horizon" in note for note in found.notes)
+    path.write_text(zemax_text(np.zeros((3, 4))))
+    assert len(registry.read_readings(path)) == 8  # those above the horizon
+
+
+@pytest.mark.parametrize(
+    ("comment", "nm"),
+    [
+        ("# Light source: red laser (650 nm, 3.5mm spot diam.)", 650.0),
+        ("# 632.8nm, again 632.8 nm", 632.8),
+        ("# 450 nm and 650 nm", 550.0),
+        ("# sample 650", 550.0),
+    ],
+)
+def test_comments_of_zemax_files_may_name_the_wavelength(comment, nm, tmp_path):
+    path = tmp_path / "laser.bsdf"
+    path.write_text(zemax_text(np.ones((3, 4)), comment=comment))
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.wavelengths_nm, [nm])
+    assert any("comment" in note for note in found.notes) == (nm != 550.0)

@@ -16,6 +16,7 @@ from manifold.records import Array
 
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
+_SAME_ANGLE = 1e-4  # radians; incidences are told apart by five decimals
 _DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highlights
 _LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets from growing further
 
@@ -129,7 +130,7 @@ class ReadingsBRDF(TabulatedBRDF):
         self._phis = incidences[:, 1]
 
     def _eval(self, wi: Array, wo: Array) -> Array:
-        swap = (wi[:, 2] < np.cos(self._thetas[-1]) - 1e-9) & (wo[:, 2] > wi[:, 2])
+        swap = (wi[:, 2] < np.cos(self._thetas[-1] + _SAME_ANGLE)) & (wo[:, 2] > wi[:, 2])
         wi, wo = np.where(swap[:, None], wo, wi), np.where(swap[:, None], wi, wo)
         theta, phi = to_spherical(wi)
         h = wi + wo
@@ -215,7 +216,7 @@ def _mirrored(wi: Array, h: Array) -> Array:
 def _both_sides(place: Array, values: Array) -> tuple[Array, Array]:
     """Both halves of the disk of an isotropic sample of which one was measured."""
     side = place[:, 1]
-    if np.all(side > -1e-6) or np.all(side < 1e-6):
-        off = np.abs(side) > 1e-6
+    if np.all(side > -_SAME_ANGLE) or np.all(side < _SAME_ANGLE):
+        off = np.abs(side) > _SAME_ANGLE
         return np.concatenate([place, place[off] * [1.0, -1.0]]), np.concatenate([values, values[off]])
     return place, values

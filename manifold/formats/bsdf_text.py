@@ -13,6 +13,7 @@ from manifold.records import Array
 _MOST_ANGLES = 20_000
 _MOST_VALUES = 50_000_000
 _REMEDY = "export the file again"
+_COMMENT = ("#", "!")
 XYZ_TO_BAND = {"trisx": 0, "trisy": 1, "trisz": 2, "tristimulusx": 0, "tristimulusy": 1, "tristimulusz": 2}
 
 
@@ -22,11 +23,9 @@ class Words:
     def __init__(self, path: Path) -> None:
         """Read the file. Raises: as `read_lines`."""
         self.place = Place(path, _REMEDY)
-        self._lines = [
-            (number, line)
-            for number, line in enumerate(read_lines(path), start=1)
-            if line.strip() and not line.lstrip().startswith(("#", "!"))
-        ]
+        numbered = [(k, line) for k, line in enumerate(read_lines(path), start=1) if line.strip()]
+        self._lines = [(k, line) for k, line in numbered if not line.lstrip().startswith(_COMMENT)]
+        self.comments = [line.strip() for _, line in numbered if line.lstrip().startswith(_COMMENT)]
         self._line, self._word = 0, 0
         self._split: tuple[int, list[str]] = (-1, [])
 

@@ -21,6 +21,9 @@ from manifold.records import Array
 from manifold.system import atomic
 
 _UNNAMED_NM = 550.0
+_PADDING_FROM = np.cos(
+    np.deg2rad(75.0)
+)  # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
 
 
@@ -87,35 +90,57 @@ def read(path: Path) -> list[Readings]:
             else (f"SpectralContent {header.get('spectralcontent', 'not said')}, expected Monochrome or XYZ")
         )
         raise words.place.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
-    return [_readings(path, incidences, lists, [np.array(parts[b]) for b in sorted(parts)])]
+    notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
+    nm = _wavelength(words.comments, notes) if set(parts) == {0} else None
+    return [_readings(path.stem, incidences, lists, [np.array(parts[b]) for b in sorted(parts)], nm, notes)]
+
+
+def _wavelength(comments: list[str], notes: list[str]) -> Array:
+    """The wavelength (1,) in nm: the only one that comments name, or a green one."""
+    named = {float(nm) for line in comments for nm in re.findall(r"\b(\d{3,4}(?:\.\d+)?) ?nm\b", line)}
+    if len(named) == 1:
+        notes.append(f"one band, its wavelength is taken from a comment: {min(named):g} nm")
+        return np.array(sorted(named))
+    notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+    return np.array([_UNNAMED_NM])
+
+
+def _is_measured(wo: Array, values: Array) -> Array:
+    """Which directions (n, 3) of one incidence hold data, (n,): not zeros that fill the table up to the horizon."""
+    is_dark = np.all(values == 0.0, axis=1)
+    lowest = np.min(wo[~is_dark, 2], initial=_PADDING_FROM)
+    return ~is_dark | (wo[:, 2] > lowest - 1e-6) | bool(np.all(is_dark))
 
 
 def _readings(
-    path: Path, incidences: list[tuple[float, float]], lists: dict[str, Array], parts: list[Array]
+    name: str,
+    incidences: list[tuple[float, float]],
+    lists: dict[str, Array],
+    parts: list[Array],
+    nm: Array | None,
+    notes: list[str],
 ) -> Readings:
     azimuths, radials = lists["scatterazimuth"], lists["scatterradial"]
     rows = grid_rows(azimuths, radials)
     azimuth, radial = (np.deg2rad(a.reshape(-1)[rows]) for a in np.meshgrid(azimuths, radials, indexing="ij"))
     values = np.stack([part.reshape(len(part), -1)[:, rows] for part in parts], axis=-1)
-    wi, wo, kept = [], [], []
+    wi, wo, kept, padding = [], [], [], 0
     for (rotation, theta), block in zip(incidences, values, strict=True):
         w, out = directions(np.deg2rad(theta), radial, azimuth, np.deg2rad(rotation))
         above = out[:, 2] > 1e-6
+        is_data = _is_measured(out[above], block[above])
+        padding += int((~is_data).sum())
+        above[above] = is_data
         wi.append(np.tile(np.maximum(w, [-1.0, -1.0, 0.0]), (int(above.sum()), 1)))
         wo.append(out[above])
         kept.append(block[above])
-    notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
-    nm: Array | None = None
+    if padding:
+        notes.append(f"{padding} zeros near the horizon, beyond the last measured direction, are not data")
     table = np.concatenate(kept)
-    if table.shape[1] == 3:
+    if nm is None:
         table = xyz_to_linear_srgb(table)
         notes.append("CIE XYZ, converted to linear sRGB")
-    else:
-        nm = np.array([_UNNAMED_NM])
-        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
-    return Readings(
-        path.stem, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes)
-    )
+    return Readings(name, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes))
 
 
 def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, values: Array) -> None:

@@ -24,6 +24,7 @@ _BLOCK = 65536  # pairs evaluated at once
 _TURNS = 8  # rotations of an anisotropic sample that an isotropic format averages over
 _MOST_INCIDENCES = 40
 _LOWEST = np.sin(np.deg2rad(1.0))
+_MEASURED_WITHIN = np.deg2rad(0.5)  # of a measured incidence: half a step of MERL's
 _STEEPEST = np.deg2rad(85.0)
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
@@ -88,8 +89,9 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
         block = np.zeros((int(above.sum()), 3))
         for turn in turns:
             a, b = (rotate_z(_off_horizon(w[above]), turn) for w in (wi, wo))
-            # One node stands for both directions of the light.
-            block += 0.5 * (brdf.eval(a, b) + brdf.eval(b, a)) / turns.size
+            # One node stands for both directions of the light; the one nearer to a measured incidence counts more.
+            share = _share(a, b, source)[:, None]
+            block += (share * brdf.eval(a, b) + (1.0 - share) * brdf.eval(b, a)) / turns.size
         values[start : start + len(wi)][above] = block
         start += len(wi)
     negative = int(np.any(values < 0.0, axis=1).sum())
@@ -100,6 +102,18 @@ def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
     )
     merl.write(path, table)
     return notes
+
+
+def _share(a: Array, b: Array, source: Source) -> Array:
+    """Weight (n,) of f(a, b) beside f(b, a) for pairs (n, 3): half, but for readings by how near an incidence is."""
+    if not source.is_readings:
+        return np.full(len(a), 0.5)
+    to_a, to_b = (
+        np.min(np.abs(np.arccos(np.clip(w[:, 2:], 0.0, 1.0)) - source.theta_i_rad), axis=1) ** 2
+        + _MEASURED_WITHIN**2
+        for w in (a, b)
+    )
+    return np.asarray(to_b / (to_a + to_b))
 
 
 def _write_utia(path: Path, source: Source, options: Options) -> list[str]:

@@ -33,6 +33,18 @@ def test_an_azimuth_turns_the_aspecular_angle_about_the_mirror_direction():
     assert abs(wo[1]) == pytest.approx(np.sin(np.deg2rad(25.0)))
 
 
+def test_detectors_across_the_plane_are_the_same_for_both_lamps_of_an_ma98():
+    """Its azimuths are 180 degrees minus those counted from the normal: only so do two lamps share four detectors."""
+    seen = [aspecular_pair(*angles)[1] for angles in ((45.0, 60.0, 125.3), (15.0, 46.9, 104.5))]
+    np.testing.assert_allclose(
+        seen, [[0.0, np.sqrt(0.5), np.sqrt(0.5)]] * 2, atol=2e-3
+    )  # angles of one decimal
+    seen = [aspecular_pair(*angles)[1] for angles in ((45.0, 25.0, -90.0), (15.0, 38.3, -43.0))]
+    np.testing.assert_allclose(seen[0], seen[1], atol=2e-3)
+    in_plane = [aspecular_pair(45.0, 25.0, azimuth)[1] for azimuth in (0.0, 180.0)]
+    np.testing.assert_allclose(in_plane[0], in_plane[1])
+
+
 def test_subsets_keep_values_beside_their_directions():
     part = readings().select_pairs(np.array([3, 1])).select_bands([1])
     np.testing.assert_array_equal(part.values, [[7.0], [3.0]])

@@ -17,10 +17,11 @@ from manifold.brdf.synthetic.ggx import GGX
 from manifold.brdf.synthetic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings, write_ma_t12
 from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.errors import FileFormatError
-from manifold.formats import astm, csv_table, lighttools, registry
+from manifold.formats import astm, csv_table, lighttools, registry, utia
 from manifold.formats.dense import DenseTable
 from manifold.formats.geometry_names import parse_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
+from manifold.records import Bands
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 FACTORS = np.pi * SPECTRO.values
@@ -173,6 +174,72 @@ def test_geometries_are_read_in_every_spelling(anchor, aspecular, azimuth, spell
     assert parse_geometry(text) == (anchor, aspecular, azimuth)
 
 
+@pytest.mark.parametrize(
+    ("text", "angles"),
+    [
+        ("r45as25az_90", (45, 25, -90)),
+        ("45asMinus15", (45, -15, 0)),
+        ("45as25azMinus90", (45, 25, -90)),
+        ("15as46.9az-104.5", (15, 46.9, -104.5)),
+        ("45/0", (45, 45, 0)),
+        ("45\u00b0c:0\u00b0", (45, 45, 0)),
+        ("0/45", (45, 45, 0)),
+        ("45/0 Spectral", (45, 45, 0)),
+        ("45/05", None),
+        ("d/8", None),
+        ("8/45", None),
+    ],
+)
+def test_geometries_of_x_rites_programs_and_of_45_0_are_read(text, angles):
+    assert parse_geometry(text) == angles
+
+
+BARE = ("-15", "15", "25", "45", "75", "110")
+ASPECULAR_TABLES = {
+    "column": "\n".join(
+        ["Name,Angle,400,500,600", *(f"s,{g},0.1,0.2,{k / 10}" for k, g in enumerate(BARE))]
+    ),
+    "degrees": "\n".join(
+        ["Geometry;400;500;600", *(f"{g}\u00b0;0,1;0,2;{k / 10}" for k, g in enumerate(BARE))]
+    ),
+    "as15": "\n".join(["Geometry,400,500,600", *(f"as{g},0.1,0.2,{k / 10}" for k, g in enumerate(BARE))]),
+    "turned": "\n".join(
+        [";".join(["Wavelength (nm)", *BARE]), "400" + 6 * ";0,1", "500" + 6 * ";0,2", "600;0;0,1;0,2;0,3;0,4;0,5"]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ASPECULAR_TABLES)
+def test_aspecular_angles_alone_have_the_light_at_45_degrees(name, tmp_path):
+    path = tmp_path / "byk.csv"
+    path.write_text(ASPECULAR_TABLES[name])
+    found = registry.read_readings(path)
+    np.testing.assert_array_equal(found.wo, SPECTRO.wo[:6])  # those of an MA-T12 at 45 degrees
+    np.testing.assert_allclose(np.pi * found.values, [[0.1, 0.2, k / 10] for k in range(6)])
+    assert any("45 degrees" in note for note in found.notes)
+    path.write_text(ASPECULAR_TABLES[name].replace("75", "77"))  # no multi-angle spectrophotometer's
+    with pytest.raises(FileFormatError, match="such as 45as15"):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (
+            "Name,Geometry,L*,a*,b*,r,g,b\nx,45as15,50,1,2,120,100,90\nx,45as25,40,1,2,11,9,8\n",
+            "of a display",
+        ),
+        ("Geometry,400,500,600\nd/8 SPIN,1,2,3\n", "at geometry 'd/8 SPIN'"),
+        ("Name,400,500,600\nA,1,2,3\n", "beside a column of geometries"),
+    ],
+)
+def test_tables_that_hold_no_reflectance_at_a_geometry_are_refused(table, words, tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text(table)
+    with pytest.raises(FileFormatError, match=words):
+        registry.read_all(path)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     return write_every_format(tmp_path_factory.mktemp("formats"))
@@ -226,6 +293,7 @@ def test_mini_diff_tables_are_read_however_they_are_spelt(files, name, tmp_path)
         ("WAVELENGTH 10.6 um", "VARS theta_i,phi_i,theta_s,phi_s,BRDF_sr^-1", 10600.0),
         ("SAMPLE_ID 633", "VARS theta_i,phi_i,theta_s,phi_s,BRDF(1/sr)", 550.0),
         ("WAVELENGTH 0.6328", "VARS theta_i,phi_i,theta_s,phi_s,465nm", 465.0),
+        ("WAVELENGTH 0.6328", "VARS theta_i,phi_i,theta_s,phi_s,BRDF_1", 632.8),
     ],
 )
 def test_the_wavelength_of_an_astm_table_of_one_band_may_stand_in_its_header(wavelength, head, nm, tmp_path):
@@ -234,6 +302,34 @@ def test_the_wavelength_of_an_astm_table_of_one_band_may_stand_in_its_header(wav
     found = registry.read_readings(path).bands
     np.testing.assert_allclose(found.wavelengths_nm, [nm])
     assert str(found) == f"1 band, {nm:.1f} nm"
+
+
+def test_numbers_of_bands_are_no_wavelengths(tmp_path):
+    path = tmp_path / "three.astm"
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,BRDF_1,BRDF_2,BRDF_3\n0.5,3.14,0.4,0,0.1,0.2,0.3\n")
+    with pytest.raises(FileFormatError, match="band 'BRDF_1'"):
+        registry.read_all(path)
+
+
+def test_readings_that_are_brightest_towards_the_light_say_so(files, tmp_path):
+    """Where phi_i is counted from the mirror direction, a highlight becomes a retroreflection."""
+    readings = registry.read_readings(files["mini-diff"])
+    satin = Plastic(GGX.isotropic(0.2), np.array(1.5), np.array([0.05, 0.1, 0.2]), MINI_DIFF_BANDS)
+    readings = replace(readings, values=satin.eval(readings.wi, readings.wo))
+    path = tmp_path / "satin.astm"
+    for turn, expected in ([1.0, 1.0, 1.0], False), ([-1.0, -1.0, 1.0], True):
+        astm.write(path, replace(readings, wi=readings.wi * turn))
+        notes = registry.read_readings(path).notes
+        assert any("towards the light" in note for note in notes) == expected
+
+
+def test_utia_files_that_would_return_more_than_their_light_say_so(files, tmp_path):
+    """The database names no unit: other programs take its values for sRGB, or scale them."""
+    assert len(registry.read(files["utia"]).notes) == 1
+    table = dense(Bands(None), "incident-outgoing", utia.axes())
+    utia.write(tmp_path / "bright.bin", replace(table, values=3.0 * table.values))
+    notes = registry.read(tmp_path / "bright.bin").notes
+    assert any("2.17 times its light" in note for note in notes)
 
 
 CXF_SPELLINGS = {

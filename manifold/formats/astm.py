@@ -25,6 +25,7 @@ _MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
 _UNNAMED_NM = 550.0
+_LEAST_NM = 150.0
 _BAND = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>nm|um|µm|micron)?", re.IGNORECASE)
 _PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
 _ANGLES = {
@@ -123,7 +124,7 @@ def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns
     """The columns, a single band called by the wavelength that the header says: micrometres where it is below 100."""
     found = re.match(r"[\d.]+", header.get("WAVELENGTH", ""))
     said = number(found[0]) if found else None
-    if said is None or said <= 0.0 or len(columns.bands) != 1 or _BAND.search(columns.bands[0]):
+    if said is None or said <= 0.0 or len(columns.bands) != 1 or _wavelength(columns.bands[0]):
         return columns
     band = f"{said if said >= 100.0 else 1000.0 * said:g}nm"
     names = [band if name in columns.bands else name for name in columns.names]
@@ -237,19 +238,26 @@ def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> t
             return None, values
     nm = []
     for head in heads:
-        found = _BAND.search(head)
-        unit = (found["unit"] or "nm").lower() if found else "nm"
-        if found is None and len(heads) == 1:
+        wavelength = _wavelength(head)
+        if wavelength is None and len(heads) == 1:
             notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
             return np.array([_UNNAMED_NM]), values
-        if found is None:
+        if wavelength is None:
             raise place.error(f"band '{head[:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z")
-        nm.append(float(found["number"]) * (1.0 if unit == "nm" else 1000.0))
+        nm.append(wavelength)
     order = np.argsort(nm)
     ascending = np.array(nm)[order]
     if np.any(np.diff(ascending) <= 0) or ascending[0] <= 0:
         raise place.error(f"bands {', '.join(heads[:6])}, expected different wavelengths")
     return ascending, values[:, order]
+
+
+def _wavelength(head: str) -> float | None:
+    """The wavelength in nm of a band's head; numbers without a unit are nm, or numbers of bands where too small."""
+    found = _BAND.search(head)
+    if found is None or (found["unit"] is None and float(found["number"]) < _LEAST_NM):
+        return None
+    return float(found["number"]) * (1.0 if (found["unit"] or "nm").lower() == "nm" else 1000.0)
 
 
 def write(path: Path, readings: Readings) -> None:

@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import to_spherical
+from manifold.formats.geometry_names import parse_aspecular
 from manifold.formats.readings import Readings
-from manifold.formats.spectro_table import read_table
+from manifold.formats.spectro_table import parse_wavelength, read_table
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
 
 _REMEDY = "export the table again with columns Geometry, 400, 410, ..."
+_HEADS = 3  # of wavelengths, or of aspecular angles, make a line the head of a table
 _TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")
 
 
@@ -32,8 +34,16 @@ def sniff(head: bytes) -> bool:
     lines = [line for line in text.splitlines() if line.strip()][:60]
     for line in lines:
         words = line.lower()
-        if ("geometr" in words or re.search(r"theta\W?_?i", words)) and _separator(line) is not None:
+        separator = _separator(line)
+        if separator is None:
+            continue
+        if "geometr" in words or re.search(r"theta\W?_?i", words):
             return "vars" not in words
+        cells = [cell.strip(' "') for cell in words.split(separator)]
+        if sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS or (
+            cells[0].startswith(("nm", "wavelength")) and sum(map(_is_aspecular, cells)) >= _HEADS
+        ):
+            return True
     return any(
         _separator(line) is not None and sum(c.isdigit() for c in line) > 20 and "as" in line
         for line in lines
@@ -103,6 +113,10 @@ def band_heads(readings: Readings) -> list[str]:
     """`465nm` or `R`, `G`, `B`."""
     nm = readings.bands.wavelengths_nm
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]
+
+
+def _is_aspecular(cell: str) -> bool:
+    return parse_aspecular(cell) is not None
 
 
 def _separator(line: str) -> str | None:

@@ -1,4 +1,4 @@
-"""Names of foreign formats, for error messages: files that share the extension .bsdf, and failed downloads."""
+"""Names of foreign formats, for error messages: files that share an extension with ours, and failed downloads."""
 
 from __future__ import annotations
 
@@ -18,11 +18,25 @@ _FOREIGN = (
     (b"II*\0", "a TIFF picture"),
     (b"MM\0*", "a TIFF picture"),
     (b"SCATFUN", "a Fourier BSDF of layerlab or pbrt-v3"),
+    (b"NVIDIA ARBSDF", "a measured BSDF of MDL (.mbsdf)"),
+    (b"MATLAB 5.0", "a MATLAB file"),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"OPTIS - ", "a BSDF of Ansys Speos"),
+    (b"TracePro", "a surface property file of TracePro"),
+    (b"type bsdf_data", "a BSDF table of FRED"),
+    (b"H|", "a message of a clinical analyser (ASTM E1394)"),
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
 )
 _FOREIGN_WORDS = (
     (("<!doctype html", "<html"), "an HTML page, as failed downloads leave"),
-    (("<windowelement", "<opticsdefinition", "<?xml"), "a Radiance / WINDOW BSDF (XML)"),
+    (("<windowelement", "<opticsdefinition"), "a Radiance / WINDOW BSDF (XML)"),
+    (("<?xml",), "an XML document"),
+    (("#alta ", "\n#param_in", "#dim "), "a data or function file of ALTA"),
+    (("param0_list",), "a BSDF of BSDFProcessor (SSDD)"),
+    (("typecolormodel",), "a BRDF or BTDF of Integra (.ddr, .ddt)"),
+    (("spheremesh:",), "a spherical mesh of LightTools"),
+    (("::begin shader",), "an analytic BRDF of Disney's BRDF Explorer"),
+    (("theta lighting", "phi measure step"), "a REFLET measurement (Light Tec)"),
     # Mini-Diff files share most words with Zemax files; only theirs write the incidence as AOI.
     (("mini-diff", "minidiff", "reflet", "lighttools", "light tools", "\naoi"), "a Synopsys Mini-Diff BSDF"),
     (("spectralcontent", "scattertype", "sampleorientation", "samplerotation", "zemax"), "a Zemax BSDF"),

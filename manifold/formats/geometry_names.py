@@ -1,4 +1,4 @@
-"""Names of multi-angle geometries: `45as-15`, `r45as15`, `r15as_45`, `45as25az90`, `45° as 15°`."""
+"""Names of geometries: `45as-15`, `r45as15`, `r15as_45`, `45as25az90`, `45asMinus15`, `45° as 15°`, `45/0`; `as15`."""
 
 from __future__ import annotations
 
@@ -12,24 +12,53 @@ _NAME = re.compile(
     (?P<anchor>\d+(\.\d+)?)\s*(°|deg)?\s*[:/_]?\s*
     (as|asp|aspecular)\s*
     (?P<sign>[-_+]|m(inus)?\s*)?\s*(?P<aspecular>\d+(\.\d+)?)\s*(°|deg)?
-    (\s*[_,/]?\s*(az|azimuth)\s*[:=]?\s*(?P<azimuth>[-+]?\d+(\.\d+)?)\s*(°|deg)?)?\s*$""",
+    (\s*[_,/]?\s*(az|azimuth)\s*[:=]?\s*
+    (?P<side>[-_+]|m(inus)?\s*)?\s*(?P<azimuth>\d+(\.\d+)?)\s*(°|deg)?)?\s*$""",
     re.IGNORECASE | re.VERBOSE,
 )
+_45_0 = re.compile(r"[^\d]*(45\s*°?\s*[a-z]?\s*[/:_]\s*0|0\s*°?\s*[/:_]\s*45)\b\D*", re.IGNORECASE)
+_ASPECULAR = re.compile(r"(as(pecular)?)?\s*(?P<sign>[-_+])?\s*(?P<angle>\d+)\s*(°|deg)?", re.IGNORECASE)
+_USUAL_ASPECULAR = (
+    -15.0,
+    15.0,
+    20.0,
+    25.0,
+    45.0,
+    75.0,
+    110.0,
+)  # with light at 45 degrees: ASTM E2194, DIN 6175-2
 
 
 def parse_geometry(text: str) -> tuple[float, float, float] | None:
     """Anchor, aspecular and azimuth angle in degrees of a geometry's name, or None.
 
-    An underscore before the aspecular angle is a minus sign: programs write it where names allow no sign.
+    An underscore before an angle is a minus sign: programs write it where names allow no sign.
     """
-    found = _NAME.match(text.strip().replace("\u2212", "-").replace("\u2013", "-"))
+    text = _plain(text)
+    if _45_0.fullmatch(text):
+        return 45.0, 45.0, 0.0
+    found = _NAME.match(text)
     if found is None:
         return None
-    sign = -1.0 if (found["sign"] or "+")[0] in "-_mM" else 1.0
-    anchor, aspecular = float(found["anchor"]), sign * float(found["aspecular"])
+    anchor, aspecular = float(found["anchor"]), _sign(found["sign"]) * float(found["aspecular"])
     if anchor >= 90.0 or abs(aspecular) > 180.0:
         return None
-    return anchor, aspecular, float(found["azimuth"] or 0.0)
+    return anchor, aspecular, _sign(found["side"]) * float(found["azimuth"] or 0.0)
+
+
+def parse_aspecular(text: str) -> float | None:
+    """One of the usual aspecular angles in degrees where a text is nothing else: `-15`, `as15`, `110°`."""
+    found = _ASPECULAR.fullmatch(_plain(text))
+    angle = _sign(found["sign"]) * float(found["angle"]) if found is not None else None
+    return angle if angle in _USUAL_ASPECULAR else None
+
+
+def _plain(text: str) -> str:
+    return text.strip().replace("\u2212", "-").replace("\u2013", "-")
+
+
+def _sign(text: str | None) -> float:
+    return -1.0 if (text or "+")[0] in "-_mM" else 1.0
 
 
 def geometry_directions(text: str) -> tuple[Array, Array] | None:

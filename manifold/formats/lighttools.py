@@ -84,7 +84,8 @@ def read(path: Path) -> list[Readings]:
     phi, theta = (a.reshape(-1)[rows] for a in np.meshgrid(azimuths, radials, indexing="ij"))
     keep = np.abs(theta) <= 90.0
     values, theta, phi = values[:, rows][:, keep], theta[keep], phi[keep]
-    if re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) and _is_ramp(theta, phi, values):
+    is_mini_diff = re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) is not None
+    if is_mini_diff and _is_ramp(theta, phi, values):
         inside = theta <= _PADDING_FROM + 1e-6
         notes.append(
             f"{int((~inside).sum())} directions beyond 75 degrees are padding of the Mini-Diff, not data"
@@ -107,7 +108,7 @@ def read(path: Path) -> list[Readings]:
         values = xyz_to_linear_srgb(values)
     return [
         Readings(
-            path.stem, "Mini-Diff (LightTools text)" if "diff" in heading.lower() else "LightTools BSDF",
+            path.stem, "Mini-Diff (LightTools text)" if is_mini_diff else "LightTools BSDF",
             wi, np.tile(wo, (len(incidences), 1)), nm, values, notes=tuple(notes),
         )
     ]  # fmt: skip

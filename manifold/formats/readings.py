@@ -134,17 +134,18 @@ def geometry_ma_t12() -> tuple[Array, Array]:
 def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float = 0.0) -> tuple[Array, Array]:
     """Directions wi (3,) and wo (3,) of an anchor leg and an aspecular angle, in degrees.
 
-    The aspecular angle is counted from the mirror direction towards the normal, in the plane of incidence turned
-    about the mirror direction by `azimuth_deg` (0: in plane).
+    The aspecular angle is counted from the mirror direction towards the normal, in the plane of incidence (azimuth 0 or
+    180), or about the mirror direction by an azimuth whose 180 degrees point to the normal, as X-Rite's does: its
+    `45as60az125.3` and `15as46.9az104.5` are one detector, 45 degrees from the normal and across the plane.
 
-    Source: ASTM E2194, E2539.
+    Source: ASTM E2194, E2539; geometries of the MA98.
     """
     wi = from_spherical(np.deg2rad(anchor_deg), np.pi)
     offset, azimuth = np.deg2rad(aspecular_deg), np.deg2rad(azimuth_deg)
     mirror = from_spherical(np.deg2rad(anchor_deg), 0.0)
-    towards_normal = from_spherical(np.deg2rad(anchor_deg - 90.0), 0.0)
-    aside = np.array([0.0, 1.0, 0.0])
-    turned = np.cos(azimuth) * towards_normal + np.sin(azimuth) * aside
+    turned = from_spherical(np.deg2rad(anchor_deg - 90.0), 0.0)  # towards the normal
+    if azimuth_deg % 180.0 != 0.0:
+        turned = -np.cos(azimuth) * turned + np.sin(azimuth) * np.array([0.0, 1.0, 0.0])
     return wi, np.cos(offset) * mirror + np.sin(offset) * turned
 
 

@@ -25,6 +25,7 @@ from manifold.formats import (
 )
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
+from manifold.formats.light_side import with_light_side_note
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC, printable
 from manifold.formats.text import read_bytes
@@ -116,7 +117,7 @@ def read_all(path: Path | str) -> list[Record]:
                 f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "
                 "the file is damaged, or of other units"
             )
-    return records
+    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in records]
 
 
 def read(path: Path | str, sample: str | None = None) -> Record:

@@ -6,15 +6,15 @@ What workbooks and CSV files share: cells in, readings out. Values are reflectan
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.geometry_names import geometry_directions, parse_geometry
-from manifold.formats.readings import Readings
+from manifold.formats.geometry_names import geometry_directions, parse_aspecular, parse_geometry
+from manifold.formats.readings import Readings, aspecular_pair
 from manifold.formats.text import Place, number, plain_float
 from manifold.records import Array
 
@@ -50,7 +50,8 @@ class _Header:
     geometry: int | None
     angles: dict[str, int]
     name: int | None
-    unit: str  # `f`, `percent` or `factor`
+    unit: str  # `f`, `percent` or `unknown`
+    is_aspecular: bool = False  # geometries are aspecular angles alone, as in 15, 25, 45
 
 
 def read_table(
@@ -96,7 +97,7 @@ def read_table(
         directions = _directions(row, header, place, where)
         if directions is None:
             if any(number(_text(row[c])) is not None for c in order if c < len(row)):
-                raise place.error("values without a geometry, expected one such as 45as15", where)
+                raise place.error(f"values {_geometry_text(row, header)}, expected one such as 45as15", where)
             continue  # a footnote, a title
         if header.name is not None and header.name < len(row) and _text(row[header.name]):
             last = _text(row[header.name])
@@ -123,10 +124,20 @@ def _sample(
     values = np.array([row[2] for row in rows])
     if not np.any(np.isfinite(values)):
         raise place.error(f"sample '{name[:40]}' has no values, expected reflectance")
-    notes: list[str] = []
+    notes = ["aspecular angles alone: the light is taken at 45 degrees"] if header.is_aspecular else []
     wi, wo, values, repeats = _mean_of_repeats(wi, wo, values)
     if repeats:
         notes.append(f"{repeats} rows repeat a geometry: their means are taken")
+    if (
+        header.is_rgb
+        and header.unit != "f"
+        and np.nanmax(values) > 1.0
+        and np.all(np.nan_to_num(values) % 1.0 == 0.0)
+    ):
+        raise place.error(
+            f"sample '{name[:40]}' has whole R, G, B up to {np.nanmax(values):g}: colours of a display, "
+            "expected reflectance"
+        )
     if header.unit != "f":
         percent = header.unit == "percent"
         if not percent and looks_like_percent(wi, wo, values):
@@ -186,7 +197,7 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         return None  # a row of readings
     taken = {geometry, *angles.values()}
     bands = {
-        k: nm for k, text in enumerate(texts) if k not in taken and (nm := _wavelength(text)) is not None
+        k: nm for k, text in enumerate(texts) if k not in taken and (nm := parse_wavelength(text)) is not None
     }
     is_rgb = False
     if not bands:
@@ -195,6 +206,7 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         if not is_rgb:
             return None
     name = next((k for k, text in enumerate(plain) if text in ("name", "sample", "samplename", "id")), None)
+    is_aspecular = geometry is not None and _all_cells(below, geometry, parse_aspecular)
     joined = " ".join(texts).lower()
     if "1/sr" in joined or "sr^-1" in joined or "sr-1" in joined or (has_angles and "brdf" in joined):
         unit = "f"
@@ -204,19 +216,35 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         unit = "percent"
     else:
         unit = "f" if has_angles and geometry is None else "unknown"
-    return _Header(index, bands, is_rgb, geometry, angles, name, unit)
+    return _Header(index, bands, is_rgb, geometry, angles, name, unit, is_aspecular)
 
 
 def _geometry_column(heads: list[str], below: Sequence[Sequence[Cell]]) -> int | None:
     """The column that is called so, or holds nothing but geometries in the next rows."""
     for k, head in enumerate(heads):
-        cells = [_text(row[k]) for row in below if k < len(row) and _text(row[k])]
-        if head.startswith("geometr") or (cells and all(parse_geometry(cell) is not None for cell in cells)):
+        is_angle = head.startswith(("angle", "aspecular", "wavelength")) or head in ("nm", "winkel")
+        if (
+            head.startswith("geometr")
+            or _all_cells(below, k, parse_geometry)
+            or (is_angle and _all_cells(below, k, parse_aspecular))
+        ):
             return k
     return None
 
 
-def _wavelength(text: str) -> float | None:
+def _all_cells(rows: Sequence[Sequence[Cell]], column: int, parse: Callable[[str], object]) -> bool:
+    """Whether a column has cells and `parse` understands every one."""
+    cells = [_text(row[column]) for row in rows if column < len(row) and _text(row[column])]
+    return bool(cells) and all(parse(cell) is not None for cell in cells)
+
+
+def _geometry_text(row: Sequence[Cell], header: _Header) -> str:
+    text = _text(row[header.geometry]) if header.geometry is not None and header.geometry < len(row) else ""
+    return f"at geometry '{text[:24]}'" if text else "without a geometry"
+
+
+def parse_wavelength(text: str) -> float | None:
+    """The wavelength in nm that a column's head names, or None."""
     found = _WAVELENGTH.match(text)
     if found is None:
         return None
@@ -229,7 +257,8 @@ def _directions(row: Sequence[Cell], header: _Header, place: Place, where: str) 
         text = _text(row[header.geometry])
         if not text:
             return None
-        found = geometry_directions(text)
+        aspecular = parse_aspecular(text) if header.is_aspecular else None
+        found = geometry_directions(text) if aspecular is None else aspecular_pair(45.0, aspecular)
         if found is None and parse_geometry(text) is not None:
             raise place.error(
                 f"geometry '{text[:24]}' lies below the horizon, expected one such as 45as15", where

@@ -19,6 +19,7 @@ from manifold.system import atomic
 
 SHAPE = (6, 48, 6, 48)
 SIZE = 8 * 3 * 288 * 288
+_LARGEST_ALBEDO = 1.1  # coarse nodes may bring a highlight's above 1
 _LARGEST_VALUE = 1e6  # in 1/sr; bytes of other files are numbers of any size
 
 
@@ -64,8 +65,21 @@ def read(path: Path) -> list[DenseTable]:
             f"{'RGB'[plane]} at node {tuple(node)} is {planes[(plane, *node)]:.3g}, expected f in 1/sr"
         )
     values = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
-    notes = ("values are taken as f in 1/sr, linear sRGB",)
-    return [DenseTable(path.stem, "UTIA", "incident-outgoing", axes(), None, values, notes)]
+    notes = ["values are taken as f in 1/sr, linear sRGB"]
+    albedo = _largest_albedo(values)
+    if albedo > _LARGEST_ALBEDO:
+        notes.append(
+            f"so the sample would return {albedo:.3g} times its light: the database names no unit, and the values may "
+            "be reflectance factors, or encoded as sRGB"
+        )
+    return [DenseTable(path.stem, "UTIA", "incident-outgoing", axes(), None, values, tuple(notes))]
+
+
+def _largest_albedo(values: Array) -> float:
+    """Largest directional albedo of f (theta_i, phi_i, theta_o, phi_o, 3), of all incidences and channels."""
+    edges = np.append(np.maximum(axes()[2] - np.deg2rad(7.5), 0.0), 0.5 * np.pi)
+    rings = np.pi * np.diff(np.sin(edges) ** 2)  # projected solid angle around every elevation
+    return float(np.max(np.einsum("o,aboc->abc", rings, values.mean(axis=3))))
 
 
 def write(path: Path, table: DenseTable) -> None:

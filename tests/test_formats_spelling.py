@@ -323,13 +323,13 @@ def test_readings_that_are_brightest_towards_the_light_say_so(files, tmp_path):
         assert any("towards the light" in note for note in notes) == expected
 
 
-def test_utia_files_that_would_return_more_than_their_light_say_so(files, tmp_path):
+def test_utia_files_that_are_not_energy_conserving_say_so(files, tmp_path):
     """The database names no unit: other programs take its values for sRGB, or scale them."""
     assert len(registry.read(files["utia"]).notes) == 1
     table = dense(Bands(None), "incident-outgoing", utia.axes())
     utia.write(tmp_path / "bright.bin", replace(table, values=3.0 * table.values))
     notes = registry.read(tmp_path / "bright.bin").notes
-    assert any("2.17 times its light" in note for note in notes)
+    assert any("directional albedo 2.17" in note for note in notes)
 
 
 CXF_SPELLINGS = {

@@ -69,8 +69,8 @@ def read(path: Path) -> list[DenseTable]:
     albedo = _largest_albedo(values)
     if albedo > _LARGEST_ALBEDO:
         notes.append(
-            f"not energy-conserving: directional albedo {albedo:.3g}; the database names no unit, and the values may be "
-            "reflectance factors, or encoded as sRGB"
+            f"not energy-conserving: directional albedo {albedo:.3g}; the database names no unit, and the values may "
+            "be reflectance factors, or encoded as sRGB"
         )
     return [DenseTable(path.stem, "UTIA", "incident-outgoing", axes(), None, values, tuple(notes))]
 

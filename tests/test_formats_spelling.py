@@ -340,6 +340,10 @@ CXF_SPELLINGS = {
         r"</ns0:Model>",
         "</ns0:Model><ns0:DeviceIllumination>A</ns0:DeviceIllumination>",
     ),
+    "increments of the spectra": (
+        r'(<ns0:ReflectanceSpectrum [^>]*)>|(?<=WavelengthRange StartWL="400") Increment="10"',
+        lambda m: f'{m[1]} NumPoints="31" EndWL="700" Increment="10">' if m[1] else ' Increment="20"',
+    ),
 }
 
 
@@ -352,6 +356,39 @@ def test_cxf_files_are_read_however_they_are_spelt(files, name, tmp_path):
     found = registry.read_readings(path)
     np.testing.assert_allclose(found.values, SPECTRO.values, rtol=1e-6)
     assert found.bands == MA_T12_BANDS
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16-le", "utf-16-be", "cp1252"])
+def test_cxf_files_are_read_in_every_encoding(files, encoding, tmp_path):
+    text = files["cxf"].read_text().replace('Name="smooth"', 'Name="grün 45°"') + "\r\n"
+    path = tmp_path / "encoded.cxf"
+    path.write_text(("\ufeff" if "16" in encoding else "") + text, encoding=encoding)
+    found = registry.read_readings(path)
+    assert found.name == "grün 45°"
+    np.testing.assert_allclose(found.values, SPECTRO.values, rtol=1e-6)
+
+
+def test_cxf_spectra_may_be_named_by_their_geometries(files, tmp_path):
+    """Where the specification is an integrating sphere's, as exports for want of multi-angle geometries write it."""
+    sphere = (
+        "<ns0:SphereGeometry><ns0:SphereGeometryConfiguration>Specular_Excluded"
+        "</ns0:SphereGeometryConfiguration></ns0:SphereGeometry>"
+    )
+    text = re.sub(r"<ns0:MultiAngle>.*?</ns0:MultiAngle>", sphere, files["cxf"].read_text(), flags=re.S)
+    path = tmp_path / "sphere.cxf"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match="no reflectance at directional geometries"):
+        registry.read_readings(path)
+    path.write_text(re.sub(r'ColorSpecification="M0_(\w+(-\d+)?)"', r'\g<0> Name="\1"', text))
+    np.testing.assert_allclose(registry.read_readings(path).values, SPECTRO.values, rtol=1e-6)
+
+
+def test_cxf_increments_that_contradict_the_last_wavelength_are_refused(files, tmp_path):
+    path = tmp_path / "end.cxf"
+    spectrum = "<ns0:ReflectanceSpectrum "
+    path.write_text(files["cxf"].read_text().replace(spectrum, f'{spectrum}EndWL="1000" '))
+    with pytest.raises(FileFormatError, match="EndWL='1000'"):
+        registry.read_readings(path)
 
 
 def lighttools_file(path, brdf) -> None:

@@ -7,8 +7,10 @@ spectrum's colour specification, or the spectrum's own name. 1.0 is the perfect 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from manifold.records import Array
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes
 _MOST_SPECTRA = 100_000
+_SPECTRA = "{*}Resources/{*}ObjectCollection/{*}Object/{*}ColorValues/{*}ReflectanceSpectrum"
 
 
 def sniff(head: bytes) -> bool:
@@ -37,31 +40,38 @@ def read(path: Path) -> list[Readings]:
         UsageError: the file cannot be read.
     """
     place = Place(path, _REMEDY)
-    document = _parse(read_bytes(path, _LARGEST), place)
+    document, attributes = _parse(read_bytes(path, _LARGEST), place)
     resources = document.resources
     if resources is None or resources.object_collection is None:
         raise place.error("no objects found, expected CxF3 resources with an ObjectCollection")
     collection = resources.color_specification_collection
     specifications = {s.id: s for s in collection.color_specification} if collection is not None else {}
     found = []
-    for item in resources.object_collection.object_value:
-        readings = _object(item, specifications, place, path.stem)
+    items = resources.object_collection.object_value
+    if sum(len(_spectra(item)) for item in items) != len(attributes):
+        raise place.error("spectra outside the ColorValues of one ObjectCollection, expected none")
+    own = iter(attributes)
+    for item in items:
+        readings = _object(item, own, specifications, place, path.stem)
         if readings is not None:
             found.append(readings)
     if not found:
         raise place.error(
-            "no reflectance at directional geometries, expected ReflectanceSpectrum with BRDFAngle or SingleAngle"
+            "no reflectance at directional geometries, expected ReflectanceSpectrum with BRDFAngle or SingleAngle, or "
+            "named by its geometry (45as15, 45/0)"
         )
     return found
 
 
-def _parse(data: bytes, place: Place) -> Any:
+def _parse(data: bytes, place: Place) -> tuple[Any, list[dict[str, str]]]:
+    """The document, and all attributes of its spectra: vendors write some that the schema has elsewhere."""
     from colour_cxf import cxf3
     from xsdata.formats.dataclass.parsers import XmlParser
     from xsdata.formats.dataclass.parsers.config import ParserConfig
 
-    head = decode(data[:4000]).lower()
-    if "<!doctype" in head or b"<!ENTITY" in data:
+    text = decode(data).strip()
+    head = text[:4000].lower()
+    if "<!doctype" in head or "<!ENTITY" in text:
         raise place.error("a document type with entities, expected plain CxF3")
     if "cxf" in head and "cxf3" not in head:
         raise place.error("CxF of an older version, expected CxF3 (colorexchangeformat.com/CxF3-core)")
@@ -69,24 +79,39 @@ def _parse(data: bytes, place: Place) -> Any:
     try:
         with warnings.catch_warnings():  # what is not converted stays text, and is refused where it is used
             warnings.simplefilter("ignore")
-            return XmlParser(config=config).from_bytes(data.strip(), cxf3.CxF)
+            root = ElementTree.fromstring(text)
+            for sphere in root.iterfind(".//{*}SphereGeometry"):
+                sphere.clear()  # a word by the schema, but vendors write elements
+            attributes = [dict(spectrum.attrib) for spectrum in root.iterfind(_SPECTRA)]
+            document = XmlParser(config=config).parse(ElementTree.ElementTree(root), cxf3.CxF)
     except MemoryError:
         raise
     except Exception as error:  # xsdata raises whatever its parsers do
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise place.error(f"not a readable CxF3 document ({reason})") from None
+    return document, attributes
 
 
-def _object(item: Any, specifications: dict[Any, Any], place: Place, default: str) -> Readings | None:
-    """Readings of one object, or None where it has no directional reflectance."""
+def _spectra(item: Any) -> list[Any]:
     choices = item.color_values.choice if item.color_values is not None else []
-    spectra = [c for c in choices if type(c).__name__ == "ReflectanceSpectrum"]
+    return [c for c in choices if type(c).__name__ == "ReflectanceSpectrum"]
+
+
+def _object(
+    item: Any,
+    attributes: Iterator[dict[str, str]],
+    specifications: dict[Any, Any],
+    place: Place,
+    default: str,
+) -> Readings | None:
+    """Readings of one object, or None where it has no directional reflectance."""
+    spectra = _spectra(item)
     if len(spectra) > _MOST_SPECTRA:
         raise place.error(f"{len(spectra)} spectra of one object, expected at most {_MOST_SPECTRA}")
     wi, wo, values, wavelengths = [], [], [], []
     instrument, seen = "spectrophotometer (CxF3)", dict.fromkeys(specifications, 0)
     left_out = 0
-    for index, spectrum in enumerate(spectra):
+    for index, (spectrum, own) in enumerate(zip(spectra, attributes, strict=False)):
         where = f"object '{(item.name or default)[:40]}', spectrum {index + 1}"
         specification = specifications.get(spectrum.color_specification)
         measurement = specification.measurement_spec if specification is not None else None
@@ -96,7 +121,7 @@ def _object(item: Any, specifications: dict[Any, Any], place: Place, default: st
             continue
         cells = spectrum.value.split() if isinstance(spectrum.value, str) else spectrum.value
         row = np.array([_number(cell, place, where) for cell in cells])
-        nm = _wavelengths(spectrum, row.size, measurement, place, where)
+        nm = _wavelengths(spectrum, own, row.size, measurement, place, where)
         wi.append(pair[0])
         wo.append(pair[1])
         values.append(row)
@@ -160,16 +185,25 @@ def _geometry(
     return geometry_directions(spectrum.name or "")
 
 
-def _wavelengths(spectrum: Any, count: int, measurement: Any, place: Place, where: str) -> Array:
+def _wavelengths(
+    spectrum: Any, own: dict[str, str], count: int, measurement: Any, place: Place, where: str
+) -> Array:
+    """Wavelengths (B,): a spectrum's own Increment comes before that of its specification; 10 nm by default."""
     wavelength_range = measurement.wavelength_range if measurement is not None else None
     start = spectrum.start_wl
     if start is None and wavelength_range is not None:
         start = wavelength_range.start_wl
     step = wavelength_range.increment if wavelength_range is not None else 10
+    step = own.get("Increment") or own.get("Interval") or step
     first, step = (_number(w or 0, place, where) for w in (start, step))
     if step <= 0 or first <= 0 or not count:
         raise place.error("no wavelengths or no values, expected StartWL, Increment and reflectance", where)
-    return first + step * np.arange(count, dtype=float)
+    nm: Array = first + step * np.arange(count, dtype=float)
+    if "EndWL" in own and abs(_number(own["EndWL"], place, where) - nm[-1]) > step / 2.0:
+        raise place.error(
+            f"{count} values from {first:g} nm by {step:g} nm, expected EndWL={own['EndWL']!r}", where
+        )
+    return nm
 
 
 def _common_bands(wavelengths: list[Array], values: list[Array]) -> tuple[Array, Array]:

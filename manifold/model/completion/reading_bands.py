@@ -42,7 +42,8 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
         return taken.with_note(f"bands at {', '.join(f'{at:g}' for at in rgb)} nm are taken for R, G, B")
     if len(nm) < _NARROW:
         raise BandMismatchError(
-            f"{readings.name}: {len(nm)} bands, expected three or a spectrum for an RGB library"
+            f"{readings.name}: {readings.bands}, expected blue, green and red, or a spectrum, for an RGB library; "
+            "complete them with a spectral one"
         )
     rgb = np.full((len(readings), 3), np.nan)
     values = _without_gaps(readings.values, nm)

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 from manifold.formats.tensor_file import (
     WRITE_REMEDY,
     ErrorContext,
@@ -98,9 +98,14 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
 
     Raises:
         FileFormatError: the record is not what a file may hold; nothing is written.
-        UsageError: the file cannot be written.
+        UsageError: the file cannot be written, or `file` is no such record.
     """
     path = Path(path)
+    if not isinstance(file, BsdfFile):
+        raise UsageError(
+            f"{path}: found {type(file).__name__}, expected a BsdfFile; manifold.brdf.goniometer.measure makes one of "
+            "a BRDF"
+        )
     context = ErrorContext(path, WRITE_REMEDY)
     spectral = file.wavelengths_nm is not None
     tensors: dict[str, Array] = {

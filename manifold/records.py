@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -16,6 +17,14 @@ from manifold.errors import BandMismatchError, ShapeError
 from manifold.system.stages import Progress as Progress
 
 Array = NDArray[Any]
+
+
+def _read_only(fields: dict[str, Any]) -> MappingProxyType[str, Any]:
+    return MappingProxyType(fields)
+
+
+# Python pickles no read-only mappings, which some records have: as copies they travel between processes.
+copyreg.pickle(MappingProxyType, lambda fields: (_read_only, (dict(fields),)))
 
 Stage = Callable[[str], AbstractContextManager[Progress | None]]
 """Opens one stage of a long command by its title and gives the progress callback for it, or None."""
@@ -126,6 +135,11 @@ class BsdfFile:
     jacobian: bool
     valid: Array
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __repr__(self) -> str:
+        kind = "isotropic" if self.is_isotropic else "anisotropic"
+        shape = " x ".join(map(str, self.spectra.shape))
+        return f"<BsdfFile: {self.name}, {self.bands}, {kind}, spectra {shape}>"
 
     @cached_property
     def bands(self) -> Bands:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from small_library import NAMES, measured, small_model
+from small_library import NAMES, measured, small_library, small_model
 
-from manifold.errors import ShapeError, UsageError
-from manifold.io_rgl import write_bsdf
+from manifold.brdf import goniometer
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.errors import ManifoldError, ShapeError, UsageError
+from manifold.fitting.principled import fit_bsdf
+from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.manifold import Manifold, Settings
 from manifold.records import Bands
+from manifold.workflows.renders import render_ball
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +88,78 @@ def test_several_latents_of_a_monochrome_manifold_have_what_each_has(model):
         if found == monochrome.std:
             assert together[2] == 0.0
             assert np.all(np.delete(together, 2) > 0.0)
+
+
+class Gloss:
+    """A BRDF of somebody's own: what evaluation takes, and no more."""
+
+    bands = Bands(None)
+    is_isotropic = True
+
+    def eval(self, wi, wo):
+        h = wi + wo
+        h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
+        lobe = np.maximum(h[..., 2:], 0.0) ** 40
+        return np.where((wi[..., 2:] > 0) & (wo[..., 2:] > 0), 0.1 + lobe, 0.0) * np.array([0.9, 0.5, 0.2])
+
+    def eval_cos(self, wi, wo):
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2:], 0.0)
+
+
+def test_a_brdf_of_ones_own_becomes_a_file_a_picture_and_a_fit(tmp_path):
+    own = Gloss()
+    file = goniometer.measure(own, "own", n_theta_i=16)
+    write_bsdf(tmp_path / "own_rgb.bsdf", file)
+    stored = MeasuredBRDF(read_bsdf(tmp_path / "own_rgb.bsdf"))
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(np.linspace(0.0, 1.2, 25), np.pi)
+    np.testing.assert_allclose(
+        stored.eval(wi, wo), own.eval(wi, wo), rtol=0.02
+    )  # 16 incidences, as documented
+    assert render_ball(own, size=16, samples=2).mean() > 0.01
+    assert fit_bsdf(own).residuals["cube-root"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda model, file: model.embed(file), "material to embed: found BsdfFile, without eval, eval_cos"),
+        (lambda model, file: model.embed("a.bsdf"), "found str, without bands"),
+        (lambda model, file: model.reconstruct(file), "material to reconstruct: found BsdfFile"),
+        (lambda model, file: MeasuredBRDF("a.bsdf"), "found str, expected a file that was read: read_bsdf"),
+        (lambda model, file: fit_bsdf("a.bsdf"), "what is fitted: found str"),
+        (lambda model, file: goniometer.measure(file, "a"), "goniometer.measure: found BsdfFile"),
+        (
+            lambda model, file: write_bsdf("a.bsdf", Gloss()),
+            "found Gloss, expected a BsdfFile; manifold.brdf.gonio",
+        ),
+        (lambda model, file: model.predict([0.1, 0.2], np.zeros(3)), "all weights are zero, as of black"),
+        (lambda model, file: Manifold.fit(model.library, names=["a"]), "has no material 'a'"),
+    ],
+)
+def test_what_is_no_brdf_or_no_file_is_told_from_one(model, call, message):
+    with pytest.raises(ManifoldError, match=message):
+        call(model, measured(NAMES[0]))
+
+
+def test_records_are_short_to_read_and_go_to_other_processes(tmp_path):
+    file = measured(NAMES[0])
+    assert repr(file) == f"<BsdfFile: {NAMES[0]}, RGB, isotropic, spectra 1 x 8 x 3 x 32 x 32>"
+    wi, wo = geometry_ma_t12()
+    readings = Readings("a", "mine", wi, wo, None, np.ones((12, 3)), texture={"graininess": 1.0})
+    copy, read = (pickle.loads(pickle.dumps(one)) for one in (file, readings))
+    write_bsdf(tmp_path / "a.bsdf", file)
+    write_bsdf(tmp_path / "b.bsdf", copy)
+    assert (tmp_path / "a.bsdf").read_bytes() == (tmp_path / "b.bsdf").read_bytes()
+    assert dict(read.texture) == {"graininess": 1.0}
+
+
+@pytest.mark.parametrize("kind", ["blend", "material"])
+def test_held_out_names_are_as_if_their_files_had_never_been_imported(model, tmp_path, kind):
+    settings, kept = Settings(kind=kind), NAMES[1:]
+    shorter = Manifold.fit(small_library(tmp_path, names=kept), settings)
+    Manifold.fit(model.library, settings)  # whose Gram matrix the library remembers
+    held_out = Manifold.fit(model.library.path, settings, names=kept)
+    assert held_out.names == shorter.names == kept
+    np.testing.assert_array_equal(held_out.X, shorter.X)
+    held_out.save(tmp_path / "held_out.h5")
+    assert Manifold.load(tmp_path / "held_out.h5").names == kept

@@ -74,7 +74,7 @@ def test_the_readme_runs(tmp_path, monkeypatch):
     (tmp_path / "rgl").mkdir()
     for name in NAMES:
         write_bsdf(tmp_path / "rgl" / f"{name}_spec.bsdf", measured(name))
-    script = re.findall(r"```python\n(.*?)```", IN_PYTHON, flags=re.DOTALL)[0]
+    script = "".join(re.findall(r"```python\n(.*?)```", IN_PYTHON, flags=re.DOTALL))
     assert 'illuminant="F11"' in script  # which the RGB materials of this test do not take
     script = script.replace("size=256", "size=24, samples=4").replace('illuminant="F11"', 'illuminant="D65"')
     monkeypatch.chdir(tmp_path)
@@ -82,6 +82,10 @@ def test_the_readme_runs(tmp_path, monkeypatch):
     exec(script, names)
     assert names["picture"].shape == (24, 24, 3)
     assert set(names["fit"].values) >= {"base_color", "roughness"}
+    assert Path("halfway_spec.bsdf").is_file()
+    wi, wo = names["wi"], names["wo"]
+    read, completed = (names[name].eval(wi, wo) for name in ("brdf", "completed"))
+    assert manifold.metrics.cube_root_error(read, completed) < 0.05  # at what was read
     assert names["found"].relative_error < 0.05  # of the library itself: the posterior beside the material
     assert Path("model.h5").is_file()
     n = len(NAMES)

@@ -1,4 +1,4 @@
-from . import synthetic
+from . import goniometer, synthetic
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
 from .physical import ReciprocalBRDF, physical_file
@@ -10,6 +10,7 @@ __all__ = [
     "MeasuredBRDF",
     "ReciprocalBRDF",
     "fill_unmeasured",
+    "goniometer",
     "physical_file",
     "synthetic",
     "unmeasured_cells",

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, require_brdf
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import from_spherical
@@ -201,6 +201,7 @@ def measure(
     Raises:
         UsageError: fewer than 2 nodes on an axis, 2 azimuths, or the BRDF reflects nothing back at any elevation.
     """
+    require_brdf(brdf, "goniometer.measure")
     if n_phi_i == 2:
         raise UsageError("2 incident azimuths make an isotropic file; give 1, or at least 3")
     if resolution < 2:

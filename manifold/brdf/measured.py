@@ -47,6 +47,21 @@ class BRDF(Protocol):
         """Directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
 
 
+def require_brdf(brdf: object, where: str) -> None:
+    """Raise UsageError unless something has what evaluating a `BRDF` takes: a file or a path has not.
+
+    Args:
+        brdf: given by a user.
+        where: what it was given to.
+    """
+    missing = [name for name in ("bands", "is_isotropic", "eval", "eval_cos") if not hasattr(brdf, name)]
+    if missing:
+        raise UsageError(
+            f"{where}: found {type(brdf).__name__}, without {', '.join(missing)}, expected a BRDF; a file becomes one "
+            "by MeasuredBRDF(read_bsdf(path))"
+        )
+
+
 def _samplable(luminance: Array) -> Array:
     """Luminance (P, T, H, W) as a density: RGB files have a few values just below zero, black ones only zeros."""
     density = np.maximum(luminance, 0.0)
@@ -74,7 +89,13 @@ class MeasuredBRDF:
     """
 
     def __init__(self, file: BsdfFile):
-        """Normalise the warps of `file` and lay its bands out contiguously (a copy only where needed)."""
+        """Normalise the warps of `file` and lay its bands out contiguously (a copy only where needed).
+
+        Raises:
+            UsageError: `file` is something else, such as a path, which `read_bsdf` reads.
+        """
+        if not isinstance(file, BsdfFile):
+            raise UsageError(f"found {type(file).__name__}, expected a file that was read: read_bsdf(path)")
         self.name = file.name
         self._bands = file.bands
         self._isotropic = file.is_isotropic

@@ -18,9 +18,8 @@ class WrappedBRDF(ABC):
     _albedo_nodes: ClassVar[int] = 32  # of the quadrature, in elevation and in azimuth
 
     def __init__(self, brdf: BRDF):
-        """Wrap a BRDF."""
+        """Wrap a BRDF; one that is never sampled may lack `sample` and `pdf`."""
         self._brdf = brdf
-        self.sample, self.pdf = brdf.sample, brdf.pdf
 
     @property
     def bands(self) -> Bands:
@@ -39,6 +38,14 @@ class WrappedBRDF(ABC):
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B)."""
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
+
+    def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
+        """Outgoing directions (..., 3) and their pdf (...) in 1/sr, as the wrapped BRDF draws them."""
+        return self._brdf.sample(wi, u)
+
+    def pdf(self, wi: Array, wo: Array) -> Array:
+        """Density of `sample` in 1/sr, shape (...)."""
+        return self._brdf.pdf(wi, wo)
 
     def albedo(self, wi: Array) -> Array:
         """Directional albedo (..., B) at wi (..., 3), by quadrature over half vectors."""

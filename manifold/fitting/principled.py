@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, require_brdf
 from manifold.errors import UsageError
 from manifold.fitting import (
     adam_and_swarm,
@@ -96,6 +96,10 @@ class FitResult:
     n_pairs: int = 0
     variant: str = ""
     seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
+        return f"<FitResult: {self.family.type}, {residual}, {len(self.minima)} minima, values {self.values}>"
 
 
 @backend.variant_kept()
@@ -185,6 +189,7 @@ def _samples_of(target: BRDF | BsdfFile | FitSamples) -> FitSamples:
         return target
     if isinstance(target, BsdfFile):
         return fit_samples.from_file(target)
+    require_brdf(target, "what is fitted")
     return fit_samples.from_brdf(target)
 
 

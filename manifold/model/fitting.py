@@ -148,7 +148,7 @@ def _gram(
     """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
     library, mapping, grid = materials.library, mapping_named(s.mapping), RusinkiewiczGrid.named(s.grid)
     chosen = None if bands is None else bands.tolist()
-    key = gram.cache_key(library.content_hash, mapping, grid, chosen)
+    key = gram.cache_key(library.content_hash, materials.names, mapping, grid, chosen)
     cached = library.cache_get(key)
     if cached is not None:
         return gram.Gram(cached["S"], int(cached["n_outputs"][0]))

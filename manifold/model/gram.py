@@ -71,13 +71,17 @@ def gram_matrix(
 
 
 def cache_key(
-    content_hash: str, mapping: Mapping, grid: RusinkiewiczGrid, sample_bands: Sequence[int] | None = None
+    content_hash: str,
+    names: Sequence[str],
+    mapping: Mapping,
+    grid: RusinkiewiczGrid,
+    sample_bands: Sequence[int] | None = None,
 ) -> str:
-    """Name under which a library remembers a Gram matrix: a hash of all that it depends on.
+    """Name under which a library remembers a Gram matrix of some materials: a hash of all that it depends on.
 
     `sample_bands` are the bands that are samples of their own; None where whole materials are.
     """
-    text = f"gram-2 {content_hash} {mapping!r} {grid!r}"
+    text = f"gram-3 {content_hash} {list(names)} {mapping!r} {grid!r}"
     if sample_bands is not None:
         text += f" bands {list(sample_bands)}"
     return hashlib.sha256(text.encode()).hexdigest()

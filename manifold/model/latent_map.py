@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import Place, require_latent, require_latents
@@ -48,7 +49,7 @@ class LatentMap:
         """The Gaussian process on the latents of the materials, or of the monochrome samples."""
         return self.space.gp
 
-    def weights(self, x: Array, colours: Array | None = None) -> Array:
+    def weights(self, x: ArrayLike, colours: Array | None = None) -> Array:
         """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
 
         Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
@@ -56,7 +57,7 @@ class LatentMap:
         """
         return self._at(x, lambda X: self.space.material_weights(X, colours))
 
-    def std(self, x: Array, colours: Array | None = None) -> Array:
+    def std(self, x: ArrayLike, colours: Array | None = None) -> Array:
         """Posterior over prior standard deviation at latents x (M, Q) or (Q,), in [0, 1].
 
         Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
@@ -64,7 +65,7 @@ class LatentMap:
         """
         return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
 
-    def is_extrapolation(self, x: Array, colours: Array | None = None) -> Array:
+    def is_extrapolation(self, x: ArrayLike, colours: Array | None = None) -> Array:
         """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
 
         For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
@@ -77,30 +78,30 @@ class LatentMap:
 
         return self._at(x, is_unsupported)
 
-    def expected_error(self, x: Array, colours: Array | None = None) -> ExpectedErrors | None:
+    def expected_error(self, x: ArrayLike, colours: Array | None = None) -> ExpectedErrors | None:
         """Expected errors of predictions at latents x (M, Q) or (Q,); None if the model is not calibrated.
 
         0 at a material's own latent, where the prediction is its file.
         """
         if self.left_out is None:
             return None
-        x = require_latents(x, self.settings.latent_dim)
-        found = self.left_out.expected(x)
-        is_predicted = self.space.training_indices(np.atleast_2d(x), colours).reshape(x.shape[:-1]) < 0
+        X = require_latents(x, self.settings.latent_dim)
+        found = self.left_out.expected(X)
+        is_predicted = self.space.training_indices(np.atleast_2d(X), colours).reshape(X.shape[:-1]) < 0
         return ExpectedErrors(found.ball * is_predicted, found.cube_root * is_predicted)
 
-    def nearest(self, x: Array, count: int = 1) -> list[tuple[str, float]]:
+    def nearest(self, x: Place, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""
         distance = np.linalg.norm(self.X - self.require_latent(x), axis=1)
         return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
 
-    def largest_weights(self, x: Array, count: int, colours: Array | None = None) -> list[tuple[str, float]]:
+    def largest_weights(self, x: Place, count: int, colours: Array | None = None) -> list[tuple[str, float]]:
         """The materials with the largest weights at a latent x (Q,), by magnitude; none that is zero."""
         weights = self.weights(self.require_latent(x), colours)
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
-    def unmeasured_share(self, x: Array) -> float:
+    def unmeasured_share(self, x: Place) -> float:
         """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight."""
         weights = np.abs(self.weights(self.require_latent(x)))
         shares = [self.materials.unmeasured_share(self.names[k]) for k in np.flatnonzero(weights)]
@@ -127,6 +128,6 @@ class LatentMap:
         """
         return self.latent(x) if isinstance(x, str) else require_latent(x, self.settings.latent_dim)
 
-    def _at(self, x: Array, function: Callable[[Array], Array]) -> Array:
-        x = require_latents(x, self.settings.latent_dim)
-        return function(x[None])[0] if x.ndim == 1 else function(x)
+    def _at(self, x: ArrayLike, function: Callable[[Array], Array]) -> Array:
+        X = require_latents(x, self.settings.latent_dim)
+        return function(X[None])[0] if X.ndim == 1 else function(X)

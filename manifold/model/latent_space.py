@@ -43,7 +43,8 @@ class Embedded:
 
     Attributes:
         latent: shape (Q,).
-        colours: colour coordinate of every band, shape (B,); None where whole materials are points.
+        colours: what `Manifold.predict` takes: colour coordinate of every band, shape (B,); of blends also its gain,
+            shape (2, B); None of kind `material`.
         relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
     """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from manifold.errors import LatentError
 from manifold.records import Array
@@ -35,7 +36,7 @@ def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
     return x
 
 
-def require_latents(x: Array, latent_dim: int) -> Array:
+def require_latents(x: ArrayLike, latent_dim: int) -> Array:
     """One latent (Q,) or several (M, Q) as float64.
 
     Raises:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
@@ -17,6 +19,7 @@ from manifold.model.decoding import encoder_at
 from manifold.model.fitting import fit_space
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
+from manifold.model.latents import Place
 from manifold.model.left_out import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.materials import MaterialCache
 from manifold.model.model_file import ModelRecord, read_model, write_model
@@ -66,20 +69,29 @@ class Manifold(LatentMap):
 
     @classmethod
     def fit(
-        cls, library: Library, settings: Settings = _DEFAULTS, on_progress: Progress | None = None
+        cls,
+        library: Library | Path | str,
+        settings: Settings = _DEFAULTS,
+        on_progress: Progress | None = None,
+        *,
+        names: Collection[str] | None = None,
     ) -> Manifold:
-        """Embed all materials of a library.
+        """Embed the materials of a library.
 
         Args:
-            library: at least two materials.
+            library: at least two materials, or the path of a library.
             settings: see `Settings`.
             on_progress: called with (done, total, what) while materials are read and evaluated.
+            names: of the materials to embed, such as all but those that are held out; None for all of them.
         Raises:
-            UsageError: fewer than two materials, or more dimensions than materials less one.
-            LibraryError: a material cannot be read.
+            UsageError: fewer than two materials, more dimensions than materials less one, or no such material.
+            LibraryError: there is no such library, or a material cannot be read.
         """
+        if not isinstance(library, Library):
+            library = Library.open(library)
+        chosen = library.names if names is None else _chosen(library, names)
         is_nonnegative = SPACES[settings.kind].is_nonnegative
-        materials = MaterialCache(library, library.names, is_nonnegative=is_nonnegative)
+        materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
         space, statistics = fit_space(materials, settings, on_progress)
         return cls(materials, space, settings, statistics)
 
@@ -145,17 +157,18 @@ class Manifold(LatentMap):
 
     # -- predicting ----------------------------------------------------------------------------------------
 
-    def predict(self, x: Array, colours: Array | None = None) -> PredictedBRDF:
+    def predict(self, x: Place, colours: Array | None = None) -> PredictedBRDF:
         """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
 
         Args:
-            x: latent; of a monochrome manifold, the structure.
-            colours: colour coordinate of every band, shape (B,), of a monochrome manifold; None gives x the
-                reflectance of the nearest material.
+            x: latent, or the name of a material; of a monochrome manifold, the structure.
+            colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
+                also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials,
+                and gives x on a monochrome manifold the reflectance of the nearest one.
         Raises:
             LatentError: x is not (Q,) or not finite.
-            UsageError: colours for a manifold whose materials carry them.
-            ShapeError: colours are not (B,) or not finite.
+            UsageError: colours for a manifold of kind `material`, or no such material.
+            ShapeError: colours have another shape, are not finite, or are black in all bands.
         """
         x = self.require_latent(x)
         if colours is None and self.space.needs_colours:
@@ -203,6 +216,7 @@ class Manifold(LatentMap):
             BandMismatchError: it has other bands.
             UsageError: there is no such criterion.
         """
+        require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         pairs = self.space.embedding_pairs()
         encoder = encoder_at(pairs, self.space, self.materials, self.settings, criterion)
@@ -213,6 +227,7 @@ class Manifold(LatentMap):
 
         It has no latent; see docs/design/nonnegative.md. Arguments and errors as of `embed`.
         """
+        require_brdf(brdf, "the material to reconstruct")
         self.bands.require_same(
             brdf.bands, "the material to reconstruct", "resample it, or use its own library"
         )
@@ -261,3 +276,11 @@ class Manifold(LatentMap):
             model.notes = (change,)
             warnings.warn(change, LibraryChangedWarning, stacklevel=2)
         return model
+
+
+def _chosen(library: Library, names: Collection[str]) -> tuple[str, ...]:
+    """Some materials of a library, in its order. Raises UsageError where it lacks one."""
+    unknown = sorted(set(names) - set(library.names))
+    if unknown:
+        raise UsageError(f"{library.path.name} has no material '{unknown[0]}', expected some of its names")
+    return tuple(name for name in library.names if name in names)

@@ -66,10 +66,10 @@ class PredictedBRDF:
             n_samples = len(materials) * materials[0].bands.count
             n_atoms = n_samples if self._dictionary is None else self._dictionary.size(n_samples)
             expected = (self._bands.count, n_atoms)
-        if weights.shape != expected or not np.all(np.isfinite(weights)) or not np.any(weights):
-            raise ShapeError(
-                f"weights have shape {weights.shape}, expected {expected}, finite and not all zero"
-            )
+        if weights.shape != expected or not np.all(np.isfinite(weights)):
+            raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, all finite")
+        if not np.any(weights):
+            raise ShapeError("all weights are zero, as of black; expected a colour that reflects something")
         if self._is_per_band:
             self._materials, self._weights = list(materials), weights  # [B, N B_s], or [B, n']
             shares, lobes = self._sampled_parts(np.abs(weights).sum(axis=0))

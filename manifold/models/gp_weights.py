@@ -90,6 +90,10 @@ class GPWeights:
         self.kernel = kernel
         self.K, self.L, self.jitter = factorise(self.X, self.kernel)
 
+    def __repr__(self) -> str:
+        N, Q = self.X.shape
+        return f"<{type(self).__name__}: {N} latents, {Q} dimensions, {self.kernel}>"
+
     @property
     def n_samples(self) -> int:
         """N."""

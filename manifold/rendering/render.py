@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, require_brdf
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
@@ -101,6 +101,7 @@ def render_material(
     Returns and raises: as `render_bsdf`.
     """
     if not isinstance(material, BsdfFile):
+        require_brdf(material, "what is rendered")
         version = (1, 0) if material.bands.is_rgb else (3, 1)
         material = goniometer.measure(ClippedBRDF(material), "material", version=version)
     with temporary.folder() as folder:

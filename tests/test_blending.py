@@ -109,6 +109,17 @@ def test_a_layout_of_matrices_that_do_not_fit_is_refused():
         blend_layout(np.ones((4, 4)), np.ones((3, 3)), np.ones((4, 4)), 2)
 
 
+def test_copies_of_one_sample_are_laid_out_beside_others_and_refused_alone():
+    copies = np.zeros((4, 4))
+    with pytest.raises(ShapeError, match="all 4 samples are identical"):
+        blend_layout(copies, copies, copies, 1)
+    apart = np.pad(copies, (0, 1), constant_values=3.0)
+    apart[4, 4] = 0.0
+    X = blend_layout(apart, apart, 0.0 * apart, 1).X
+    assert np.all(np.isfinite(X))
+    assert abs(X[4] - X[:4].mean()) > 3.0 * np.ptp(X[:4])
+
+
 def test_valleys_are_as_deep_as_they_are_made():
     f = np.array([[1.0, 2.0, 1.0], [2.0, 1.5, 4.0], [3.0, 2.0, 1.0]])
     np.testing.assert_allclose(valley_depth(f), [0.0, 0.25, 0.0])

@@ -87,15 +87,18 @@ def blend_layout(
         cost: of blends of any number.
     Raises:
         ShapeError: the matrices are not (N, N), or not finite.
+        ShapeError: all distances are zero.
     Source: Kruskal 1964 for the stress, Torgerson 1952 for the start.
     """
     N = len(distance)
     for name, matrix in (("distance", distance), ("separation", separation), ("implausible", implausible)):
         if matrix.shape != (N, N) or not np.all(np.isfinite(matrix)):
             raise ShapeError(f"{name} has shape {matrix.shape}, expected ({N}, {N}) finite values")
+    if not np.any(distance > 0.0):
+        raise ShapeError(f"all {N} samples are identical, expected at least two different ones")
     objective = _LayoutObjective(distance, separation, implausible)
     rng = np.random.default_rng(0)
-    spread = float(np.median(distance[objective.pairs]))
+    spread = _typical(distance[objective.pairs])
     starts = [_principal_coordinates(distance, n_components)]
     starts += [spread * rng.normal(size=(N, n_components)) for _ in range(_RANDOM_STARTS)]
     jitter = 1e-3 * spread
@@ -113,6 +116,11 @@ def blend_layout(
     return Layout(X / _kernel_radius(X), first, value)
 
 
+def _typical(distances: Array) -> float:
+    """The median of the distances that are not zero: copies of one sample say nothing of the scale."""
+    return float(np.median(distances[distances > 0.0]))
+
+
 class _LayoutObjective:
     """Stress, separation, and, given blends to look at, how implausible these are, with gradients."""
 
@@ -120,7 +128,7 @@ class _LayoutObjective:
 
     def __init__(self, distance: Array, separation: Array, implausible: Array) -> None:
         self.pairs = np.triu_indices(len(distance), 1)
-        floor = 1e-2 * np.median(distance[self.pairs])
+        floor = 1e-2 * _typical(distance[self.pairs])
         self._wanted = np.maximum(distance[self.pairs], floor)
         self._least, self._implausible = separation[self.pairs], implausible
         weight = 1.0 / self._wanted

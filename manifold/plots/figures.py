@@ -31,6 +31,11 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def shortened(name: str, most: int = 40) -> str:
+    """A name of at most so many letters; a longer one loses its end."""
+    return name if len(name) <= most else name[: most - 1] + "…"
+
+
 def require_writable(path: Path) -> None:
     """Raise what `save` would, as far as it can be known before the work.
 

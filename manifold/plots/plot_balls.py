@@ -13,7 +13,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import new_figure
+from manifold.plots.figures import new_figure, shortened
 from manifold.plots.plot_latents import MARK, draw_expected_error, latent_axes, two_dimensions
 from manifold.records import Array
 
@@ -53,6 +53,7 @@ def ball_map(
         axes.margins(0.15)
     latent_axes(axes, model)
     figure.draw_without_rendering()  # the layout decides where pixels are
+    axes.autoscale(enable=False)  # and what is drawn there does not move them
     point = figure.dpi / 72.0
     outline = [withStroke(linewidth=2.5, foreground="white")]
     style: dict[str, Any] = {"fontsize": 7.5, "linespacing": 1.05, "ha": "center", "va": "top"}
@@ -81,8 +82,9 @@ def ball_map(
 
 
 def _in_lines(name: str) -> str:
-    """A name broken into lines of at most `_LINE` letters where it has spaces."""
-    return "\n".join(textwrap.wrap(name, _LINE, break_long_words=False))
+    """A name broken into lines of at most `_LINE` letters where it has spaces, the first three of them."""
+    lines = textwrap.wrap(name, _LINE, break_long_words=False, max_lines=3, placeholder=" …")
+    return "\n".join(shortened(line, 2 * _LINE) for line in lines)
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:

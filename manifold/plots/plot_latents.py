@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import Box, new_figure, overlap
+from manifold.plots.figures import Box, new_figure, overlap, shortened
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
@@ -37,7 +37,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
         draw_expected_error(figure, axes, model)
     colours = _material_colours(model)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
-    names = [name.removeprefix("syn_").replace("_", " ") for name in model.names]
+    names = [shortened(name.removeprefix("syn_").replace("_", " ")) for name in model.names]
     if marked is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
         names.append("predicted")
@@ -121,6 +121,7 @@ def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
     Names are set from the rim of the map inwards, and a line leads to a point whose name is far.
     """
     figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
+    axes.autoscale(enable=False)
     frame = axes.get_window_extent()
     pixels = axes.transData.transform(X)
     dot = 0.7 * _DOT_POINTS * figure.dpi / 72.0

@@ -14,7 +14,7 @@ from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
 from manifold.model.diagnostics import Diagnosis
-from manifold.plots.figures import new_figure
+from manifold.plots.figures import new_figure, shortened
 from manifold.records import Array, Bands
 
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
@@ -122,7 +122,7 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
         axes.imshow(
             shown.reshape(_IMAGE, _IMAGE, 3), extent=(0, 1, 90, 0), aspect="auto", interpolation="nearest"
         )
-        axes.set_title(source.label, fontsize=10)
+        axes.set_title(shortened(source.label), fontsize=10)
         axes.set_xticks(np.sqrt(ticks / 90.0), [f"{t:g}" for t in ticks])
         axes.set_yticks([0, 30, 60, 90])
         axes.set_xlabel(r"half angle $\theta_h$ (°)")
@@ -197,5 +197,5 @@ def _logarithmic(row: Sequence[Axes]) -> None:
 
 def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[Source]) -> None:
     lines = axes.lines[: len(sources)]
-    labels = [source.label for source in sources]
+    labels = [shortened(source.label) for source in sources]
     figure.legend(lines, labels, loc="outside upper center", ncols=min(len(sources), 4), frameon=False)

@@ -121,5 +121,6 @@ def walk(
         rows.append((name, images))
     is_doubtful = {step.t: bool(step.diagnosis.diagnostics) for step in between}
     doubtful = [is_doubtful.get(value, False) for value in t.tolist()]
-    figures.save(plot_balls.walk_strip(f"From {start} to {end}", t.tolist(), rows, doubtful), output)
+    title = f"From {figures.shortened(start)} to {figures.shortened(end)}"
+    figures.save(plot_balls.walk_strip(title, t.tolist(), rows, doubtful), output)
     return tuple(between)

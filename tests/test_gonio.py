@@ -10,10 +10,12 @@ import pytest
 
 from manifold.brdf import cells, goniometer
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import plausibility
 from manifold.brdf.synthetic import GGX, Lambert, Plastic, RoughConductor
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.model.checked_file import write_checked
 from manifold.records import Bands
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
@@ -173,3 +175,40 @@ def test_a_spread_grid_is_sampled_as_evenly_as_the_instruments():
         assert found.mean() == pytest.approx(brdf.albedo(wi[0])[0], rel=0.02)
         spread.append(found.std() / found.mean())
     assert spread[0] < 1.2 * spread[1] + 0.02  # with the luminance of values alone: four times as uneven
+
+
+class PeakOnPedestal(Lambert):
+    """A peak that ends in a corner, 6 degrees from the half vector in retro-reflection and 3 at 45 degrees."""
+
+    def _eval(self, wi, wo):
+        theta_h, theta_d, *_ = to_rusinkiewicz(wi, wo)
+        grazing = theta_d / (0.5 * np.pi)
+        peak = np.maximum(1.0 - theta_h / np.deg2rad(6.0 - 5.0 * grazing), 0.0) * 100.0**grazing
+        return (peak + 0.05)[:, None]
+
+    def eval_cos(self, wi, wo):
+        return self.eval(wi, wo) * np.maximum(wo[..., 2:], 0.0)
+
+
+def test_a_soft_bend_keeps_valleys_from_beside_a_peak():
+    truth = PeakOnPedestal(0.05, RGB)
+    assert plausibility(truth).highlight_valley == 0.0
+    own, soft = (
+        plausibility(MeasuredBRDF(goniometer.measure(truth, "x", bend=bend))).highlight_valley
+        for bend in (None, goniometer.SOFT_BEND)
+    )
+    assert soft < 0.5 * own  # measured: 0.17 and 0.56
+
+
+@pytest.mark.parametrize("alpha", [0.02, 0.6])
+def test_a_soft_bend_does_not_harm_peaks_without_corners(alpha):
+    own = mean_relative_error(alpha, in_mitsuba=False)
+    assert mean_relative_error(alpha, in_mitsuba=False, bend=goniometer.SOFT_BEND) < 1.02 * own
+
+
+def test_predictions_with_valleys_in_their_files_are_measured_again(tmp_path):
+    truth, path = PeakOnPedestal(0.05, RGB), tmp_path / "peak_rgb.bsdf"
+    found = write_checked(path, truth, description="", remedy="", force=True)
+    soft = goniometer.measure(truth, "peak", bend=goniometer.SOFT_BEND, version=(1, 0))
+    np.testing.assert_array_equal(read_bsdf(path).spectra, soft.spectra)
+    assert found.highlight_valley == plausibility(MeasuredBRDF(soft)).highlight_valley

@@ -29,6 +29,8 @@ _OVERSAMPLING = 4  # quadrature points per node of the normal distribution
 _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions away from a normal, to its sides
 _LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
+SOFT_BEND = 0.3
+"""A `bend` that leaves no valleys beside peaks on pedestals; docs/design/goniometer.md."""
 _WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
 _BELOW_HORIZON = 0.1  # how much normals count that mirror light below the horizon, where cells hold zeros
 _FADE = 0.5  # sine of the angle below the horizon at which they would count nothing
@@ -86,6 +88,23 @@ def _without_pits(retro: Array, steepest: float) -> Array:
     inward = np.maximum.accumulate((height - slope)[..., ::-1], axis=-1)[..., ::-1] + slope
     envelope = np.maximum(outward, inward)
     return np.where(envelope > height, np.exp(envelope), retro)
+
+
+def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) -> Array:
+    """The least values (..., n) above `retro` whose logarithm is touched from above by parabolas `bend t^2`.
+
+    t counts nodes of the outgoing grid at normal incidence. Where a peak ends on a pedestal within a cell, and at other
+    incidences somewhere else, stored values do not interpolate, and the file has a valley beside the peak. This is the
+    closing of mathematical morphology.
+    """
+    u = np.linspace(0.0, 1.0, retro.shape[-1])
+    density = (retro * u * np.sin(u_to_theta(u))) ** exponent
+    cumulated = np.cumsum(density, axis=-1) - 0.5 * density
+    t = cumulated / cumulated[..., -1:] * (resolution - 1)
+    parabola = bend * (t[..., :, None] - t[..., None, :]) ** 2
+    with np.errstate(divide="ignore"):
+        raised = np.max(np.log(retro)[..., None, :] - parabola, axis=-1)
+    return np.exp(np.min(raised[..., None, :] + parabola, axis=-1))
 
 
 def _azimuthal_projection(cos_w: Array, cos_m: Array) -> Array:
@@ -179,6 +198,7 @@ def measure(
     compensate: bool = True,
     warp_exponent: float = _WARP_EXPONENT,
     steepest: float = _STEEPEST,
+    bend: float | None = None,
     version: tuple[int, int] = (3, 1),
 ) -> BsdfFile:
     """Measure a BRDF the way the RGL instrument does, on a grid that a power of the visible normals spreads.
@@ -194,6 +214,9 @@ def measure(
         warp_exponent: the power; 1 is the instrument's own grid, which hardly looks beside a sharp highlight, and
             looks below the horizon as much as above.
         steepest: factor by which the normal distribution may fall from one of its nodes to the next.
+        bend: how sharply its logarithm may turn from falling to level, as the coefficient of a parabola over nodes of
+            the outgoing grid; `SOFT_BEND` for data whose peaks differ in width from incidence to incidence. None takes
+            it as it is: right for measured materials, whose peaks keep their width, and for what is made of them.
         version: pipeline version; it decides what a set bit of `valid` means.
     Returns:
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon
@@ -213,11 +236,17 @@ def measure(
     u = np.linspace(0.0, 1.0, WARP_NODES)
     theta, phi = u_to_theta(u), u_to_phi(u)
     if isotropic:
-        D, area = _isotropic_ndf(_require_light(_retro_reflection(brdf, theta, 0.0, steepest), name))
-        ndf, sigma = np.tile(D, (2, 1)), np.tile(area, (2, 1))
+        retro = _retro_reflection(brdf, theta, 0.0, steepest)
     else:
         retro = _retro_reflection(brdf, theta[None, :], phi[:, None], steepest)
-        ndf, sigma = _anisotropic_ndf(_require_light(retro, name))
+    retro = _require_light(retro, name)
+    if bend is not None:
+        retro = _without_knees(retro, bend, warp_exponent, resolution)
+    if isotropic:
+        D, area = _isotropic_ndf(retro)
+        ndf, sigma = np.tile(D, (2, 1)), np.tile(area, (2, 1))
+    else:
+        ndf, sigma = _anisotropic_ndf(retro)
     ndf, sigma = ndf.astype(np.float32), sigma.astype(np.float32)
 
     vndf = np.empty((len(phi_i), len(theta_i), WARP_NODES, WARP_NODES), dtype=np.float32)

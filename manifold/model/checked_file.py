@@ -43,6 +43,8 @@ def write_checked(
 ) -> Plausibility:
     """Measure a BRDF with the virtual goniometer, and write the file unless it returns far more light than it gets.
 
+    A file with a valley beside its highlight is measured again with a softer normal distribution; the better stays.
+
     Args:
         output: the file; its name becomes the material's.
         brdf: what is measured.
@@ -58,8 +60,8 @@ def write_checked(
     Raises:
         UsageError: its albedo would exceed 1.05.
     """
-    measure = partial(physical_file, keeps_hue=keeps_hue) if physical else goniometer.measure
-    file = measure(
+    measure = partial(
+        partial(physical_file, keeps_hue=keeps_hue) if physical else goniometer.measure,
         brdf,
         material_name(output),
         description=description,
@@ -67,7 +69,13 @@ def write_checked(
         n_theta_i=n_theta_i,
         version=(1, 0) if brdf.bands.is_rgb else (3, 1),
     )
+    file = measure()
     found = plausibility_of_file(file)
+    if found.highlight_valley > diagnostics.MOST_VALLEY:
+        soft = measure(bend=goniometer.SOFT_BEND)
+        softly = plausibility_of_file(soft)
+        if softly.highlight_valley < found.highlight_valley:
+            file, found = soft, softly
     if found.max_albedo > diagnostics.MOST_ALBEDO and not force:
         raise UsageError(
             f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 degrees, "

@@ -72,6 +72,7 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
     file = goniometer.measure(
         brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
         resolution=options.resolution, theta_i_rad=theta_i, compensate=False,
+        bend=goniometer.SOFT_BEND,
     )  # fmt: skip
     write_bsdf(path, file)
     return []

@@ -115,5 +115,6 @@ def _measure(brdf: NeuralBRDF) -> BsdfFile:
         description=f"Neural fit of {name} (Sztrajman et al. 2021){'' if rgb else ', up-sampled from RGB'}",
         n_theta_i=_INCIDENCES,
         steepest=_STEEPEST_LOBE,
+        bend=goniometer.SOFT_BEND,
         version=(1, 0) if rgb else (3, 1),
     )

@@ -79,7 +79,11 @@ def walk(
     output: PictureOption = Path("walk.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw the path between two materials along the manifold, and below it their linear interpolation."""
+    """Draw the path between two materials along the manifold, and below it their linear interpolation.
+
+    Along the manifold, the first row has reflectances interpolated between the two materials, the second the colours
+    that `predict` gives at the same latents.
+    """
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)

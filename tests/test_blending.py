@@ -204,12 +204,22 @@ def test_a_material_is_exact_and_the_limit_of_its_surroundings(model):
 
 
 def test_between_two_materials_the_colour_is_between_theirs(model):
+    """Whatever the materials that lie between them in latent space."""
     a, b = NAMES[0], NAMES[1]
+    ends = np.stack([model.colours.reflectance(name) for name in (a, b)])
     wi = from_spherical(np.deg2rad(8.0), 0.0)
-    middle = model.interpolate(a, b, 0.5).albedo(wi)
-    ends = np.stack([model.material(name).albedo(wi) for name in model.names])
-    assert np.all(middle <= ends.max(axis=0) + 1e-6)
-    assert np.all(middle >= 0.1 * ends.min(axis=0))
+    for t in (0.1, 0.5, 0.9):
+        found = model.interpolate(a, b, t).albedo(wi)
+        assert np.all(found >= 0.95 * ends.min(axis=0))
+        assert np.all(found <= 1.05 * ends.max(axis=0))
+
+
+def test_interpolation_is_continuous_at_its_ends(model):
+    ball, (a, b) = ball_colours.ball(6), NAMES[:2]
+    own = ball.xyz(model.material(a).eval(ball.wi, ball.wo), model.bands)
+    for t, most in ((1e-6, 0.1), (1e-3, 0.1), (1e-2, 0.5)):
+        f = model.interpolate(a, b, t).eval(ball.wi, ball.wo)
+        assert ball_colours.delta_e(own, ball.xyz(f, model.bands)) <= most
 
 
 def test_a_chosen_colour_is_met_without_negative_values(model):

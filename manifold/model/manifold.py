@@ -191,14 +191,29 @@ class Manifold(LatentMap):
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The prediction between materials a (t = 0) and b (t = 1), at interpolated latents and reflectances."""
+        """The prediction between materials a (t = 0) and b (t = 1), at interpolated latents and reflectances.
+
+        In a blend, a and b keep their colours; the other materials take on the reflectance between theirs. Where
+        colours are fixed by latents, it is the prediction at the latent.
+        """
         x = self.between(a, b, t)
-        if not self.space.needs_colours:
+        if a == b or t in (0.0, 1.0):
+            return self.predict(self.latent(b if t else a), self._own_colours(b if t else a))
+        if not self.space.takes_colours:
             return self.predict(x)
-        if t in (0.0, 1.0):
-            return self.predict(x, self.colours.like(x, b if t else a))
         reflectance = (1.0 - t) * self.colours.reflectance(a) + t * self.colours.reflectance(b)
-        return self.predict(x, self.colours.of_reflectance(x, reflectance)[0])
+        coloured = self.predict(x, self.colours.of_reflectance(x, reflectance)[0])
+        if self.space.needs_colours:
+            return coloured
+        shares = self.space.material_weights(x[None], None)[
+            0, [self.materials.index(a), self.materials.index(b)]
+        ]
+        weights = np.append(shares, 1.0 - shares.sum())
+        return PredictedBRDF([*self.materials.filled([a, b]), coloured], Combination(self.mapping, weights))
+
+    def _own_colours(self, name: str) -> Array | None:
+        """What colours make the prediction at a material's latent the material."""
+        return self.colours.like(self.latent(name), name) if self.space.needs_colours else None
 
     def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
         """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23."""

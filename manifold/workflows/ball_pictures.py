@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from manifold.brdf.measured import BRDF
 from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, UNCHOSEN, ColourChoice, choose_colour
@@ -94,6 +96,8 @@ def walk(
 ) -> tuple[Step, ...]:
     """Draw the path between two materials: along the manifold, and by linear interpolation (Hikichi & Iwasaki, eq. 23).
 
+    Along the manifold of blends, there is a row in reflectances between the two, and one in the colours of the latents.
+
     Returns:
         What is to be known of the predictions between the materials; those with diagnostics are marked in the picture.
     Raises:
@@ -106,18 +110,27 @@ def walk(
     backend.choose()
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
+    methods: list[tuple[str, Callable[[float], BRDF]]] = [
+        ("manifold", lambda value: loaded.interpolate(start, end, value)),
+        ("linear", lambda value: loaded.blend(start, end, value)),
+    ]
+    if loaded.space.takes_colours and not loaded.space.needs_colours:
+        methods.insert(
+            1, ("manifold,\nits colours", lambda value: loaded.predict(loaded.between(start, end, value)))
+        )
     rows: list[tuple[str, list[Array]]] = []
     between: list[Step] = []
-    for name, along in (("manifold", loaded.interpolate), ("linear", loaded.blend)):
+    for name, along in methods:
         images: list[Array] = []
         for value in t.tolist():
-            brdf = along(start, end, value)
+            brdf = along(value)
             images.append(cropped(thumbnails.of_material(brdf)))
-            if name == "manifold" and 0.0 < value < 1.0:
+            if not rows and 0.0 < value < 1.0:
                 found = diagnostics.of_brdf(loaded, loaded.between(start, end, value), brdf, UNCHOSEN)
                 between.append(Step(value, found))
             if on_progress is not None:
-                on_progress(len(rows) * steps + len(images), 2 * steps, f"{name}, t = {value:.2g}")
+                done = len(rows) * steps + len(images)
+                on_progress(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
         rows.append((name, images))
     is_doubtful = {step.t: bool(step.diagnosis.diagnostics) for step in between}
     doubtful = [is_doubtful.get(value, False) for value in t.tolist()]

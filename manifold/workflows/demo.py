@@ -12,6 +12,7 @@ from manifold.experiments.budget import example_scenes
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.importing import import_files
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Settings
 from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
@@ -27,6 +28,7 @@ from manifold.workflows.pictures import slices, sources
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
+_COLOUR = ColourChoice(like=END)
 
 CHARTED = (
     "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root", "monochrome_2_1_3",
@@ -89,13 +91,13 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     fitted = pipeline.embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
         between = fitted.between(START, END, 0.75)
-        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", on_progress=step)
+        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", colour=_COLOUR, on_progress=step)
     pictures = [folder / "slices.png", folder / "map.png"]
-    slices(sources([START, END], [between], model), pictures[0])
+    slices(sources([START, END], [between], model, colour=_COLOUR), pictures[0])
     has_mitsuba = backend.is_available()
     with stage("Drawing the map") as step:
         if has_mitsuba and backend.choose().is_llvm:
-            ball_pictures.latent_map(model, pictures[1], marked=between, on_progress=step)
+            ball_pictures.latent_map(model, pictures[1], marked=between, colour=_COLOUR, on_progress=step)
         else:  # balls would take minutes
             figures.save(plot_latents.latent_map(fitted, marked=between), pictures[1])
     if has_mitsuba:

@@ -89,7 +89,7 @@ MODES: tuple[Mode, ...] = (
         "f reciprocal.",
     ),
     Mode(
-        "across_classes", "wath between a smooth and a rough material", "ratio of roughness",
+        "across_classes", "path between a smooth and a rough material", "ratio of roughness",
         (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
         HALF_OF_NEAREST,
         {

@@ -70,7 +70,9 @@ def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        if re.fullmatch(r"[^\s,]*[^\W\d][^\s,]*", text):
+        if "," not in text and any(
+            re.search(r"[^\W\d]", word) and not _is_number(word) for word in text.split()
+        ):
             return text
         raise UsageError(
             f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name"
@@ -78,3 +80,11 @@ def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
     if not all(map(math.isfinite, values)):
         raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
     return values
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

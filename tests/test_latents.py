@@ -63,7 +63,12 @@ def test_a_material_is_a_latent_by_its_name(model):
         loaded.require_latent("syn_felt_gren")
 
 
-@pytest.mark.parametrize("text", ["a,b", "1,x", "", "0.1;0.2", "a b", "-"])
+@pytest.mark.parametrize("name", ["a", "two words", "Ümläut 紙", "3 felts", "1e"])
+def test_names_of_materials_may_have_spaces_and_any_letters(name):
+    assert parse_latent(name) == name
+
+
+@pytest.mark.parametrize("text", ["a,b", "1,x", "", "0.1;0.2", "0.1 2e-3", "nan 1", " ", "-"])
 def test_what_is_neither_numbers_nor_a_name_is_refused(text):
     with pytest.raises(
         UsageError, match=r"expected numbers separated by commas, like -0\.3,1\.2, or a material"

@@ -163,3 +163,11 @@ def test_held_out_names_are_as_if_their_files_had_never_been_imported(model, tmp
     np.testing.assert_array_equal(held_out.X, shorter.X)
     held_out.save(tmp_path / "held_out.h5")
     assert Manifold.load(tmp_path / "held_out.h5").names == kept
+
+
+def test_the_way_between_two_materials_has_its_ends_and_stays_where_they_agree(model):
+    a, b = NAMES[:2]
+    np.testing.assert_array_equal(model.between(a, b, 0.0), model.latent(a))
+    np.testing.assert_array_equal(model.between(a, b, 1.0), model.latent(b))
+    for t in (0.1, 1.0 / 3.0, 0.5, 0.7):
+        np.testing.assert_array_equal(model.between(a, a, t), model.latent(a))

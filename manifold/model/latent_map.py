@@ -119,7 +119,9 @@ class LatentMap:
         """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         start, end = self.latent(a), self.latent(b)
         way = end - start
-        return start + t * way if t < 0.5 else end - (1.0 - t) * way  # exact at both ends, and where they agree
+        return (
+            start + t * way if t < 0.5 else end - (1.0 - t) * way
+        )  # exact at both ends, and where they agree
 
     def require_latent(self, x: Place) -> Array:
         """A latent, or the latent of a named material, as float64 (Q,).

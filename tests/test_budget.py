@@ -152,7 +152,7 @@ def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_pa
     blue = lambert_file(tmp_path, "blue", (0.1, 0.2, 0.5), rgb=True)
     two_sided = {"type": "twosided", "nested": {"type": "measured", "filename": str(blue)}}
     content = scene(a=sphere(-1.1, red), b={"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": two_sided})
-    made = budgets.budget_scene(content, Tolerance(2.0), BudgetSettings(32, 16), tmp_path / "out")
+    made = budgets.budget_scene(content, Tolerance(2.0), BudgetSettings(16, 8), tmp_path / "out")
     assert made.backend == "scalar"
     assert [one.representation for one in made.chosen] == ["diffuse, RGB"] * 2
     colours = [one.bsdf["reflectance"]["value"] for one in made.chosen]
@@ -186,7 +186,7 @@ def test_predictions_of_one_latent_in_two_colours_are_two_materials(tmp_path):
     blue = {"type": "sphere", "center": [1.1, 0.0, 0.0], "bsdf": common | {"srgb": "#2040c0"}}
     source = tmp_path / "scene.json"
     source.write_text(json.dumps(scene(a=red, b=blue)), encoding="utf-8")
-    made = budgets.budget_scene(source, Tolerance(20.0), BudgetSettings(32, 4))
+    made = budgets.budget_scene(source, Tolerance(20.0), BudgetSettings(16, 4))
     a, b = (one.bsdf["reflectance"]["value"] for one in made.chosen)
     assert a[0] > 3.0 * a[2]
     assert b[2] > 3.0 * b[0]

@@ -22,7 +22,7 @@ from manifold.workflows.fits import FitSettings, family_of, fit_files, fit_predi
 from manifold.workflows.pictures import sources
 from manifold.workflows.renders import compare, file_source
 
-SETTINGS = RenderSettings(size=96, samples=32)
+SETTINGS = RenderSettings(size=48, samples=32)
 FIT = FitSettings(family_of(None, None))
 
 
@@ -36,11 +36,16 @@ def fitted(tmp_path_factory):
     return material, outcome.path
 
 
-def test_the_picture_of_a_fit_shows_material_and_fit_alike(fitted, tmp_path):
+@pytest.fixture(scope="module")
+def good(fitted, tmp_path_factory):
+    """The picture of that fit."""
     material, fit = fitted
-    made = picture_of_fit(fit, material, tmp_path / "good.png", SETTINGS)
-    assert made.ciede2000 < 4.0
-    picture = imread(made.path)[..., :3]
+    return picture_of_fit(fit, material, tmp_path_factory.mktemp("picture") / "good.png", SETTINGS)
+
+
+def test_the_picture_of_a_fit_shows_material_and_fit_alike(good):
+    assert good.ciede2000 < 4.0
+    picture = imread(good.path)[..., :3]
     rows, columns = picture.shape[0] // 3, picture.shape[1] // 4
     halves = [
         picture[rows // 4 : rows * 3 // 4, k * columns + columns // 4 : k * columns + columns * 3 // 4]
@@ -51,14 +56,13 @@ def test_the_picture_of_a_fit_shows_material_and_fit_alike(fitted, tmp_path):
     assert means[0][0] > means[0][2] + 0.1  # gold, not grey
 
 
-def test_a_bad_fit_looks_bad(fitted, tmp_path):
+def test_a_bad_fit_looks_bad(fitted, good, tmp_path):
     material, fit = fitted
     content = json.loads(fit.read_text())
     content["mitsuba"]["base_color"]["color"] = [0.1, 0.1, 0.8]
     content["values"]["base_color"] = [0.1, 0.1, 0.8]
     bad = tmp_path / "bad.fit.json"
     bad.write_text(json.dumps(content))
-    good = picture_of_fit(fit, material, tmp_path / "good.png", SETTINGS)
     made = picture_of_fit(bad, material, tmp_path / "bad.png", SETTINGS)
     assert made.ciede2000 > 5 * good.ciede2000
     assert made.flip > 2 * good.flip
@@ -80,7 +84,7 @@ def test_a_fitted_brdf_is_what_mitsuba_evaluates(fitted):
 def test_fits_of_predictions_are_drawn_too(tmp_path):
     model = small_model(tmp_path)
     outcome = fit_prediction(model, [0.1, 0.1], tmp_path / "p.fit.json", FIT)
-    made = picture_of_prediction_fit(outcome.path, model, [0.1, 0.1], tmp_path / "p.fit.png")
+    made = picture_of_prediction_fit(outcome.path, model, [0.1, 0.1], tmp_path / "p.fit.png", SETTINGS)
     assert np.isfinite(made.ciede2000)
     assert made.path.stat().st_size > 20_000
 

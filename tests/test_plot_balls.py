@@ -94,7 +94,13 @@ def test_spread_points_keep_apart_and_inside(rng):
     )
 
 
-def test_a_walk_begins_and_ends_with_the_materials(folder, model, tmp_path):
+@pytest.fixture
+def coarse(monkeypatch):
+    """Balls of few samples, which are quick to render."""
+    monkeypatch.setattr(thumbnails, "SAMPLES", 8)
+
+
+def test_a_walk_begins_and_ends_with_the_materials(folder, model, coarse, tmp_path):
     ball_pictures.walk(folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3)
     picture = imread(tmp_path / "walk.png")[..., :3]
     assert picture.std() > 0.1
@@ -117,7 +123,7 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
     assert walk_strip("way", [0.0, 1.0], rows, [False, False]).get_supxlabel() == ""
 
 
-def test_a_walk_says_what_speaks_against_its_steps(folder, tmp_path, monkeypatch):
+def test_a_walk_says_what_speaks_against_its_steps(folder, coarse, tmp_path, monkeypatch):
     monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5, 0.0))
     (step,) = ball_pictures.walk(
         folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3

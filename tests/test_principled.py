@@ -171,13 +171,12 @@ def test_twenty_geometries_cannot_tell_rough_black_from_smooth_grey_and_both_are
     rng = np.random.default_rng(3)
     truth = {"base_color": [colour] * 3, "roughness": roughness}
     truth |= {"metallic": 0, "specular": 0.5, "clearcoat": 0, "sheen": 0}
-    for _ in range(2):
-        result = fit_bsdf(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
-        good = [m.values["roughness"] for m in result.minima if m.as_good]
-        assert max(good) > 0.5
-        assert min(good) < 0.3
-        assert next(s.state for s in result.statements if s.name == "roughness") in (AMBIGUOUS, UNSEEN)
-        assert any("ambiguous" in note for note in result.notes)
+    result = fit_bsdf(samples_of(principled(), truth, old_instrument(), rng, 0.05, 0.003), noise=0.05)
+    good = [m.values["roughness"] for m in result.minima if m.as_good]
+    assert max(good) > 0.5
+    assert min(good) < 0.3
+    assert next(s.state for s in result.statements if s.name == "roughness") in (AMBIGUOUS, UNSEEN)
+    assert any("ambiguous" in note for note in result.notes)
 
 
 def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
@@ -190,7 +189,7 @@ def test_dips_along_the_valley_of_a_sharp_clear_coat_are_found():
     truth |= {"clearcoat": 0.33, "clearcoat_gloss": 0.963, "sheen": 0.39}
     f_cos = evaluator(family, pairs.wi, pairs.wo, 3).values(Layout(family, 3).join(truth))[0]
     walked, unwalked = [], []
-    for seed in range(4):
+    for seed in range(2):
         noise = 1 + 0.005 * np.random.default_rng(seed).standard_normal(f_cos.shape)
         samples = FitSamples.from_arrays(pairs.wi, pairs.wo, f_cos / pairs.wo[:, 2:] * noise)
         least = relative_residual(samples, Metric.of("cube-root", samples), f_cos)

@@ -72,11 +72,11 @@ def picture_of_fit(
 
 
 def picture_of_prediction_fit(
-    fit: Path, model: Path, latent: Place, output: Path, *,
+    fit: Path, model: Path, latent: Place, output: Path, settings: RenderSettings | None = None, *,
     library: Path | None = None, colour: ColourChoice = NEAREST,
 ) -> FitPicture:  # fmt: skip
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
     with temporary.folder() as folder:
         path = folder / "predicted.bsdf"
         predicted_file.predict(model, latent, path, library=library, colour=colour, force=True)
-        return picture_of_fit(fit, path, output)
+        return picture_of_fit(fit, path, output, settings)

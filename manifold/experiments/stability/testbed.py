@@ -23,6 +23,8 @@ from manifold.brdf.synthetic.ggx import GGX
 from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.colour.difference import delta_e_2000
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
@@ -154,13 +156,17 @@ class TestBed:
 
     def ball_difference_to_plastics(self, found: BRDF) -> float:
         """Mean CIEDE2000 between a material's ball and that of the nearest plastic of any roughness and colour."""
-        f, light = found.eval(self._ball.wi, self._ball.wo), self._ball.light[:, None]
-        xyz, least = self._ball.xyz(f, BANDS), np.inf
+        f, light = found.eval(self._ball.wi, self._ball.wo), self._ball.light
+        nearest = []
         for black, base in self._plastics:
-            colour = np.sum(light * base * (f - black), axis=0) / np.sum(light * base**2, axis=0)
-            nearest = black + np.clip(colour, 0.0, 1.0) * base
-            least = min(least, ball_colours.delta_e(xyz, self._ball.xyz(nearest, BANDS)))
-        return least
+            lit = light[:, None] * base
+            colour = np.einsum("pb,pb->b", lit, f - black) / np.einsum("pb,pb->b", lit, base)
+            nearest.append(self._ball.xyz(black + np.clip(colour, 0.0, 1.0) * base, BANDS))
+        xyz = np.stack(
+            nearest
+        )  # [roughnesses, K, 3]: together, since colour-science takes longest to be called
+        white = srgb_to_xyz(np.ones(3))
+        return float(delta_e_2000(self._ball.xyz(f, BANDS)[None], xyz, white).mean(axis=1).min())
 
 
 def _difference(ball: Ball, found: BRDF, truth: BRDF) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -354,6 +355,13 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
     expected = held.expected(SimpleNamespace(misfits=np.exp([1.0]), spread=np.exp(0.5)))
     want = np.exp(1.0 + np.array([1.0, 0.5]) @ line + raised)
     np.testing.assert_allclose(list(expected.values()), want, rtol=1e-6)  # 1e-6 is added to deviations
+
+
+def test_a_completion_says_that_one_band_tells_no_colour(samples):
+    made = complete(samples, readings(np.full((12, 3), 0.1)))
+    red = readings(np.full((12, 1), 0.1), nm=np.array([650.0]))
+    spectral = replace(made, samples=SimpleNamespace(bands=Bands((450.0, 550.0, 650.0))), readings=red)
+    assert spectral.notes[0].startswith("read at 650 nm only: the result is the same in all bands")
 
 
 def test_a_completion_says_that_no_reading_sees_mirrors(samples):

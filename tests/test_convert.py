@@ -117,6 +117,27 @@ def test_files_of_several_incidences_become_one_brdf(files, tmp_path):
         convert([files["merl"], *paths], tmp_path / "out.bsdf")
 
 
+def test_conversions_say_what_readings_leave_open(files, tmp_path):
+    """One band for three channels, one incidence for all, few readings for a hemisphere."""
+
+    def said(readings, to):
+        astm.write(tmp_path / "given.astm", readings)
+        return " ".join(convert([tmp_path / "given.astm"], tmp_path / f"out{to}").notes)
+
+    whole = registry.read_readings(files["mini-diff"])
+    assert said(whole, ".bsdf") == ""
+    steps = np.unique(np.round(whole.wi[:, 2], 6))
+    one = whole.select_pairs(np.flatnonzero(np.isclose(whole.wi[:, 2], steps[1], atol=1e-5))).select_bands(
+        [1]
+    )
+    assert "is written to all three channels" in said(one, ".binary")
+    assert "only: all others are extrapolated" in said(one, ".bsdf")
+    assert said(one, ".csv") == ""
+    low = np.flatnonzero(whole.wo[:, 2] > 0.7)
+    few = [low[np.isclose(whole.wi[low, 2], z, atol=1e-5)][::9][:15] for z in steps]
+    assert "interpolated between" in said(whole.select_pairs(np.concatenate(few)), ".bsdf")
+
+
 def test_bands_that_were_not_measured_stay_so(files, tmp_path):
     readings = registry.read(files["csv"])
     values = readings.values.copy()

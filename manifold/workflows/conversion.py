@@ -21,6 +21,7 @@ from manifold.workflows.conversion_targets import TARGETS, Options, target_of
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
 _DARK = 1e-3  # of the brightest value: darker ones are compared with this
+_FEW = 20  # readings per incidence, of spectrophotometers rather than of goniometers
 
 
 @dataclass(frozen=True)
@@ -112,20 +113,38 @@ def convert(
     if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
-    source = open_source(paths, sample, learned)
+    source, notes = open_source(paths, sample, learned), list[str]()
     if (
         target.is_rgb
         and not source.nodes.bands.is_rgb
         and not (target is TARGETS["zemax"] and _is_single(source))
     ):
+        if _is_single(source):
+            notes.append(f"{source.nodes.bands} is written to all three channels")
         source = open_source(paths, sample, learned, rgb=True)
-    notes = target.write(output, source, options or Options())
+    notes += target.write(output, source, options or Options())
     nodes = source.nodes
     back = open_source([output])
+    if source.is_readings and len(back.nodes) > len(nodes):
+        notes += _gaps(source)
     error = _error(source, back)
     return Conversion(
         nodes.name, nodes.instrument, target.title, back.nodes.bands, error, (*nodes.notes, *notes)
     )
+
+
+def _gaps(source: Source) -> list[str]:
+    """What readings leave to interpolation more than a goniometer's do."""
+    theta = np.rad2deg(source.theta_i_rad)
+    if theta.size == 1:
+        return [
+            f"measured at an incidence of {theta[0]:.4g} degrees only: all others are extrapolated from it"
+        ]
+    if len(source.nodes) < _FEW * theta.size:
+        return [
+            f"{len(source.nodes)} readings, interpolated between; `manifold complete` takes a library, too"
+        ]
+    return []
 
 
 def _error(source: Source, back: Source) -> ConversionError:

@@ -88,7 +88,12 @@ class Completion:
         """What the file left open, and what the readings do not reach, in sentences."""
         notes = list(self.readings.notes)
         reach = beyond(self.readings, self.samples.bands)
-        if reach is not None:
+        if reach is not None and reach[0] == reach[1]:
+            notes.append(
+                f"read at {reach[0]:g} nm only: the result is the same in all bands, and expected errors do not "
+                f"include its colour"
+            )
+        elif reach is not None:
             notes.append(
                 f"extrapolated below {reach[0]:g} nm and above {reach[1]:g} nm with the weights at these bands"
             )

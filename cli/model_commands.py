@@ -175,6 +175,13 @@ def predict(
             metavar="X,Y|NAME",
         ),
     ] = None,
+    between: Annotated[
+        tuple[str, str, float] | None,
+        typer.Option(
+            help="Instead of a latent: a place on the path between two materials, T from 0 to 1, as `walk` draws it.",
+            metavar="FROM TO T",
+        ),
+    ] = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -220,7 +227,7 @@ def predict(
     results = terminal.Results(json)
     colour = ColourChoice(like, reflectance, srgb)
     if points is not None:
-        if latent is not None or colour != NEAREST:
+        if latent is not None or between is not None or colour != NEAREST:
             raise UsageError("found --from and a latent or colour; write these into columns of the table")
         from manifold.workflows import (  # with Mitsuba, which one prediction does without
             many_points,
@@ -234,15 +241,16 @@ def predict(
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
-    if latent is None:
+    if (latent is None) == (between is None):
         raise UsageError(
-            "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
+            f"found {'no latent' if latent is None else '--latent and --between'}; give --latent X,Y or --latent NAME, "
+            "or --between FROM TO T, or --from with a table of latents"
         )
-    coordinates = options.parse_latent(latent)
+    place = predicted_file.Between(*between) if between else options.parse_latent(latent or "")
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
             model,
-            coordinates,
+            place,
             or_default(output, "predicted.bsdf", "predict", force),
             library=library,
             colour=colour,

@@ -117,6 +117,8 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["info"], 2, "no such path"),
         (["embed"], 1, "manifold import"),
         (["predict", "--latent", "0,0"], 1, "manifold embed"),
+        (["predict"], 2, "--between FROM TO T"),
+        (["predict", "--latent", "0,0", "--between", "a", "b", "0.5"], 2, "--latent and --between"),
         (["report"], 1, "manifold embed"),
         (["import", "absent"], 2, "absent"),
         (["import", "."], 2, "bsdf"),
@@ -501,8 +503,9 @@ def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
         raise Stopped
 
     materials = tuple(m for m in corpus.isotropic_materials() if m.name in NAMES[:3])
+    files_of = {name: measured(name) for name in NAMES[:3]}
     monkeypatch.setattr(corpus, "isotropic_materials", lambda: materials)
-    monkeypatch.setattr(corpus, "measure", lambda material, **_: measured(material.name))
+    monkeypatch.setattr(corpus, "measure", lambda material, **_: files_of[material.name])
     monkeypatch.setattr(demo, "import_files", stop)
     for _ in range(2):
         with pytest.raises(Stopped):

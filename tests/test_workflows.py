@@ -11,6 +11,7 @@ from conftest import real_rgl_files
 from mitsuba_reference import measured
 from small_library import small_model
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.synthetic import corpus
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
@@ -21,8 +22,9 @@ from manifold.experiments.stability.catalogue import MODES
 from manifold.io_rgl import read_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.predicted_file import predict
+from manifold.model.predicted_file import Between, predict
 from manifold.rendering import thumbnails
 from manifold.rendering.render import RenderSettings
 from manifold.workflows import demo as demo_module
@@ -142,6 +144,22 @@ def test_a_prediction_at_a_material_is_that_material(tmp_path):
     assert made.weights == (("syn_satin_gold", 1.0),)
     assert made.diagnosis.nearest[0] == ("syn_satin_gold", 0.0)
     assert not made.diagnosis.is_extrapolation
+
+
+def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
+    model, wi = Manifold.load(small_model(tmp_path)), from_spherical(0.5, 0.0)
+    path = Between("syn_satin_gold", "syn_gloss_red", 0.3)
+    made = predict(model, path, tmp_path / "between_rgb.bsdf")
+    expected = model.interpolate("syn_satin_gold", "syn_gloss_red", 0.3).albedo(wi)
+    written = MeasuredBRDF(read_bsdf(made.path)).albedo(wi)
+    np.testing.assert_allclose(written, expected, rtol=0.03)  # of 8 incidences
+    assert not np.allclose(
+        model.predict(model.between("syn_satin_gold", "syn_gloss_red", 0.3)).albedo(wi), expected, rtol=0.1
+    )
+    with pytest.raises(UsageError, match="found a colour"):
+        predict(model, path, tmp_path / "x.bsdf", colour=ColourChoice(srgb="#ff0000"))
+    with pytest.raises(UsageError, match=r"at 1\.5, expected 0 to 1"):
+        Between("syn_satin_gold", "syn_gloss_red", 1.5)
 
 
 def test_predictions_go_into_bsdf_files_only(tmp_path):

@@ -14,7 +14,7 @@ from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.importing import import_files
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Settings
-from manifold.model.predicted_file import Prediction, predict
+from manifold.model.predicted_file import Between, Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
 from manifold.records import Stage, no_stage
 from manifold.rendering import backend
@@ -28,7 +28,8 @@ from manifold.workflows.pictures import slices, sources
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
-_COLOUR = ColourChoice(like=END)
+_T = 0.75
+_COLOUR = ColourChoice(like=END)  # of the prediction on the map, nearly that of the path
 
 CHARTED = (
     "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root", "monochrome_2_1_3",
@@ -90,10 +91,11 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
     fitted = pipeline.embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
-        between = fitted.between(START, END, 0.75)
-        predicted = predict(fitted, between, folder / "predicted_spec.bsdf", colour=_COLOUR, on_progress=step)
+        between = fitted.between(START, END, _T)
+        path = folder / "predicted_spec.bsdf"
+        predicted = predict(fitted, Between(START, END, _T), path, on_progress=step)
     pictures = [folder / "slices.png", folder / "map.png"]
-    slices(sources([START, END], [between], model, colour=_COLOUR), pictures[0])
+    slices(sources([START, END, str(path)], [], model), pictures[0])
     has_mitsuba = backend.is_available()
     with stage("Drawing the map") as step:
         if has_mitsuba and backend.choose().is_llvm:

@@ -103,7 +103,7 @@ class Kernel(ABC):
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
         """`training(X)`, and what `gradient` needs to know of it, shape (N, N) both."""
         K, slope = self.smooth_and_slope(X, X)
-        K[np.diag_indices_from(K)] = self.prior_variance(X)
+        K.flat[:: len(K) + 1] = self.prior_variance(X)
         return K, slope
 
     def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:

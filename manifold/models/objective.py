@@ -75,9 +75,10 @@ class LatentObjective:
         if failed:
             raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
         log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
-        P, _ = dpotri(L, lower=1)
-        P = np.tril(P)
-        return np.ascontiguousarray(P + np.tril(P, -1).T), log_det
+        P, _ = dpotri(L, lower=1)  # its other half is 0
+        inverse = np.ascontiguousarray(P + P.T)
+        inverse.flat[:: len(K) + 1] *= 0.5
+        return inverse, log_det
 
 
 def pca_start(S: Array, n_components: int) -> Array:

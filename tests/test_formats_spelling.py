@@ -222,6 +222,36 @@ def test_aspecular_angles_alone_have_the_light_at_45_degrees(name, tmp_path):
         registry.read_all(path)
 
 
+@pytest.mark.parametrize("heads", ["Standard Name", "ID,Data Name", "Standard,Sample ID", "Batch"])
+def test_samples_are_told_apart_whatever_their_column_is_called(heads, tmp_path):
+    """Rows of two samples at one geometry were averaged where the head was not known."""
+    rows = [
+        ",".join(
+            [
+                *{"ID": [f"{k}{s}"], "Standard": ["white"]}.get(heads.split(",")[0], []),
+                s,
+                g,
+                f"0.{k + 1},0.2,0.3",
+            ]
+        )
+        for k, s in enumerate("ab")
+        for g in ("45as15", "45as45")
+    ]
+    path = tmp_path / "samples.csv"
+    path.write_text("\n".join([f"{heads},Geometry,400,500,600", *rows]))
+    first, second = registry.read_all(path)
+    assert (first.name, second.name) == ("a", "b")
+    np.testing.assert_allclose(np.pi * second.values[:, 0], 0.2)
+
+
+def test_units_behind_geometries_are_percent(tmp_path):
+    path = tmp_path / "turned.csv"
+    path.write_text("nm,45as15 (%),45as45 [%],45as75 %R\n400,1.5,1,1\n500,1,1,0.5\n600,1,1,1\n")
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(100.0 * np.pi * found.values, [[1.5, 1, 1], [1, 1, 1], [1, 0.5, 1]])
+    assert not found.notes
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import to_spherical
-from manifold.formats.geometry_names import parse_aspecular
+from manifold.formats.geometry_names import parse_aspecular, parse_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import parse_wavelength, read_table
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
@@ -22,7 +22,7 @@ from manifold.records import Array
 from manifold.system import atomic
 
 _REMEDY = "export the table again with columns Geometry, 400, 410, ..."
-_HEADS = 3  # of wavelengths, or of aspecular angles, make a line the head of a table
+_HEADS = 3  # of wavelengths, or of geometries beside them, make a line the head of a table
 _TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")
 
 
@@ -41,7 +41,7 @@ def sniff(head: bytes) -> bool:
             return "vars" not in words
         cells = [cell.strip(' "') for cell in words.split(separator)]
         if sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS or (
-            cells[0].startswith(("nm", "wavelength")) and sum(map(_is_aspecular, cells)) >= _HEADS
+            cells[0].startswith(("nm", "wavelength")) and sum(map(_is_geometry, cells)) >= _HEADS
         ):
             return True
     return any(
@@ -115,8 +115,8 @@ def band_heads(readings: Readings) -> list[str]:
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]
 
 
-def _is_aspecular(cell: str) -> bool:
-    return parse_aspecular(cell) is not None
+def _is_geometry(cell: str) -> bool:
+    return parse_aspecular(cell) is not None or parse_geometry(cell) is not None
 
 
 def _separator(line: str) -> str | None:

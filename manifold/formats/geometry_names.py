@@ -18,6 +18,7 @@ _NAME = re.compile(
 )
 _45_0 = re.compile(r"[^\d]*(45\s*°?\s*[a-z]?\s*[/:_]\s*0|0\s*°?\s*[/:_]\s*45)\b\D*", re.IGNORECASE)
 _ASPECULAR = re.compile(r"(as(pecular)?)?\s*(?P<sign>[-_+])?\s*(?P<angle>\d+)\s*(°|deg)?", re.IGNORECASE)
+_UNIT = re.compile(r"\s*[(\[]?\s*%\s*[Rr]?\s*[)\]]?$")
 _USUAL_ASPECULAR = (
     -15.0,
     15.0,
@@ -54,7 +55,8 @@ def parse_aspecular(text: str) -> float | None:
 
 
 def _plain(text: str) -> str:
-    return text.strip().replace("\u2212", "-").replace("\u2013", "-")
+    """Without what stands behind it, a unit, and with plain minus signs."""
+    return _UNIT.sub("", text.strip()).replace("\u2212", "-").replace("\u2013", "-")
 
 
 def _sign(text: str | None) -> float:

@@ -64,7 +64,10 @@ def read(path: Path) -> list[Readings]:
         return [replace(one, texture=texture.get(one.name, texture.get("", {}))) for one in found]
     if spectral is None:
         titles = ", ".join(list(sheets)[:6])
-        raise place.error(f"found a workbook with sheets {titles}, expected one called 'Spectral Data'")
+        raise place.error(
+            f"found a workbook with sheets {titles}, expected one called 'Spectral Data', or "
+            "columns of wavelengths beside one of geometries such as 45as15"
+        )
     raise errors[0]
 
 

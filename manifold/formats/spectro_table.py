@@ -31,6 +31,30 @@ _ANGLES = (
     ("theta_o", ("thetao", "thetas", "thetar", "thetaout", "outgoingtheta", "theta")),
     ("phi_o", ("phio", "phis", "phir", "phiout", "outgoingphi", "phi")),
 )
+_NAMES = (
+    *(
+        "samplename",
+        "sample",
+        "name",
+        "dataname",
+        "measurementname",
+        "sampleid",
+        "sampleno",
+        "trialname",
+        "trial",
+    ),
+    *(
+        "batchname",
+        "batch",
+        "standardname",
+        "standard",
+        "materialname",
+        "material",
+        "colorname",
+        "colourname",
+        "id",
+    ),
+)  # heads of columns of names, the best first
 PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
@@ -205,13 +229,18 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         is_rgb = len(bands) == 3
         if not is_rgb:
             return None
-    name = next((k for k, text in enumerate(plain) if text in ("name", "sample", "samplename", "id")), None)
+    name = next((plain.index(head) for head in _NAMES if head in plain), None)
     is_aspecular = geometry is not None and _all_cells(below, geometry, parse_aspecular)
     joined = " ".join(texts).lower()
     if "1/sr" in joined or "sr^-1" in joined or "sr-1" in joined or (has_angles and "brdf" in joined):
         unit = "f"
     elif (
-        "%" in joined or "percent" in joined or any(_text(c).endswith("%") for cells in below for c in cells)
+        "%" in joined
+        or "percent" in joined
+        or any(_text(c).endswith("%") for cells in below for c in cells)
+        or any(
+            "%" in _text(cells[geometry]) for cells in below if geometry is not None and geometry < len(cells)
+        )
     ):
         unit = "percent"
     else:

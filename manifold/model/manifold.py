@@ -197,23 +197,19 @@ class Manifold(LatentMap):
         colours are fixed by latents, it is the prediction at the latent.
         """
         x = self.between(a, b, t)
-        if a == b or t in (0.0, 1.0):
-            return self.predict(self.latent(b if t else a), self._own_colours(b if t else a))
         if not self.space.takes_colours:
             return self.predict(x)
+        if a == b or t in (0.0, 1.0):
+            name = b if t else a
+            return self.predict(name, self.colours.like(x, name))
         reflectance = (1.0 - t) * self.colours.reflectance(a) + t * self.colours.reflectance(b)
         coloured = self.predict(x, self.colours.of_reflectance(x, reflectance)[0])
         if self.space.needs_colours:
             return coloured
-        shares = self.space.material_weights(x[None], None)[
-            0, [self.materials.index(a), self.materials.index(b)]
-        ]
-        weights = np.append(shares, 1.0 - shares.sum())
+        ends = [self.materials.index(a), self.materials.index(b)]
+        shares = self.space.material_weights(x[None], None)[0, ends]
+        weights = np.append(shares, max(1.0 - shares.sum(), 0.0))
         return PredictedBRDF([*self.materials.filled([a, b]), coloured], Combination(self.mapping, weights))
-
-    def _own_colours(self, name: str) -> Array | None:
-        """What colours make the prediction at a material's latent the material."""
-        return self.colours.like(self.latent(name), name) if self.space.needs_colours else None
 
     def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
         """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23."""

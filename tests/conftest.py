@@ -19,8 +19,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what 
 
 SLOW_LEFT = pytest.StashKey[int]()
 LONGEST = (
-    "stability_catalogue", "cli", "budget", "bsdf_plugin", "workflows", "principled", "chart", "explore_page", "brdf",
-    "report", "model", "gplvm", "without_mitsuba", "store",
+    "stability_catalogue", "explore_visitor", "workflows", "cli", "explore_page", "bsdf_plugin", "budget", "chart",
+    "principled", "report", "brdf", "convert", "fit_json", "model", "without_mitsuba", "gplvm", "microfacet", "startup",
+    "selection", "fit_picture", "plot_balls", "many_points", "stages", "store", "heldout", "blending", "anchors",
 )  # fmt: skip
 """Test files that take longest: first, or one process is left with them when the others are done."""
 

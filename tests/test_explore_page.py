@@ -80,11 +80,11 @@ def ball_of_page(page, places):
     script = """(places) => {
       const canvas = document.getElementById("ball"), gl = canvas.getContext("webgl2");
       window.explorer.drawBalls();
-      const side = Math.min(canvas.width, canvas.height), pixel = new Uint8Array(4);
+      const { width, height } = canvas, side = Math.min(width, height), picture = new Uint8Array(4 * width * height);
+      gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, picture);
       return places.map(([x, y]) => {
-        const at = [x, y].map((v, k) => [canvas.width, canvas.height][k] / 2 + (v / 1.02) * side / 2);
-        gl.readPixels(Math.floor(at[0]), Math.floor(at[1]), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
-        return [...pixel].slice(0, 3);
+        const [i, j] = [x, y].map((v, k) => Math.floor([width, height][k] / 2 + (v / 1.02) * side / 2));
+        return [...picture.slice(4 * (j * width + i), 4 * (j * width + i) + 3)];
       });
     }"""
     return np.array(page.evaluate(script, places.tolist())) / 255.0

@@ -222,6 +222,24 @@ def test_aspecular_angles_alone_have_the_light_at_45_degrees(name, tmp_path):
         registry.read_all(path)
 
 
+LINE_ENDS = {
+    "CR": lambda text: text.replace("\n", "\r").encode(),
+    "CRLF in UTF-16": lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    "end mark of DOS": lambda text: text.encode() + b"\r\n\x1a",
+    "empty lines around": lambda text: b"\n\n" + text.encode() + b"\n\n",
+}
+
+
+@pytest.mark.parametrize("name", ["zemax", "lighttools", "mini-diff", "astm", "pab-opto", "csv"])
+@pytest.mark.parametrize("end", LINE_ENDS)
+def test_text_files_are_read_however_their_lines_end(files, name, end, tmp_path):
+    path = tmp_path / files[name].name
+    path.write_bytes(LINE_ENDS[end](files[name].read_text()))
+    np.testing.assert_array_equal(
+        registry.read_readings(path).values, registry.read_readings(files[name]).values
+    )
+
+
 @pytest.mark.parametrize("heads", ["Standard Name", "ID,Data Name", "Standard,Sample ID", "Batch"])
 def test_samples_are_told_apart_whatever_their_column_is_called(heads, tmp_path):
     """Rows of two samples at one geometry were averaged where the head was not known."""

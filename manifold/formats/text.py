@@ -47,22 +47,29 @@ def read_bytes(path: Path, limit: int = LARGEST_TEXT) -> bytes:
 
 
 def decode(data: bytes) -> str:
-    """Text of a file: by its byte order mark, else UTF-8, else Latin-1; minus signs and spaces of typesetters plain."""
+    """Text of a file: by its byte order mark, else UTF-8, else Latin-1; lines end with \\n.
+
+    Minus signs and spaces of typesetters are plain; the mark that ends files of DOS is left out.
+    """
+    text = _decoded(data).translate(_MINUS).replace("\r\n", "\n").replace("\r", "\n")
+    return text.rstrip("\x1a")
+
+
+def _decoded(data: bytes) -> str:
     for mark, encoding in _BOMS:
         if data.startswith(mark):
-            return data.decode(encoding, "replace").translate(_MINUS)
+            return data.decode(encoding, "replace")
     if b"\0" in data[:400]:  # UTF-16 without a mark
-        encoding = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"
-        return data.decode(encoding, "replace").translate(_MINUS)
+        return data.decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be", "replace")
     try:
-        return data.decode("utf-8").translate(_MINUS)
+        return data.decode("utf-8")
     except UnicodeDecodeError:
-        return data.decode("latin-1").translate(_MINUS)
+        return data.decode("latin-1")
 
 
 def read_lines(path: Path) -> list[str]:
     """The lines of a text file, however they end. Raises: as `read_bytes`."""
-    return re.split(r"\r\n|\r|\n", decode(read_bytes(path)))
+    return decode(read_bytes(path)).split("\n")
 
 
 class Place:

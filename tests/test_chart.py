@@ -13,7 +13,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.experiments.chart import held_out, registry, storage_forms
-from manifold.experiments.chart.experiment import COSTS, ERRORS, ChartRow, cost_of, fronts, make_chart
+from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of, fronts, make_chart
 from manifold.experiments.chart.held_out import without_small_weights
 from manifold.experiments.chart.instruments import RelativeTime, some_pairs
 from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED, settings
@@ -134,6 +134,17 @@ def test_times_within_their_spread_and_errors_within_a_percent_do_not_count_as_d
     assert fronts(steady)["rmse"]["predict"] == ["a", "c"]
     noisy = [_row("a", 1.0, 10.0, 2.2), _row("b", 1.0, 12.0, 2.2), _row("d", 1.5, 13.0, 2.2)]
     assert fronts(noisy)["rmse"] == {"predict": ["a", "b"], "bytes": ["a"], "fit": ["a", "b"]}
+
+
+def test_errors_of_zero_and_costs_that_hardly_differ_can_be_read():
+    found = (_row("copies", 0.0, 340.0), _row("dearer", 0.5, 340.2))
+    figure = plot_chart.chart(Chart(found, fronts(found), 8, 3, 8, 1.0, {}, {}))
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        assert high > 2.0 * low  # a power of ten and its multiples have room beside each other
+        heights = [line.get_ydata()[0] for line in axes.lines if line.get_gid() is not None]
+        assert sorted(heights) == [1e-4, 0.5]
 
 
 def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):

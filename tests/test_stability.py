@@ -185,7 +185,11 @@ def test_the_picture_has_a_panel_per_mode_and_a_line_per_method():
 
 def test_the_picture_counts_outcomes_and_false_alarms(told):
     mode = mode_of(Measurement(0.5, ("beware",)), Measurement(2.0))
-    (legend,) = plot_stability.panels(run_modes([mode]), [mode]).legends
+    figure = plot_stability.panels(run_modes([mode]), [mode])
+    (legend,) = figure.legends
+    figure.draw_without_rendering()
+    extent = legend.get_window_extent()
+    assert figure.bbox.x0 <= extent.x0 < extent.x1 <= figure.bbox.x1  # one panel is narrow
     labels = [text.get_text() for text in legend.get_texts()]
     assert labels[:5] == ["fine (0)", "warned (1)", "refused (0)", "silently wrong (1)", "false alarm (1)"]
 

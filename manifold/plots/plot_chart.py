@@ -47,6 +47,7 @@ LOOKS = {
 }
 _FRONT_POINTS, _OTHER_POINTS, _PUBLISHED_POINTS = 8.5, 5.0, 15.0
 _LABEL = 8.8
+_LEAST_ERROR = 1e-4  # smaller ones are drawn here
 _DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
 
 
@@ -63,9 +64,10 @@ def chart(made: Chart) -> Figure:
         for axes, error in zip(axis_row, _ERRORS, strict=True):
             _points(axes, made, error, cost)
             axes.set_xlabel(_COSTS[cost])
+        _widen(axis_row[0], [cost_of(row, cost) for row in _with(made, cost)])
     for axes, error in zip(grid[0], _ERRORS, strict=True):
         axes.set_title(f"{ERRORS[error]}, median", fontsize=11)
-        _error_ticks(axes, [getattr(row, error) for row in made.rows])
+        _error_ticks(axes, [_error_of(row, error) for row in made.rows])
     figure.legend(handles=_legend(made), loc="outside lower center", ncols=3, fontsize=9.5, frameon=False)
     figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
     figure.set_layout_engine("none")
@@ -84,7 +86,7 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
     front = made.front(error, cost)
     on = {row.key for row in front}
     if front:
-        x, y = _stairs([(cost_of(row, cost), getattr(row, error)) for row in front])
+        x, y = _stairs([(cost_of(row, cost), _error_of(row, error)) for row in front])
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
     for row in _with(made, cost):
         look = LOOKS[row.family]
@@ -94,11 +96,16 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
         is_plain = row.key in on or row.key == PUBLISHED
         is_cross = look.marker == "x"
         axes.plot(
-            cost_of(row, cost), getattr(row, error), look.marker, markersize=size, color=look.colour,
+            cost_of(row, cost), _error_of(row, error), look.marker, markersize=size, color=look.colour,
             markerfacecolor=look.colour if is_plain else "white",
             markeredgecolor="black" if is_plain and not is_cross else look.colour,
             alpha=1.0 if is_plain or is_cross else 0.6, zorder=4 if is_plain else 3, gid=row.key,
         )  # fmt: skip
+
+
+def _error_of(row: ChartRow, error: str) -> float:
+    """An error as it is drawn: copies of a material are found without one, and logarithms have no zero."""
+    return max(float(getattr(row, error)), _LEAST_ERROR)
 
 
 def _with(made: Chart, cost: str) -> list[ChartRow]:
@@ -110,6 +117,13 @@ def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
     """The edge of what a front dominates, from the cheapest to the dearest corner; within tolerance it may rise."""
     x, y = np.array(corners).T
     return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
+
+
+def _widen(axes: Axes, costs: Sequence[float]) -> None:
+    """Room for the numbers of an axis whose costs hardly differ."""
+    if costs and max(costs) < 2.0 * min(costs):
+        middle = float(np.sqrt(min(costs) * max(costs)))
+        axes.set_xlim(0.5 * middle, 2.0 * middle)
 
 
 def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
@@ -141,7 +155,7 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
     """Write the names of the front, of the published setting, and of fits, where they cover least."""
 
     def at(row: ChartRow) -> tuple[float, float]:
-        return cost_of(row, cost), getattr(row, error)
+        return cost_of(row, cost), _error_of(row, error)
 
     on = made.fronts[error][cost]
     dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0

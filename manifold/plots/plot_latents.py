@@ -50,9 +50,14 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 def latent_axes(axes: Axes, model: Manifold) -> None:
     """Title and labels of a map of latents; it says what a map of two dimensions cannot show."""
     dims = model.settings.latent_dim
-    synthetic = all(model.library.attributes(name).is_synthetic for name in model.names)
-    kind = "synthetic materials" if synthetic else "measured materials"
-    title = f"Material manifold: {len(model.names)} {kind}, {model.bands}"
+    count, synthetic = (
+        len(model.names),
+        sum(model.library.attributes(name).is_synthetic for name in model.names),
+    )
+    kind = {0: "measured materials", count: "synthetic materials"}.get(
+        synthetic, f"materials, {synthetic} of them synthetic"
+    )
+    title = f"Material manifold: {count} {kind}, {model.bands}"
     title += f"; 2 of {dims} dimensions" if dims > 2 else "; one dimension" if dims == 1 else ""
     axes.set_title(title + " (expected errors are drawn for two only)" * (dims != 2), fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")

@@ -36,7 +36,8 @@ def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
     figure.supylabel("error over its limit", fontsize=11)
-    figure.legend(handles=_key(made), loc="outside upper center", ncols=6, fontsize=10, frameon=False)
+    ncols = 6 if columns > 1 else 3
+    figure.legend(handles=_key(made), loc="outside upper center", ncols=ncols, fontsize=10, frameon=False)
     return figure
 
 

@@ -49,8 +49,8 @@ def summary(made: Stability) -> str:
     modes = len({row.mode for row in made.rows})
     counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)
     return (
-        f"{modes} failure modes, {len(trials)} trials: {counts}; {len(made.false_alarms)} false alarms in "
-        f"{len(made.rows)} rows, {made.early_warnings} early warnings"
+        f"{modes} failure mode{'s' * (modes != 1)}, {len(trials)} trials: {counts}; "
+        f"{len(made.false_alarms)} false alarms in {len(made.rows)} rows, {made.early_warnings} early warnings"
     )
 
 

@@ -3,7 +3,8 @@
 Prints the mean relative error in percent for GGX over a diffuse base, and with --choices what each choice of
 docs/design/goniometer.md contributes; with --corpus the same error of the materials of the built-in corpus, without
 noise. With --predictions, files of 24 random places inside the map of a model are compared with the predictions
-themselves, and with --neural those of published neural fits with the fits, for each spread of the outgoing grid.
+themselves, and with --neural those of published neural fits with the fits, for each spread of the outgoing grid and
+each limit of how sharply the normal distribution may bend.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ FOUR_BANDS = Bands((450.0, 520.0, 590.0, 660.0))
 LIMIT = np.cos(np.deg2rad(80.0))
 SHARPEST = 0.02  # alpha, of what the spread of the outgoing grid is about
 EXPONENTS = (1.0, 0.75, 0.5, 0.35, 0.25)
+BENDS = (3.0, 1.0, 0.3, 0.1)
 PLACES = 24
 MOST_VALLEY = 0.1
 DARK = 1e-3  # f_cos in 1/sr: less is compared with this
@@ -121,11 +123,12 @@ def places(model: Manifold, count: int = PLACES) -> list[ClippedBRDF]:
 
 
 def print_deviations(label: str, brdfs: Sequence[BRDF], **options: object) -> None:
-    """A line per exponent: means over BRDFs, and how many files have a valley."""
-    for exponent in EXPONENTS:
-        found = np.array([deviation(brdf, warp_exponent=exponent, **options) for brdf in brdfs])
+    """A line per exponent and per bend: means over BRDFs, and how many files have a valley."""
+    choices = [("warp_exponent", exponent) for exponent in EXPONENTS] + [("bend", bend) for bend in BENDS]
+    for name, value in choices:
+        found = np.array([deviation(brdf, **{name: value}, **options) for brdf in brdfs])
         relative, cube_root, ball, _ = found.mean(axis=0)
-        print(f"{label}, exponent {exponent:.2f}: relative {relative:.1%}, root {cube_root:.1%}, ball {ball:.3f}, "
+        print(f"{label}, {name} {value:.2f}: relative {relative:.1%}, root {cube_root:.1%}, ball {ball:.3f}, "
               f"largest {found[:, 2].max():.2f}; valleys {np.sum(found[:, 3] > MOST_VALLEY)}",
               flush=True)  # fmt: skip
 
@@ -157,6 +160,8 @@ def main() -> None:
             sharpest = 100.0 * mean_relative_error(SHARPEST, in_mitsuba=False, warp_exponent=exponent)
             print(f"{label:<44}{sharpest:8.2f}")
             add(label, in_mitsuba=False, warp_exponent=exponent)
+        for bend in BENDS:
+            add(f"bend {bend:.1f}", in_mitsuba=False, bend=bend)
         t = np.linspace(0.0, 1.0, 8)
         for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):
             nodes = 0.5 * np.pi * (1 - share) * t + share * np.arccos(1.0 - t)

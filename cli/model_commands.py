@@ -171,15 +171,9 @@ def predict(
     latent: Annotated[
         str | None,
         typer.Option(
-            help="Latent coordinates separated by commas, without spaces; or a material's name.",
-            metavar="X,Y|NAME",
-        ),
-    ] = None,
-    between: Annotated[
-        tuple[str, str, float] | None,
-        typer.Option(
-            help="Instead of a latent: a place on the path between two materials, T from 0 to 1, as `walk` draws it.",
-            metavar="FROM TO T",
+            help="Latent coordinates separated by commas, without spaces; a material's name; or FROM:TO:T, on the path "
+            "between two materials, T from 0 to 1, as `walk` draws it.",
+            metavar="X,Y|NAME|FROM:TO:T",
         ),
     ] = None,
     points: PointsOption = None,
@@ -227,7 +221,7 @@ def predict(
     results = terminal.Results(json)
     colour = ColourChoice(like, reflectance, srgb)
     if points is not None:
-        if latent is not None or between is not None or colour != NEAREST:
+        if latent is not None or colour != NEAREST:
             raise UsageError("found --from and a latent or colour; write these into columns of the table")
         from manifold.workflows import (  # with Mitsuba, which one prediction does without
             many_points,
@@ -241,16 +235,15 @@ def predict(
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
-    if (latent is None) == (between is None):
+    if latent is None:
         raise UsageError(
-            f"found {'no latent' if latent is None else '--latent and --between'}; give --latent X,Y or --latent NAME, "
-            "or --between FROM TO T, or --from with a table of latents"
+            "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
         )
-    place = predicted_file.Between(*between) if between else options.parse_latent(latent or "")
+    coordinates = options.parse_latent(latent)
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
             model,
-            place,
+            coordinates,
             or_default(output, "predicted.bsdf", "predict", force),
             library=library,
             colour=colour,

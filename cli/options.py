@@ -41,7 +41,10 @@ SrgbOption = Annotated[
 ]
 PlaceOption = Annotated[
     str | None,
-    typer.Option(help="Instead of files: a latent coordinate, or a material's name.", metavar="X,Y|NAME"),
+    typer.Option(
+        help="Instead of files: a latent coordinate, a material's name, or FROM:TO:T between two.",
+        metavar="X,Y|NAME|FROM:TO:T",
+    ),
 ]
 CorrectionOption = Annotated[
     Path | None,
@@ -62,7 +65,7 @@ PhysicalOption = Annotated[
 
 
 def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
-    """Numbers separated by commas, or the name of a material.
+    """Numbers separated by commas, the name of a material, or `FROM:TO:T` between two.
 
     Raises:
         UsageError: it is neither, or a number is not finite.

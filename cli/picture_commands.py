@@ -27,7 +27,8 @@ SliceKind = Literal["angles", "image", "spectra"]
 )
 def latent_map(
     mark: Annotated[
-        str | None, typer.Option(help="Also show the prediction at this latent.", metavar="X,Y|NAME")
+        str | None,
+        typer.Option(help="Also show the prediction at this latent.", metavar="X,Y|NAME|FROM:TO:T"),
     ] = None,
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,
@@ -118,7 +119,8 @@ def slices(
         typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="[NAME ...]"),
     ] = None,
     latent: Annotated[
-        list[str] | None, typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME")
+        list[str] | None,
+        typer.Option(help="Also a prediction; may be repeated.", metavar="X,Y|NAME|FROM:TO:T"),
     ] = None,
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,

@@ -48,8 +48,8 @@ def render(
     latent: Annotated[
         str | None,
         typer.Option(
-            help="Instead of a file: latent coordinates, like -0.3,1.2, or a material's name.",
-            metavar="X,Y|NAME",
+            help="Instead of a file: latent coordinates, like -0.3,1.2, a material's name, or FROM:TO:T between two.",
+            metavar="X,Y|NAME|FROM:TO:T",
         ),
     ] = None,
     points: PointsOption = None,

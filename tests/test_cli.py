@@ -117,8 +117,6 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["info"], 2, "no such path"),
         (["embed"], 1, "manifold import"),
         (["predict", "--latent", "0,0"], 1, "manifold embed"),
-        (["predict"], 2, "--between FROM TO T"),
-        (["predict", "--latent", "0,0", "--between", "a", "b", "0.5"], 2, "--latent and --between"),
         (["report"], 1, "manifold embed"),
         (["import", "absent"], 2, "absent"),
         (["import", "."], 2, "bsdf"),

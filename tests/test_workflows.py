@@ -24,7 +24,7 @@ from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold, Settings
-from manifold.model.predicted_file import Between, predict
+from manifold.model.predicted_file import predict
 from manifold.rendering import thumbnails
 from manifold.rendering.render import RenderSettings
 from manifold.workflows import demo as demo_module
@@ -148,18 +148,31 @@ def test_a_prediction_at_a_material_is_that_material(tmp_path):
 
 def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
     model, wi = Manifold.load(small_model(tmp_path)), from_spherical(0.5, 0.0)
-    path = Between("syn_satin_gold", "syn_gloss_red", 0.3)
-    made = predict(model, path, tmp_path / "between_rgb.bsdf")
+    place = "syn_satin_gold:syn_gloss_red:0.3"
+    made = predict(model, place, tmp_path / "between_rgb.bsdf")
+    assert made.colour == "between syn_satin_gold and syn_gloss_red"
     expected = model.interpolate("syn_satin_gold", "syn_gloss_red", 0.3).albedo(wi)
+    np.testing.assert_array_equal(model.predict(place).albedo(wi), expected)
     written = MeasuredBRDF(read_bsdf(made.path)).albedo(wi)
     np.testing.assert_allclose(written, expected, rtol=0.03)  # of 8 incidences
-    assert not np.allclose(
-        model.predict(model.between("syn_satin_gold", "syn_gloss_red", 0.3)).albedo(wi), expected, rtol=0.1
-    )
-    with pytest.raises(UsageError, match="found a colour"):
-        predict(model, path, tmp_path / "x.bsdf", colour=ColourChoice(srgb="#ff0000"))
-    with pytest.raises(UsageError, match=r"at 1\.5, expected 0 to 1"):
-        Between("syn_satin_gold", "syn_gloss_red", 1.5)
+    latent = model.require_latent(place)
+    assert not np.allclose(model.predict(latent).albedo(wi), expected, rtol=0.1)
+    chosen = predict(model, place, tmp_path / "green_rgb.bsdf", colour=ColourChoice(srgb="#208020"))
+    same = predict(model, latent, tmp_path / "same_rgb.bsdf", colour=ColourChoice(srgb="#208020"))
+    assert chosen.weights == same.weights
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("syn_satin_gold:syn_gloss_red:1.5", r"found '1\.5'.*expected a number from 0 to 1"),
+        ("syn_satin_gold:syn_gloss_red:half", "found 'half'"),
+        ("syn_satin_gold:syn_gloss_re:0.5", "near are syn_gloss_red"),
+    ],
+)
+def test_places_on_no_path_are_refused(tmp_path, place, words):
+    with pytest.raises(UsageError, match=words):
+        Manifold.load(small_model(tmp_path)).predict(place)
 
 
 def test_predictions_go_into_bsdf_files_only(tmp_path):

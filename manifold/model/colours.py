@@ -11,6 +11,7 @@ import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
+from manifold.model.latents import Place
 from manifold.records import Array
 
 if TYPE_CHECKING:
@@ -62,8 +63,8 @@ UNCHOSEN = ChosenColour(None, None, 0.0)
 """No colour of its own: latents carry it, or it is interpolated with them."""
 
 
-def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColour:
-    """Find the colours of a structure x (Q,).
+def choose_colour(model: Manifold, place: Place, choice: ColourChoice) -> ChosenColour:
+    """Find the colours of the structure at a place.
 
     Raises:
         UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
@@ -76,6 +77,9 @@ def choose_colour(model: Manifold, x: Array, choice: ColourChoice) -> ChosenColo
                 "--kind blend"
             )
         return UNCHOSEN
+    x, path = model.require_latent(place), model.path(place)
+    if choice == NEAREST and path is not None:
+        return ChosenColour(None, f"between {path.start} and {path.end}", 0.0)
     if choice == NEAREST and not model.space.needs_colours:
         return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manifold.model.latent_space import LatentSpace
-from manifold.model.latents import Place, require_latent, require_latents
+from manifold.model.latents import OnPath, Place, on_path, require_latent, require_latents
 from manifold.model.left_out import ExpectedErrors, LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
@@ -124,13 +124,20 @@ class LatentMap:
         )  # exact at both ends, and where they agree
 
     def require_latent(self, x: Place) -> Array:
-        """A latent, or the latent of a named material, as float64 (Q,).
+        """A latent, the latent of a named material, or that of a place between two, as float64 (Q,).
 
         Raises:
             LatentError: there are not Q finite coordinates.
             UsageError: the model has no such material.
         """
+        path = self.path(x)
+        if path is not None:
+            return self.between(*path)
         return self.latent(x) if isinstance(x, str) else require_latent(x, self.settings.latent_dim)
+
+    def path(self, x: Place) -> OnPath | None:
+        """The path that a place `FROM:TO:T` lies on; None for other places."""
+        return on_path(x) if isinstance(x, str) and x not in self.names else None
 
     def _at(self, x: ArrayLike, function: Callable[[Array], Array]) -> Array:
         X = require_latents(x, self.settings.latent_dim)

@@ -2,18 +2,46 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manifold.errors import LatentError
+from manifold.errors import LatentError, UsageError
 from manifold.records import Array
 
 Place = Array | Sequence[float] | str
-"""A latent (Q,), or the name of a material that lies there."""
+"""A latent (Q,), the name of a material that lies there, or `FROM:TO:T` on the path between two materials."""
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
+
+
+class OnPath(NamedTuple):
+    """A place on the path from one material (t = 0) to another (t = 1)."""
+
+    start: str
+    end: str
+    t: float
+
+
+def on_path(text: str) -> OnPath | None:
+    """What `FROM:TO:T` says; None where the text is no such thing.
+
+    Raises:
+        UsageError: T is not from 0 to 1.
+    """
+    parts = re.fullmatch(r"(.+):([^:]+):([^:]+)", text)
+    if parts is None:
+        return None
+    try:
+        t = float(parts[3])
+    except ValueError:
+        t = -1.0
+    if not 0.0 <= t <= 1.0:
+        raise UsageError(f"'{text}': found '{parts[3]}' after two materials, expected a number from 0 to 1")
+    return OnPath(parts[1], parts[2], t)
 
 
 def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:

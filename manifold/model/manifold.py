@@ -161,7 +161,8 @@ class Manifold(LatentMap):
         """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
 
         Args:
-            x: latent, or the name of a material; of a monochrome manifold, the structure.
+            x: latent, the name of a material, or `FROM:TO:T` on the path between two, which `interpolate` predicts
+                unless colours are given; of a monochrome manifold, the structure.
             colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
                 also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials,
                 and gives x on a monochrome manifold the reflectance of the nearest one.
@@ -170,6 +171,9 @@ class Manifold(LatentMap):
             UsageError: colours for a manifold of kind `material`, or no such material.
             ShapeError: colours have another shape, are not finite, or are black in all bands.
         """
+        path = self.path(x)
+        if path is not None and colours is None:
+            return self.interpolate(*path)
         x = self.require_latent(x)
         if colours is None and self.space.needs_colours:
             colours = self.colours.like(x, self.nearest(x)[0][0])

@@ -9,10 +9,9 @@ from typing import Any
 
 from manifold import __version__
 from manifold.brdf.plausibility import Plausibility
-from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.checked_file import require_bsdf_output, write_checked
-from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
@@ -67,22 +66,9 @@ class Prediction:
         return {"program": f"manifold {__version__}", **content}
 
 
-@dataclass(frozen=True)
-class Between:
-    """A place on the path between two materials, at t from 0 (`start`) to 1 (`end`), as of `Manifold.interpolate`."""
-
-    start: str
-    end: str
-    t: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.t <= 1.0:
-            raise UsageError(f"between {self.start} and {self.end} at {self.t:g}, expected 0 to 1")
-
-
 def predict(
     model: Manifold | Path,
-    latent: Place | Between,
+    latent: Place,
     output: Path,
     *,
     library: Path | None = None,
@@ -97,7 +83,7 @@ def predict(
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, the name of a material, or a place between two.
+        latent: Q coordinates, the name of a material, or `FROM:TO:T` between two.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
@@ -107,30 +93,19 @@ def predict(
         n_theta_i: incident elevations; with `physical`, at least.
         on_progress: called with how much is done.
     Raises:
-        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, its albedo would
-            exceed 1.05, or a colour is chosen between two materials.
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or its albedo
+            would exceed 1.05.
         LatentError: the latent does not have Q finite coordinates.
     """
     require_bsdf_output(output, "predictions")
     if isinstance(model, Path):
         model = Manifold.load(model, library)
-    if isinstance(latent, Between):
-        if colour != NEAREST:
-            raise UsageError(
-                "found a colour beside two materials, whose reflectances are interpolated; leave it out"
-            )
-        x = model.between(latent.start, latent.end, latent.t)
-    else:
-        x = model.require_latent(latent)
+    x = model.require_latent(latent)
     stages = Stages(on_progress, {"reading materials": 4, "writing": 1})
     model.prepare(stages.begin("reading materials"), x if colour == NEAREST else None)
     start = time.perf_counter()
-    if isinstance(latent, Between):
-        chosen = ChosenColour(None, f"between {latent.start} and {latent.end}", 0.0)
-        clipped = ClippedBRDF(model.interpolate(latent.start, latent.end, latent.t))
-    else:
-        chosen = choose_colour(model, x, colour)
-        clipped = ClippedBRDF(model.predict(x, chosen.colours))
+    chosen = choose_colour(model, latent, colour)
+    clipped = ClippedBRDF(model.predict(latent, chosen.colours))
     stages.begin("writing")
     found = write_checked(
         output,

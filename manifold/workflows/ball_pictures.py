@@ -64,16 +64,17 @@ def latent_map(
         model: path of a model.
         output: the picture.
         library: where the model's library is now, if not where the model remembers it.
-        marked: latent of a prediction to show, (Q,), or the name of a material.
+        marked: latent of a prediction to show, (Q,), the name of a material, or `FROM:TO:T` between two.
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
-    x, predicted, diagnosis = None if marked is None else loaded.require_latent(marked), None, None
-    if x is not None:
-        chosen = choose_colour(loaded, x, colour)
-        predicted = loaded.predict(x, chosen.colours)
+    x, predicted, diagnosis = None, None, None
+    if marked is not None:
+        x = loaded.require_latent(marked)
+        chosen = choose_colour(loaded, marked, colour)
+        predicted = loaded.predict(marked, chosen.colours)
         diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
     if not backend.is_available():
         figures.save(plot_latents.latent_map(loaded, marked=x), output)

@@ -12,9 +12,8 @@ from manifold.experiments.budget import example_scenes
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.importing import import_files
-from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Settings
-from manifold.model.predicted_file import Between, Prediction, predict
+from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
 from manifold.records import Stage, no_stage
 from manifold.rendering import backend
@@ -28,8 +27,7 @@ from manifold.workflows.pictures import slices, sources
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
-_T = 0.75
-_COLOUR = ColourChoice(like=END)  # of the prediction on the map, nearly that of the path
+_BETWEEN = f"{START}:{END}:0.75"
 
 CHARTED = (
     "nearest", "linear", "published", "pca_6_cube-root", "gplvm_2_cube-root", "gplvm_6_cube-root", "monochrome_2_1_3",
@@ -91,17 +89,16 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
     fitted = pipeline.embed(library, model, Settings(), stage=stage).model
     with stage("Predicting a material between two") as step:
-        between = fitted.between(START, END, _T)
         path = folder / "predicted_spec.bsdf"
-        predicted = predict(fitted, Between(START, END, _T), path, on_progress=step)
+        predicted = predict(fitted, _BETWEEN, path, on_progress=step)
     pictures = [folder / "slices.png", folder / "map.png"]
     slices(sources([START, END, str(path)], [], model), pictures[0])
     has_mitsuba = backend.is_available()
     with stage("Drawing the map") as step:
         if has_mitsuba and backend.choose().is_llvm:
-            ball_pictures.latent_map(model, pictures[1], marked=between, colour=_COLOUR, on_progress=step)
+            ball_pictures.latent_map(model, pictures[1], marked=_BETWEEN, on_progress=step)
         else:  # balls would take minutes
-            figures.save(plot_latents.latent_map(fitted, marked=between), pictures[1])
+            figures.save(plot_latents.latent_map(fitted, marked=fitted.require_latent(_BETWEEN)), pictures[1])
     if has_mitsuba:
         pictures += _with_mitsuba(folder, model, predicted.path, stage)
     with stage("Charting speed against accuracy") as step:

@@ -106,9 +106,9 @@ def subject_of_prediction(
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
     loaded.prepare(stages.begin("reading materials"))
-    chosen = choose_colour(loaded, x, colour)
-    brdf = loaded.predict(x, chosen.colours)
-    name = latent if isinstance(latent, str) else "predicted"
+    chosen = choose_colour(loaded, latent, colour)
+    brdf = loaded.predict(latent, chosen.colours)
+    name = latent if isinstance(latent, str) and loaded.path(latent) is None else "predicted"
     source = {
         "model": model.name,
         "model_sha256": file_sha256(model),

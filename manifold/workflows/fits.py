@@ -221,8 +221,8 @@ def fit_prediction(
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
     loaded.prepare(stages.begin("reading materials"))
-    chosen = choose_colour(loaded, x, colour)
-    brdf = loaded.predict(x, chosen.colours)
+    chosen = choose_colour(loaded, latent, colour)
+    brdf = loaded.predict(latent, chosen.colours)
     stages.begin("sampling")
     samples = fit_samples.from_brdf(brdf)
     source = Source(

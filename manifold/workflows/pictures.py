@@ -53,8 +53,8 @@ def sources(
         x = loaded.require_latent(latent)
         at = latent if isinstance(latent, str) else ", ".join(f"{v:.3g}" for v in x)
         label = f"predicted at {at}"
-        chosen = choose_colour(loaded, x, colour)
-        brdf = loaded.predict(x, chosen.colours)
+        chosen = choose_colour(loaded, latent, colour)
+        brdf = loaded.predict(latent, chosen.colours)
         found.append(Source(label, brdf, diagnostics.of_brdf(loaded, x, brdf, chosen)))
     if not found:
         raise UsageError(

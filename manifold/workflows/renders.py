@@ -168,6 +168,10 @@ def latent_source(
     loaded = load_model(model, library)
     if direct and isinstance(colour.reflectance, ReflectanceSpectrum):
         raise UsageError("direct renders take reflectances from a file; name one, or render a predicted file")
+    if direct and loaded.space.takes_colours and colour == NEAREST and loaded.path(latent) is not None:
+        raise UsageError(
+            "direct renders show the colours of latents, not those between two; leave --direct out"
+        )
     if direct:
         x = loaded.require_latent(latent)
         material = {
@@ -178,8 +182,8 @@ def latent_source(
         material |= {key: str(value) for key, value in vars(colour).items() if value is not None}
         if library is not None:
             material["library"] = str(library)
-        chosen = choose_colour(loaded, x, colour)
-        diagnosis = diagnostics.of_brdf(loaded, x, loaded.predict(x, chosen.colours), chosen)
+        chosen = choose_colour(loaded, latent, colour)
+        diagnosis = diagnostics.of_brdf(loaded, x, loaded.predict(latent, chosen.colours), chosen)
         yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly", diagnosis)
         return
     with temporary.folder() as folder:

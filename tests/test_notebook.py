@@ -13,8 +13,9 @@ from small_library import NAMES, measured, small_library, small_model
 from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.errors import ManifoldError, ShapeError, UsageError
+from manifold.errors import FileFormatError, ManifoldError, ShapeError, UsageError
 from manifold.fitting.principled import fit_bsdf
+from manifold.formats import read_readings
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
@@ -171,3 +172,11 @@ def test_the_way_between_two_materials_has_its_ends_and_stays_where_they_agree(m
     np.testing.assert_array_equal(model.between(a, b, 1.0), model.latent(b))
     for t in (0.1, 1.0 / 3.0, 0.5, 0.7):
         np.testing.assert_array_equal(model.between(a, a, t), model.latent(a))
+
+
+def test_an_rgl_file_where_readings_are_expected_is_said_to_be_a_whole_brdf(tmp_path):
+    write_bsdf(tmp_path / "a_rgb.bsdf", measured(NAMES[0]))
+    with pytest.raises(
+        FileFormatError, match="a whole BRDF, expected readings or a table; read it with manifold"
+    ):
+        read_readings(tmp_path / "a_rgb.bsdf")

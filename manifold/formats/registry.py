@@ -89,6 +89,11 @@ def unknown(path: Path) -> FileFormatError:
     """What to say of a file whose content is of none of these formats."""
     with path.open("rb") as stream:
         head = stream.read(_SNIFFED)
+    if head.startswith(MAGIC):
+        return FileFormatError(
+            f"{printable(path.name, 255)}: found an RGL file, a whole BRDF, expected readings or a table; read it with "
+            "manifold.read_bsdf, or write it as a table with `manifold convert`"
+        )
     what = name_format(head) if head else "an empty file"
     if path.suffix.lower() in _WORKBOOKS:
         what += ", no workbook with spectra"

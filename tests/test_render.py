@@ -343,3 +343,12 @@ def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, cap
     stderr = capsys.readouterr().err
     assert message in stderr
     assert len(stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="only LLVM variants compile kernels")
+def test_a_spectral_film_compiles_no_kernel_for_every_wavelength():
+    mi, dr = backend.mitsuba("spectral"), backend.drjit()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        render.colorimetric_film(mi, 8, RenderSettings().illuminant)
+        assert len(dr.kernel_history()) < 10  # of 471 wavelengths

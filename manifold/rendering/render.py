@@ -177,6 +177,10 @@ def colorimetric_film(mi: Any, size: int, illuminant: Illuminant) -> dict[str, A
 def _environment_spectrum(mi: Any, wavelengths_nm: Array) -> Array:
     """Radiance of a white environment of Mitsuba at wavelengths (K,)."""
     light = mi.load_dict({"type": "d65"})
+    if mi.variant().startswith("llvm"):  # all at once: a kernel is compiled for every wavelength otherwise
+        many = backend.drjit().zeros(mi.SurfaceInteraction3f, len(wavelengths_nm))
+        many.wavelengths = mi.Spectrum(mi.Float(wavelengths_nm.astype(np.float32)))
+        return np.array(light.eval(many), dtype=np.float64)[0]
     interaction = mi.SurfaceInteraction3f()
     values = np.empty(len(wavelengths_nm))
     for k, wavelength in enumerate(wavelengths_nm):

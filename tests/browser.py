@@ -29,6 +29,7 @@ class Visit:
     def open(self, address: str) -> None:
         """Load a page of the map and wait for its first picture."""
         self.address = address.split("#")[0]
+        self.errors.clear()  # of the page before, which its own test has judged
         self.page.goto("about:blank")  # else another fragment of the same page would not load it
         self.page.goto(address)
         self.page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")

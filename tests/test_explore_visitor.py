@@ -59,6 +59,7 @@ def opened(browser, address):
 def page(opened):
     """The open page as it was at the start, which leaves no error behind."""
     page = opened.page
+    opened.errors.clear()
     page.set_viewport_size({"width": 1280, "height": 900})
     page.evaluate("""() => {
       document.activeElement.blur();

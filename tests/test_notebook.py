@@ -180,3 +180,15 @@ def test_an_rgl_file_where_readings_are_expected_is_said_to_be_a_whole_brdf(tmp_
         FileFormatError, match="a whole BRDF, expected readings or a table; read it with manifold"
     ):
         read_readings(tmp_path / "a_rgb.bsdf")
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_directions_give_no_values_and_a_quadrature_needs_a_node(model):
+    wi, none, x = from_spherical(0.5, 0.0), np.zeros((0, 3)), model.X.mean(axis=0)
+    for brdf in (model.material(NAMES[0]), model.predict(x)):
+        assert brdf.eval(wi, none).shape == (0, 3)
+        assert brdf.pdf(wi, none).shape == (0,)
+        with pytest.raises(UsageError, match="resolution is 0, expected 1 or more"):
+            brdf.albedo(wi, resolution=0)
+        with pytest.raises(ShapeError, match="wi has a vector of length 2, expected unit vectors"):
+            brdf.albedo(2.0 * wi)

@@ -62,6 +62,12 @@ def require_brdf(brdf: object, where: str) -> None:
         )
 
 
+def require_resolution(resolution: int) -> None:
+    """Raise UsageError unless a quadrature has a node."""
+    if resolution < 1:
+        raise UsageError(f"resolution is {resolution}, expected 1 or more nodes")
+
+
 def _samplable(luminance: Array) -> Array:
     """Luminance (P, T, H, W) as a density: RGB files have a few values just below zero, black ones only zeros."""
     density = np.maximum(luminance, 0.0)
@@ -219,8 +225,13 @@ class MeasuredBRDF:
         """Directional albedo, shape (..., B): the midpoint rule on resolution^2 points of the warped square.
 
         There f * cos(theta_o) / pdf of the visible normals is nearly the smooth stored spectrum.
+
+        Raises:
+            ShapeError: as in `eval`.
+            UsageError: the resolution is below 1.
         """
         wi = require_directions(wi, "wi")
+        require_resolution(resolution)
         flat = np.ascontiguousarray(wi.reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self._bands.count))
         lookup.integrate(flat, self._isotropic, self._reduction, self.tables, sums)

@@ -110,9 +110,9 @@ class DirectionPairs:
             wi, wo = np.broadcast_arrays(wi, wo)
         except ValueError as error:
             raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
-        self._set(
-            np.ascontiguousarray(wi.reshape(-1, 3)), np.ascontiguousarray(wo.reshape(-1, 3)), wi.shape[:-1]
-        )
+        # No pairs at all are a view that must not be written, another type to compile for.
+        flat = [np.ascontiguousarray(w.reshape(-1, 3)) if w.size else np.empty((0, 3)) for w in (wi, wo)]
+        self._set(flat[0], flat[1], wi.shape[:-1])
 
     def _set(self, wi: Array, wo: Array, shape: tuple[int, ...]) -> None:
         self.wi, self.wo, self.shape = wi, wo, shape

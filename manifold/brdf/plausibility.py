@@ -8,8 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from manifold.brdf import valleys
-from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.directions import from_spherical, gauss_legendre, hemisphere_quadrature, rotate_z
+from manifold.brdf.measured import BRDF, MeasuredBRDF, require_resolution
+from manifold.directions import (
+    from_spherical,
+    gauss_legendre,
+    hemisphere_quadrature,
+    require_directions,
+    rotate_z,
+)
 from manifold.records import Array, BsdfFile
 
 Evaluate = Callable[[Array, Array], Array]
@@ -151,7 +157,8 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
         wi: incident unit vectors (..., 3).
         resolution: nodes in elevation and in azimuth.
     """
-    wi = np.asarray(wi, dtype=np.float64)
+    wi = require_directions(wi, "wi")
+    require_resolution(resolution)
     flat = wi.reshape(-1, 3)
     out = np.empty((len(flat), brdf.bands.count))
     for k, w in enumerate(flat):

@@ -14,6 +14,7 @@ from small_library import NAMES, small_library, small_model
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
+from manifold.directions import from_spherical
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.plots.explorer.actions import Context
@@ -149,6 +150,33 @@ def test_the_ball_of_the_page_is_that_of_the_package(visited, model, rng):
         errors.append(ball_colours.delta_e(shown, expected))
     print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
     assert np.mean(errors) < 1.0
+
+
+def test_a_path_has_the_colours_between_its_ends(visited, model):
+    """In reflectance and on the ball as `Manifold.interpolate`; pinned, and in a link, it stays so."""
+    page, (start, end), ball = visited.page, NAMES[:2], ball_colours.ball(rings=54, spokes=36)
+    x = model.between(start, end, 0.4).tolist()
+    path = {"from": start, "to": end, "t": 0.4}
+    page.evaluate("([x, path]) => window.explorer.change({ x, path, colour: 'blend' })", [x, path])
+    settle(page)
+    page.evaluate("window.explorer.balls.refine(0)")
+    brdf = model.interpolate(start, end, 0.4)
+    shown = srgb_to_xyz(decode_srgb(ball_of_page(page, ball.places)))
+    assert ball_colours.delta_e(shown, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands)) < 1.0
+    expected = brdf.albedo(from_spherical(np.deg2rad(8.0), 0.0))
+    assert np.allclose(page.evaluate("window.explorer.reflectance"), expected, atol=0.01)
+    assert f"40 % of the way from {start} to {end}" in page.locator("#caption").inner_text()
+    page.locator("#pin").click()
+    page.evaluate("window.explorer.goTo(2)")
+    settle(page)
+    link = page.evaluate("location.hash")
+    page.evaluate("window.explorer.reset()")
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
+    pinned = page.evaluate("window.explorer.pinned.prediction.reflectance()")
+    assert np.allclose(pinned, expected, atol=0.01)
+    page.locator("#unpin").click()
+    settle(page)
 
 
 @pytest.mark.slow

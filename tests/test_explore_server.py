@@ -226,7 +226,8 @@ def test_the_page_itself_needs_the_token(served):
         {"name": "../out"}, {"name": "/tmp/out"}, {"name": "a/b"}, {"name": "a\\b"}, {"name": ".."}, {"name": "-x"},
         {"name": ""}, {"name": "x" * 61}, {"name": "a\x00b"}, {"name": 3}, {"name": "a\n"},
         {"latent": [1.0]}, {"latent": ["1", "2"]}, {"latent": "--help"}, {"latent": [True, 1]},
-        {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]},
+        {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]}, {"latent": f"{NAMES[0]}:nobody:0.5"},
+        {"latent": f"{NAMES[0]}:{NAMES[1]}:1.5"}, {"latent": f"{NAMES[0]}:{NAMES[1]}:x"},
         {"like": "nobody"}, {"like": "--force"}, {"srgb": "red"}, {"srgb": "#12345g"},
         {"target": "gltf"}, {"like": NAMES[0], "srgb": "#112233"}, {"spectrum": [[400, 0.5]]},
         {"spectrum": "/etc/passwd"},
@@ -238,6 +239,11 @@ def test_hostile_requests_are_refused(served, context, changed):
     assert request(served, "POST", "/do/predict", HERE | changed)[0] == 400
     assert served.queue.jobs() == []
     assert files(context) == []
+
+
+def test_a_place_between_two_materials_is_passed_on(context):
+    place = f"{NAMES[0]}:{NAMES[1]}:0.25"
+    assert f"--latent={place}" in action("predict", HERE | {"latent": place}, context).arguments
 
 
 @pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"[" * 100_000, b"\xff\xfe", b'{"name": 1e400}'])

@@ -113,5 +113,19 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
     widget.colour = {"spectrum": [[380.0, 0.05], [780.0, 0.8]]}
     red, _, blue = widget.prediction().eval(wi, wo)[0]
     assert red > blue
+    path = (NAMES[0], NAMES[1], 0.4)
+    widget.latent, widget.colour = model.between(*path).tolist(), {"between": list(path)}
+    assert np.array_equal(widget.prediction().eval(wi, wo), model.interpolate(*path).eval(wi, wo))
+    widget.latent = [0.1, -0.1]  # from Python: it is on no path any more
+    assert np.array_equal(widget.prediction().eval(wi, wo), model.predict([0.1, -0.1]).eval(wi, wo))
     with pytest.raises(LatentError, match="found 1 coordinates"):
         widget.latent = [1.0]
+
+
+def test_a_path_on_the_page_is_one_in_python(page):
+    page.evaluate("([a, b]) => model.set('link', `path=${JSON.stringify([a, b, 0.5])}`)", NAMES[:2])
+    page.locator("#a #path-t").press("ArrowRight")
+    page.locator("#a #caption", has_text="of the way").wait_for()
+    start, end, t = page.evaluate("model.get('colour').between")
+    assert (start, end) == tuple(NAMES[:2])
+    assert 0.5 < t < 0.6

@@ -15,6 +15,7 @@ from typing import Any
 
 from manifold.errors import UsageError
 from manifold.fitting.exports import TARGETS
+from manifold.model.latents import on_path
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
@@ -77,9 +78,10 @@ def action(
 
     Args:
         kind: `predict`, `render`, `fit` or `export`.
-        request: `name` of the file without its ending, `latent`, and of colours at most one of `like`, `srgb` and
-            `spectrum`, rows of wavelength in nm and reflectance; `replace`, whether a file of that name may
-            be replaced; of an export also `target`, and `direct`, a boolean.
+        request: `name` of the file without its ending, `latent`, which may be `FROM:TO:T` between two materials,
+            and of colours at most one of `like`, `srgb` and `spectrum`, rows of wavelength in nm and reflectance;
+            `replace`, whether a file of that name may be replaced; of an export also `target`, and `direct`, a
+            boolean.
         context: of the page.
         is_taken: whether something is, or will be, at a path.
     Raises:
@@ -168,6 +170,11 @@ def _model(context: Context) -> tuple[str, ...]:
 
 
 def _latent(latent: Any, context: Context) -> str:
+    if isinstance(latent, str):
+        path = on_path(latent)
+        if path is None or not {path.start, path.end} <= set(context.names):
+            raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
+        return latent
     if not isinstance(latent, list) or len(latent) != context.latent_dim or not all(map(_is_number, latent)):
         raise UsageError(f"latent: expected {context.latent_dim} finite numbers")
     return ",".join(repr(float(v)) for v in latent)

@@ -291,15 +291,15 @@ export const controls = {
 
   listenToComparison() {
     this.byId("pin").addEventListener("click", () => {
-      const { x, at, colour, like, srgb, spectrum } = this.state;
-      this.change({ pin: structuredClone({ x, at, colour, like, srgb, spectrum }) });
+      const { x, at, colour, like, srgb, spectrum, path } = this.state;
+      this.change({ pin: structuredClone({ x, at, colour, like, srgb, spectrum, path }) });
     });
     this.byId("unpin").addEventListener("click", () => this.change({ pin: null }));
     this.byId("pinned").addEventListener("change", (event) => {
       const k = this.data.names.indexOf(event.target.value);
       const { like, srgb, spectrum } = this.state;
       const x = k >= 0 ? [...this.data.X[k]] : null;
-      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb, spectrum } : null });
+      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb, spectrum, path: null } : null });
     });
     const travel = (done) => {
       const [from, to, t] = [this.byId("path-from").value, this.byId("path-to").value, Number(this.byId("path-t").value)];

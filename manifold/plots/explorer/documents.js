@@ -1,5 +1,7 @@
 // What leaves the page: links and files; methods of the page.
 
+import { isBetween } from "./state.js";
+
 export const documents = {
   async copyLink() {
     this.commit();
@@ -18,7 +20,7 @@ export const documents = {
     const weights = Object.fromEntries(data.names.flatMap((name, k) => (prediction.u[k] > 0 ? [[name, prediction.u[k]]] : [])));
     const error = this.error();
     return {
-      library: data.library, latent: state.x, material: state.at ?? null, colour: this.choice(), weights,
+      library: data.library, latent: state.x, material: state.at ?? null, path: isBetween(state) ? state.path : null, colour: this.choice(), weights,
       [data.error?.what ?? "uncertainty"]: error, diagnostics: this.diagnostics(),
     };
   },

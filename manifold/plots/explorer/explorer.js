@@ -4,7 +4,7 @@ import { Materials } from "./numerics.js";
 import { BallRenderer } from "./ball.js";
 import { MapView } from "./map.js";
 import { drawReflectance, drawSlices } from "./plots.js";
-import { History, fromFragment, toFragment } from "./state.js";
+import { History, fromFragment, isBetween, toFragment } from "./state.js";
 
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
@@ -140,11 +140,16 @@ export class Explorer {
       Math.min(Math.max(linear.reduce((sum, v, c) => sum + v * data.fromSrgb[c][j], 0), 0), 1));
   }
 
+  /** The prediction of a state or pin: of a path in the colours between its ends, unless a colour is chosen. */
+  predicted(state) {
+    return isBetween(state) ? this.materials.between(state.path, state.x) : this.materials.predict(state.x, this.asked(state));
+  }
+
   // -- pictures ----------------------------------------------------------------------------------------------
 
   refresh() {
     const began = performance.now(), { state } = this;
-    this.prediction = this.materials.predict(state.x, this.asked(state));
+    this.prediction = this.predicted(state);
     this.refreshPin();
     if (this.balls) {
       this.balls.setSurface(0, this.prediction, state.illuminant);
@@ -174,7 +179,7 @@ export class Explorer {
     const { pin, illuminant } = this.state;
     const key = pin ? JSON.stringify([pin, illuminant]) : null;
     if (this.pinned.key === key) return;
-    this.pinned = { key, prediction: pin ? this.materials.predict(pin.x, this.asked(pin)) : null };
+    this.pinned = { key, prediction: pin ? this.predicted(pin) : null };
     if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant);
   }
 

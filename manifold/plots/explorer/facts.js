@@ -2,6 +2,7 @@
 
 import { deepestValley, fieldAt } from "./numerics.js";
 import { fixed, percent } from "./elements.js";
+import { isBetween } from "./state.js";
 
 const NEAREST = 6;
 const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
@@ -89,7 +90,9 @@ export const facts = {
     this.saying = setTimeout(() => (this.byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
   },
 
-  words({ x, at, colour, like, srgb, spectrum }) {
+  words(state) {
+    const { x, at, colour, like, srgb, spectrum, path } = state;
+    if (isBetween(state)) return `${percent(path.t)} of the way from ${path.from} to ${path.to}`;
     const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
     const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
     return named ? `${place}, ${named}` : place;

@@ -251,6 +251,24 @@ export class Materials {
     return new Prediction(this, u, this.combination(u, isOwn ? null : reflectance));
   }
 
+  /**
+   * The prediction on the path between two materials: both keep their colours, the others take on the reflectance
+   * between theirs, as of `Manifold.interpolate`.
+   */
+  between({ from, to, t }, x) {
+    const ends = [from, to].map((name) => this.index(name)), u = this.weights(x);
+    if (ends.some((k) => u[k] === 1)) return this.predict(x);
+    const [a, b] = ends.map((k) => this.data.reflectances[k]);
+    const coloured = this.combination(u, a.map((v, j) => (1 - t) * v + t * b[j]));
+    const kept = u.map((share, i) => (ends.includes(i) ? share : 0));
+    const others = 1 - kept.reduce((sum, share) => sum + share, 0);
+    const outputs = coloured.outputs.map((weights) => new Map([...weights].map(([row, w]) => [row, others * w])));
+    return new Prediction(this, u, {
+      outputs: [...this.wholeComponents(kept), ...outputs], coordinates: coloured.coordinates, missed: 0,
+      toNodes: coloured.toNodes.map((row, j) => [...this.data.basis[j], ...row]),
+    });
+  }
+
   /** Weights u of whole materials as sparse weights of components, per component. */
   wholeComponents(u) {
     const R = this.nComponents;

@@ -1,6 +1,7 @@
 // What only a served page can do: commands, asked of the program that serves it. A page that is a file has none.
 
 import { percent } from "./elements.js";
+import { isBetween } from "./state.js";
 
 const POLL = 600, LONGEST = 30_000; // ms between looks at what is being done; where no answer comes
 
@@ -20,6 +21,9 @@ const isSpectrum = (text) => {
   const lines = text.split(/\r?\n/).filter((line) => line.trim());
   return 2 * lines.filter(isPairOfNumbers).length > lines.length;
 };
+
+/** The place that commands are given: a latent, or FROM:TO:T between two materials. */
+const placeOf = (state) => (isBetween(state) ? [state.path.from, state.path.to, state.path.t].join(":") : state.x);
 
 /** A name that the program takes for a file, as near to a file's own as can be. */
 const plainName = (file) =>
@@ -74,7 +78,7 @@ class Actions {
   /** What the commands need to know of the place that is shown. */
   request() {
     const { state, spectrum } = this.explorer;
-    const request = { name: this.explorer.byId("action-name").value, latent: state.x, replace: this.replaces };
+    const request = { name: this.explorer.byId("action-name").value, latent: placeOf(state), replace: this.replaces };
     if (state.colour === "like") request.like = state.like;
     if (state.colour === "picked") request.srgb = state.srgb;
     if (state.colour === "file" && spectrum) request.spectrum = spectrum.rows;

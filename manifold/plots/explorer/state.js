@@ -23,6 +23,9 @@ export function lampWithin([x, y]) {
   return [x / r, y / r];
 }
 
+/** Whether a state or pin has the colours between two materials. */
+export const isBetween = ({ colour, path }) => colour === "blend" && Boolean(path) && path.t > 0 && path.t < 1;
+
 /** A state as the fragment of a link, without what is as at the start. */
 export function toFragment(state) {
   const parts = new URLSearchParams();
@@ -37,10 +40,13 @@ export function toFragment(state) {
     parts.set("pin", state.pin.at ?? place(state.pin.x));
     if (state.pin.colour === "like") parts.set("pin-like", state.pin.like);
     if (state.pin.colour === "picked") parts.set("pin-srgb", state.pin.srgb);
+    if (state.pin.path) parts.set("pin-path", written(state.pin.path));
   }
-  if (state.path) parts.set("path", JSON.stringify([state.path.from, state.path.to, state.path.t]));
+  if (state.path) parts.set("path", written(state.path));
   return parts.toString();
 }
+
+const written = ({ from, to, t }) => JSON.stringify([from, to, t]);
 
 /** The state of a fragment; whatever is not understood stays as at the start, and places stay within reach. */
 export function fromFragment(fragment, data) {
@@ -53,6 +59,14 @@ export function fromFragment(fragment, data) {
     const x = numbers(text, Q);
     return x && { x: within(reachOf(data.X), x) };
   };
+  const path = (key) => {
+    try {
+      const [from, to, t] = JSON.parse(parts.get(key));
+      return known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1 ? { from, to, t } : null;
+    } catch {
+      return null;
+    }
+  };
   Object.assign(state, place(parts.get("x")));
   if (known(parts.get("like"))) Object.assign(state, { colour: "like", like: parts.get("like") });
   if (colour(parts.get("srgb"))) Object.assign(state, { colour: "picked", srgb: parts.get("srgb") });
@@ -63,14 +77,12 @@ export function fromFragment(fragment, data) {
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
   const pin = place(parts.get("pin"));
   if (pin) {
-    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, ...pin };
+    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, path: null, ...pin };
+    state.pin.path = path("pin-path");
     if (known(parts.get("pin-like"))) Object.assign(state.pin, { colour: "like", like: parts.get("pin-like") });
     if (colour(parts.get("pin-srgb"))) Object.assign(state.pin, { colour: "picked", srgb: parts.get("pin-srgb") });
   }
-  try {
-    const [from, to, t] = JSON.parse(parts.get("path"));
-    if (known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1) state.path = { from, to, t };
-  } catch { /* no path */ }
+  state.path = path("path");
   return state;
 }
 

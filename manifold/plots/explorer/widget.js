@@ -2,6 +2,7 @@
 
 import { Materials } from "./numerics.js";
 import { Explorer } from "./explorer.js";
+import { isBetween } from "./state.js";
 
 /** The state of one view, kept in the model that all views share. */
 function linkTo(model, listening) {
@@ -14,8 +15,9 @@ function linkTo(model, listening) {
     read: () => model.get("link"),
     write: (fragment, explorer) => {
       if (model.get("link") === fragment) return;
-      const { colour, like, srgb } = explorer.state;
-      const chosen = { blend: {}, like: { like }, picked: { srgb }, file: { spectrum: explorer.spectrum?.rows } };
+      const { colour, like, srgb, path } = explorer.state;
+      const blend = isBetween(explorer.state) ? { between: [path.from, path.to, path.t] } : {};
+      const chosen = { blend, like: { like }, picked: { srgb }, file: { spectrum: explorer.spectrum?.rows } };
       model.set("link", fragment);
       model.set("latent", [...explorer.state.x]);
       model.set("colour", chosen[colour]);

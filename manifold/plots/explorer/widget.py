@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 try:
     import anywidget
     import traitlets
@@ -25,7 +27,8 @@ class MapWidget(anywidget.AnyWidget):
 
     Attributes:
         latent: where the point is, Q numbers; set it to move the point.
-        colour: chosen colour: empty, `like`, `srgb`, or `spectrum`, rows of nm and reflectance.
+        colour: chosen colour: empty, `like`, `srgb`, or `spectrum`, rows of nm and reflectance; on a path `between`,
+            two materials and t from 0 to 1.
         link: all that is shown, as in a link of the page; set it to restore what was shown.
     """
 
@@ -57,6 +60,9 @@ class MapWidget(anywidget.AnyWidget):
             UsageError: the colour cannot be used.
         """
         x, colour = self.model.require_latent(list(self.latent)), dict(self.colour)
+        path = colour.pop("between", None)
+        if path is not None and np.allclose(x, self.model.between(*path)):  # else the point was moved since
+            return self.model.interpolate(*path)
         rows = colour.pop("spectrum", None)
         if rows is not None:
             nm, values = zip(*rows, strict=True)

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
-from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
@@ -21,7 +20,7 @@ from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import Place
 from manifold.model.left_out import LEAST_MATERIALS, LeftOut, leave_out
-from manifold.model.materials import MaterialCache
+from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
@@ -89,7 +88,7 @@ class Manifold(LatentMap):
         """
         if not isinstance(library, Library):
             library = Library.open(library)
-        chosen = library.names if names is None else _chosen(library, names)
+        chosen = library.names if names is None else names_among(library, names)
         is_nonnegative = SPACES[settings.kind].is_nonnegative
         materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
         space, statistics = fit_space(materials, settings, on_progress)
@@ -291,11 +290,3 @@ class Manifold(LatentMap):
             model.notes = (change,)
             warnings.warn(change, LibraryChangedWarning, stacklevel=2)
         return model
-
-
-def _chosen(library: Library, names: Collection[str]) -> tuple[str, ...]:
-    """Some materials of a library, in its order. Raises UsageError where it lacks one."""
-    unknown = sorted(set(names) - set(library.names))
-    if unknown:
-        raise UsageError(f"{library.path.name} has no material '{unknown[0]}', expected some of its names")
-    return tuple(name for name in library.names if name in names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -136,3 +136,11 @@ class MaterialCache:
             return f"near are {', '.join(near)}"
         more = len(self.names) - _SHOWN_NAMES
         return f"it holds {', '.join(self.names[:_SHOWN_NAMES])}" + f" and {more} more" * (more > 0)
+
+
+def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
+    """Some materials of a library, in its order. Raises UsageError where it lacks one."""
+    unknown = sorted(set(names) - set(library.names))
+    if unknown:
+        raise UsageError(f"{library.path.name} has no material '{unknown[0]}', expected some of its names")
+    return tuple(name for name in library.names if name in names)

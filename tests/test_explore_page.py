@@ -173,6 +173,14 @@ def test_a_path_has_the_colours_between_its_ends(visited, model):
     page.evaluate("window.explorer.reset()")
     page.evaluate("(link) => { location.hash = link; }", link)
     settle(page)
+    page.evaluate(
+        "([a, b]) => { location.hash = '#path=' + encodeURIComponent(JSON.stringify([a, b, 0.4])); }",
+        NAMES[:2],
+    )
+    settle(page)
+    assert np.allclose(state(page)["x"], x)  # a path says where it is
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
     pinned = page.evaluate("window.explorer.pinned.prediction.reflectance()")
     assert np.allclose(pinned, expected, atol=0.01)
     page.locator("#unpin").click()

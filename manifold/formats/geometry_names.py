@@ -19,15 +19,8 @@ _NAME = re.compile(
 _45_0 = re.compile(r"[^\d]*(45\s*°?\s*[a-z]?\s*[/:_]\s*0|0\s*°?\s*[/:_]\s*45)\b\D*", re.IGNORECASE)
 _ASPECULAR = re.compile(r"(as(pecular)?)?\s*(?P<sign>[-_+])?\s*(?P<angle>\d+)\s*(°|deg)?", re.IGNORECASE)
 _UNIT = re.compile(r"\s*[(\[]?\s*%\s*[Rr]?\s*[)\]]?$")
-_USUAL_ASPECULAR = (
-    -15.0,
-    15.0,
-    20.0,
-    25.0,
-    45.0,
-    75.0,
-    110.0,
-)  # with light at 45 degrees: ASTM E2194, DIN 6175-2
+# with light at 45 degrees: ASTM E2194, DIN 6175-2
+_USUAL_ASPECULAR = (-15.0, 15.0, 20.0, 25.0, 45.0, 75.0, 110.0)
 
 
 def parse_geometry(text: str) -> tuple[float, float, float] | None:

@@ -32,29 +32,9 @@ _ANGLES = (
     ("phi_o", ("phio", "phis", "phir", "phiout", "outgoingphi", "phi")),
 )
 _NAMES = (
-    *(
-        "samplename",
-        "sample",
-        "name",
-        "dataname",
-        "measurementname",
-        "sampleid",
-        "sampleno",
-        "trialname",
-        "trial",
-    ),
-    *(
-        "batchname",
-        "batch",
-        "standardname",
-        "standard",
-        "materialname",
-        "material",
-        "colorname",
-        "colourname",
-        "id",
-    ),
-)  # heads of columns of names, the best first
+    "samplename", "sample", "name", "dataname", "measurementname", "sampleid", "sampleno", "trialname", "trial",
+    "batchname", "batch", "standardname", "standard", "materialname", "material", "colorname", "colourname", "id",
+)  # fmt: skip  # heads of columns of names, the best first
 PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 

@@ -50,10 +50,8 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 def latent_axes(axes: Axes, model: Manifold) -> None:
     """Title and labels of a map of latents; it says what a map of two dimensions cannot show."""
     dims = model.settings.latent_dim
-    count, synthetic = (
-        len(model.names),
-        sum(model.library.attributes(name).is_synthetic for name in model.names),
-    )
+    count = len(model.names)
+    synthetic = sum(model.library.attributes(name).is_synthetic for name in model.names)
     kind = {0: "measured materials", count: "synthetic materials"}.get(
         synthetic, f"materials, {synthetic} of them synthetic"
     )

@@ -20,7 +20,8 @@ export const documents = {
     const weights = Object.fromEntries(data.names.flatMap((name, k) => (prediction.u[k] > 0 ? [[name, prediction.u[k]]] : [])));
     const error = this.error();
     return {
-      library: data.library, latent: state.x, material: state.at ?? null, path: isBetween(state) ? state.path : null, colour: this.choice(), weights,
+      library: data.library, latent: state.x, material: state.at ?? null, path: isBetween(state) ? state.path : null,
+      colour: this.choice(), weights,
       [data.error?.what ?? "uncertainty"]: error, diagnostics: this.diagnostics(),
     };
   },

@@ -62,9 +62,12 @@ export function fromFragment(fragment, data) {
   const path = (key) => {
     try {
       const [from, to, t] = JSON.parse(parts.get(key));
-      return known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1 ? { from, to, t } : null;
+      if (!(known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1)) return { path: null };
+      const [a, b] = [from, to].map((name) => data.X[data.names.indexOf(name)]);
+      const between = t > 0 && t < 1 ? { x: a.map((v, q) => v + t * (b[q] - v)), at: undefined } : {};
+      return { ...between, path: { from, to, t } }; // the place is that of the path, however x was rounded
     } catch {
-      return null;
+      return { path: null };
     }
   };
   Object.assign(state, place(parts.get("x")));
@@ -77,13 +80,11 @@ export function fromFragment(fragment, data) {
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
   const pin = place(parts.get("pin"));
   if (pin) {
-    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, path: null, ...pin };
-    state.pin.path = path("pin-path");
+    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, ...pin, ...path("pin-path") };
     if (known(parts.get("pin-like"))) Object.assign(state.pin, { colour: "like", like: parts.get("pin-like") });
     if (colour(parts.get("pin-srgb"))) Object.assign(state.pin, { colour: "picked", srgb: parts.get("pin-srgb") });
   }
-  state.path = path("path");
-  return state;
+  return Object.assign(state, path("path"));
 }
 
 /** States before and after the present one. */

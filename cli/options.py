@@ -11,6 +11,8 @@ import typer
 
 from manifold.errors import UsageError
 
+from . import terminal
+
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
 
@@ -74,20 +76,13 @@ def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         if "," not in text and any(
-            re.search(r"[^\W\d]", word) and not _is_number(word) for word in text.split()
+            re.search(r"[^\W\d]", word) and not terminal.is_number(word) for word in text.split()
         ):
             return text
         raise UsageError(
-            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name"
+            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name, "
+            "or FROM:TO:T between two"
         ) from None
     if not all(map(math.isfinite, values)):
         raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
     return values
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -82,8 +82,8 @@ def walk(
 ) -> None:
     """Draw the path between two materials along the manifold, and below it their linear interpolation.
 
-    Along the manifold, the first row has reflectances interpolated between the two materials, the second the colours
-    that `predict` gives at the same latents.
+    Of blends, the first row has reflectances interpolated between the two materials, the second the colours that
+    `predict` gives at the same latents.
     """
     from manifold.workflows import ball_pictures
 

@@ -108,12 +108,12 @@ class Results:
             return
         cells = [[str(cell) for cell in row] for row in rows]
         widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
-        is_number = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]
+        is_numeric = [all(map(is_number, column)) for column in zip(*cells, strict=True)]
 
         def line(row: Sequence[str]) -> str:
             return "  ".join(
                 cell.rjust(width) if number else cell.ljust(width)
-                for cell, width, number in zip(row, widths, is_number, strict=True)
+                for cell, width, number in zip(row, widths, is_numeric, strict=True)
             ).rstrip()
 
         self.title(line(columns))
@@ -155,7 +155,8 @@ def _row(head: str, value: object) -> str:
     return broken.replace("\0", " ")
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is one number."""
     try:
         float(text)
     except ValueError:

@@ -162,9 +162,11 @@ def test_a_path_has_the_colours_between_its_ends(visited, model):
     page.evaluate("window.explorer.balls.refine(0)")
     brdf = model.interpolate(start, end, 0.4)
     shown = srgb_to_xyz(decode_srgb(ball_of_page(page, ball.places)))
-    assert ball_colours.delta_e(shown, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands)) < 1.0
+    found = ball_colours.delta_e(shown, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands))
+    assert found < 1.0  # what the page may differ by anywhere
     expected = brdf.albedo(from_spherical(np.deg2rad(8.0), 0.0))
-    assert np.allclose(page.evaluate("window.explorer.reflectance"), expected, atol=0.01)
+    found = page.evaluate("window.explorer.reflectance")
+    assert np.allclose(found, expected, atol=0.01)  # by spheres of different nodes
     assert f"40 % of the way from {start} to {end}" in page.locator("#caption").inner_text()
     page.locator("#pin").click()
     page.evaluate("window.explorer.goTo(2)")

@@ -30,7 +30,7 @@ _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions awa
 _LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
 SOFT_BEND = 0.3
-"""A `bend` that leaves no valleys beside peaks on pedestals; docs/design/goniometer.md."""
+"""A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/design/goniometer.md."""
 _WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
 _BELOW_HORIZON = 0.1  # how much normals count that mirror light below the horizon, where cells hold zeros
 _FADE = 0.5  # sine of the angle below the horizon at which they would count nothing
@@ -216,7 +216,7 @@ def measure(
         steepest: factor by which the normal distribution may fall from one of its nodes to the next.
         bend: how sharply its logarithm may turn from falling to level, as the coefficient of a parabola over nodes of
             the outgoing grid; `SOFT_BEND` for data whose peaks differ in width from incidence to incidence. None takes
-            it as it is: right for measured materials, whose peaks keep their width, and for what is made of them.
+            it as it is, which errs less for blends of measured materials.
         version: pipeline version; it decides what a set bit of `valid` means.
     Returns:
         A file whose evaluation interpolates the BRDF; cells whose outgoing direction lies below the horizon

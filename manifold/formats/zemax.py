@@ -21,9 +21,8 @@ from manifold.records import Array
 from manifold.system import atomic
 
 _UNNAMED_NM = 550.0
-_PADDING_FROM = np.cos(
-    np.deg2rad(75.0)
-)  # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
+# of zeros: instruments end at 75 to 85 degrees, tables at the horizon
+_PADDING_FROM = np.cos(np.deg2rad(75.0))
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
 
 

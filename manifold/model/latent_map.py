@@ -119,9 +119,8 @@ class LatentMap:
         """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
         start, end = self.latent(a), self.latent(b)
         way = end - start
-        return (
-            start + t * way if t < 0.5 else end - (1.0 - t) * way
-        )  # exact at both ends, and where they agree
+        # exact at both ends, and where they agree
+        return start + t * way if t < 0.5 else end - (1.0 - t) * way
 
     def require_latent(self, x: Place) -> Array:
         """A latent, the latent of a named material, or that of a place between two, as float64 (Q,).

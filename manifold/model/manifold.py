@@ -198,6 +198,9 @@ class Manifold(LatentMap):
 
         In a blend, a and b keep their colours; the other materials take on the reflectance between theirs. Where
         colours are fixed by latents, it is the prediction at the latent.
+
+        Raises:
+            UsageError: the model has no such material.
         """
         x = self.between(a, b, t)
         if not self.space.takes_colours:

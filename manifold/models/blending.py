@@ -86,8 +86,7 @@ def blend_layout(
         n_components: Q.
         cost: of blends of any number.
     Raises:
-        ShapeError: the matrices are not (N, N), or not finite.
-        ShapeError: all distances are zero.
+        ShapeError: the matrices are not (N, N), or not finite, or all distances are zero.
     Source: Kruskal 1964 for the stress, Torgerson 1952 for the start.
     """
     N = len(distance)

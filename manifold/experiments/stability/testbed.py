@@ -162,9 +162,8 @@ class TestBed:
             lit = light[:, None] * base
             colour = np.einsum("pb,pb->b", lit, f - black) / np.einsum("pb,pb->b", lit, base)
             nearest.append(self._ball.xyz(black + np.clip(colour, 0.0, 1.0) * base, BANDS))
-        xyz = np.stack(
-            nearest
-        )  # [roughnesses, K, 3]: together, since colour-science takes longest to be called
+        # [roughnesses, K, 3]: together, since colour-science takes longest to be called
+        xyz = np.stack(nearest)
         white = srgb_to_xyz(np.ones(3))
         return float(delta_e_2000(self._ball.xyz(f, BANDS)[None], xyz, white).mean(axis=1).min())
 

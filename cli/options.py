@@ -75,9 +75,11 @@ def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        if "," not in text and any(
+        is_path = text.count(":") > 1  # between any names, which may hold commas
+        is_name = "," not in text and any(
             re.search(r"[^\W\d]", word) and not terminal.is_number(word) for word in text.split()
-        ):
+        )
+        if is_path or is_name:
             return text
         raise UsageError(
             f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name, "

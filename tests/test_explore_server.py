@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import http.client
 import json
 import socket
@@ -244,6 +245,9 @@ def test_hostile_requests_are_refused(served, context, changed):
 def test_a_place_between_two_materials_is_passed_on(context):
     place = f"{NAMES[0]}:{NAMES[1]}:0.25"
     assert f"--latent={place}" in action("predict", HERE | {"latent": place}, context).arguments
+    named = dataclasses.replace(context, names=("lab:red", "lab:blue"))
+    place = "lab:red:lab:blue:0.25"
+    assert f"--latent={place}" in action("predict", HERE | {"latent": place}, named).arguments
 
 
 @pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"[" * 100_000, b"\xff\xfe", b'{"name": 1e400}'])

@@ -10,6 +10,7 @@ from manifold.cli.options import parse_latent
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.library.store import Library
+from manifold.model.latents import on_path
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
 from manifold.model.predicted_file import predict
@@ -74,3 +75,25 @@ def test_what_is_neither_numbers_nor_a_name_is_refused(text):
         UsageError, match=r"expected numbers separated by commas, like -0\.3,1\.2, or a material"
     ):
         parse_latent(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "expected"),
+    [
+        ("a:b:0.5", {"a", "b"}, ("a", "b", 0.5)),
+        ("lab:red:lab:blue:1e-3", {"lab:red", "lab:blue", "lab"}, ("lab:red", "lab:blue", 0.001)),
+        ("red:lab:blue:1", {"red", "lab:blue"}, ("red", "lab:blue", 1.0)),
+        ("3:a, b:0", {"3", "a, b"}, ("3", "a, b", 0.0)),
+        ("a:b:0.5", {"a", "b", "a:b:0.5"}, None),
+        ("lab:red:matt", {"lab:red:mat"}, None),
+        ("a:0.5", {"a"}, None),
+    ],
+)
+def test_a_path_is_between_any_two_names(text, names, expected):
+    assert on_path(text, names) == expected
+    assert parse_latent(text) == text
+
+
+def test_a_path_that_could_be_two_is_refused():
+    with pytest.raises(UsageError, match="from 'a' to 'b:c', and from 'a:b' to 'c'"):
+        on_path("a:b:c:0.5", {"a", "b:c", "a:b", "c"})

@@ -136,7 +136,7 @@ class LatentMap:
 
     def path(self, x: Place) -> OnPath | None:
         """The path that a place `FROM:TO:T` lies on; None for other places."""
-        return on_path(x) if isinstance(x, str) and x not in self.names else None
+        return on_path(x, self.names) if isinstance(x, str) else None
 
     def _at(self, x: ArrayLike, function: Callable[[Array], Array]) -> Array:
         X = require_latents(x, self.settings.latent_dim)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,22 +25,31 @@ class OnPath(NamedTuple):
     t: float
 
 
-def on_path(text: str) -> OnPath | None:
-    """What `FROM:TO:T` says; None where the text is no such thing.
+def on_path(text: str, names: Collection[str]) -> OnPath | None:
+    """What `FROM:TO:T` says; None where the text is a name itself, or no such thing.
+
+    Names may hold colons: of the ways to split the text, it is the one that gives two materials.
 
     Raises:
-        UsageError: T is not from 0 to 1.
+        UsageError: T is not from 0 to 1, or there are several such ways.
     """
-    parts = re.fullmatch(r"(.+):([^:]+):([^:]+)", text)
-    if parts is None:
-        return None
+    *parts, last = text.split(":")
+    ways = [(":".join(parts[:k]), ":".join(parts[k:])) for k in range(1, len(parts))]
+    known = [way for way in ways if set(way) <= set(names)]
     try:
-        t = float(parts[3])
+        t = float(last)
     except ValueError:
-        t = -1.0
+        t = np.nan
+    if text in names or not ways or (not known and np.isnan(t)):
+        return None
     if not 0.0 <= t <= 1.0:
-        raise UsageError(f"'{text}': found '{parts[3]}' after two materials, expected a number from 0 to 1")
-    return OnPath(parts[1], parts[2], t)
+        raise UsageError(f"'{text}': found '{last}' after two materials, expected a number from 0 to 1")
+    if len(known) > 1:
+        pairs = ", and ".join(f"from '{start}' to '{end}'" for start, end in known)
+        raise UsageError(
+            f"'{text}' is {pairs}; use `Manifold.interpolate` in Python, or names without colons"
+        )
+    return OnPath(*(known or ways[-1:])[0], t)
 
 
 def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:

@@ -171,7 +171,7 @@ def _model(context: Context) -> tuple[str, ...]:
 
 def _latent(latent: Any, context: Context) -> str:
     if isinstance(latent, str):
-        path = on_path(latent)
+        path = on_path(latent, context.names)
         if path is None or not {path.start, path.end} <= set(context.names):
             raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
         return latent

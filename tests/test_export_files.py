@@ -209,6 +209,9 @@ def test_blender_s_script_sets_the_parameters(tmp_path, name):
     exec(compile(ast.parse(text.replace("import bpy", "")), str(path), "exec"), namespace)
     assert shader.inputs["Base Color"].default_value == (*made.parameters["Base Color"], 1.0)
     assert shader.inputs["Roughness"].default_value == made.parameters["Roughness"]
+    namespace = {"bpy": _Bpy(material, (3, 6, 5))}
+    with pytest.raises(RuntimeError, match=r"needs Blender 4.0 or later, found 3.6.5"):
+        exec(compile(ast.parse(text.replace("import bpy", "")), str(path), "exec"), namespace)
 
 
 class _Socket:
@@ -230,9 +233,10 @@ class _Material:
 
 
 class _Bpy:
-    """As much of Blender as the script touches."""
+    """As much of Blender as the script touches; tests/test_export_blender.py runs it in Blender."""
 
-    def __init__(self, material):
+    def __init__(self, material, version=(5, 0, 0)):
+        self.app = type("App", (), {"version": version, "version_string": ".".join(map(str, version))})()
         self.data = type("Data", (), {"materials": {}})()
         self.data.materials = type("Materials", (), {"get": lambda self, name: material})()
 

@@ -30,25 +30,33 @@ DEFAULTS: dict[str, Any] = {
 
 _SCRIPT = '''"""{sentence}
 
-Run in Blender's text editor, or: blender --background FILE.blend --python THIS. Colours are scene-linear Rec. 709.
+Run in Blender's text editor, or: blender FILE.blend --python THIS. It creates the material or changes the one of its
+name, and keeps it where no object uses it yet; save the file afterwards. Colours are scene-linear Rec. 709.
 """
 
 import bpy
+
+if bpy.app.version < (4, 0, 0):  # its Principled BSDF has other sockets
+    raise RuntimeError("this material needs Blender 4.0 or later, found " + bpy.app.version_string)
 
 NAME = {name}
 VALUES = {values}
 
 material = bpy.data.materials.get(NAME) or bpy.data.materials.new(NAME)
-material.use_nodes = True
+material.use_fake_user = True
+if bpy.app.version < (5, 0, 0):  # later, materials always have nodes
+    material.use_nodes = True
 nodes = material.node_tree.nodes
 shader = next((n for n in nodes if n.type == "BSDF_PRINCIPLED"), None)
 if shader is None:
     shader = nodes.new("ShaderNodeBsdfPrincipled")
     output = next((n for n in nodes if n.type == "OUTPUT_MATERIAL"), None) or nodes.new("ShaderNodeOutputMaterial")
     material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+shader.distribution = "MULTI_GGX"
 for key, value in VALUES.items():
     shader.inputs[key].default_value = (*value, 1.0) if isinstance(value, list) else value
 '''
+_NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again
 
 
 def parameters(material: Principled) -> dict[str, Any]:
@@ -76,7 +84,8 @@ def script(export: Export) -> str:
     """Python for Blender that makes or changes the material of this name."""
     values = "{\n" + "".join(f"    {k!r}: {v!r},\n" for k, v in export.parameters.items()) + "}"
     sentence = export.sentence().replace("\\", "/").replace('"', "'")
-    return _SCRIPT.format(sentence=sentence, name=repr(export.name), values=values)
+    name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
+    return _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
 
 
 def read_script(text: str) -> dict[str, Any]:

@@ -34,6 +34,11 @@ class Export:
     principled_loss: float | None = None
     loss_against: str | None = None
 
+    @property
+    def label(self) -> str:
+        """The name, with a question mark for what does not print, which programs refuse in names."""
+        return "".join(c if c.isprintable() else "?" for c in self.name)
+
     def about(self) -> dict[str, Any]:
         """Everything but the parameters, as plain values."""
         return {
@@ -49,10 +54,10 @@ class Export:
 
     def sentence(self) -> str:
         """One line for people."""
-        text = f"{self.name}: Exported by manifold {__version__} for {self.target}"
+        text = f"{self.label}: Exported by manifold {__version__} for {self.target}"
         if self.loss is not None:
             text += f"; mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
-        return "".join(c if c.isprintable() else "?" for c in text)
+        return text
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

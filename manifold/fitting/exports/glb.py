@@ -25,7 +25,7 @@ _FLOAT, _UINT16, _VERTICES, _INDICES = 5126, 5123, 34962, 34963
 
 def glb(export: Export) -> bytes:
     """The file: nodes `ball` and `plane`, one material, loss and source among its extras."""
-    material = gltf.to_json(export.parameters, export.name) | {"extras": export.about()}
+    material = gltf.to_json(export.parameters, export.label) | {"extras": export.about()}
     is_anisotropic = "KHR_materials_anisotropy" in material.get("extensions", {})
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"Exported by manifold {__version__}"},

@@ -1,4 +1,4 @@
-"""Commands about models: embed, predict, locate."""
+"""Commands about models: embed, predict, locate; and reconstruct, which needs none."""
 
 from __future__ import annotations
 
@@ -23,6 +23,20 @@ AUTO = "auto"
 Kind = Literal["blend", "monochrome", "material"]
 Optimizer = Literal["dls", "l-bfgs", "multistart"]
 Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
+MeasuredArgument = Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")]
+WithoutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--without", help="Leave out this material of the library; may be repeated.", metavar="NAME"
+    ),
+]
+ForceAlbedoOption = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Write it even if its albedo exceeds 1.05, and allow overwriting files of another kind.",
+    ),
+]
 
 
 @app.command(
@@ -88,6 +102,7 @@ def embed(
             "support cube-root only."
         ),
     ] = "cube-root",
+    without: WithoutOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Embed the materials of a library into a low-dimensional manifold."""
@@ -108,7 +123,7 @@ def embed(
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
     made = pipeline.embed(
-        library, model, Settings(kind=kind, **chosen),
+        library, model, Settings(kind=kind, **chosen), without=without or (),
         auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
     )  # fmt: skip
     fitted, settings = made.model, made.model.settings
@@ -183,13 +198,7 @@ def predict(
     reflectance: options.ReflectanceOption = None,
     srgb: options.SrgbOption = None,
     physical: options.PhysicalOption = False,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force",
-            help="Write it even if its albedo exceeds 1.05, and allow overwriting files of another kind.",
-        ),
-    ] = False,
+    force: ForceAlbedoOption = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -276,9 +285,20 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     epilog="Example: manifold locate my_paint_spec.bsdf",
 )
 def locate(
-    path: Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")],
+    path: MeasuredArgument,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Also write the reconstruction: the prediction at the latent, in the colours of the file.",
+            metavar="FILE",
+        ),
+    ] = None,
+    physical: options.PhysicalOption = False,
+    force: ForceAlbedoOption = False,
     json: options.JsonOption = None,
 ) -> None:
     """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON."""
@@ -287,18 +307,53 @@ def locate(
 
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
-        found = located.locate(model, path, library=library, on_progress=step)
+        found = located.locate(
+            model, path, output, library=library, physical=physical, force=force, on_progress=step
+        )
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
-        "reconstruction error": [
-            f"{found.ball:.1f} CIEDE2000 of the ball",
-            f"{found.cube_root_error:.0%} cube-root error",
-            f"{found.relative_error:.0%} linear",
-        ],
-        "expected error there": in_words(found.expected_ball, found.expected_cube_root),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
+        "expected error there": in_words(found.expected_ball, found.expected_cube_root),
     }
-    if found.diagnostics:
-        rows["diagnostics"] = list(found.diagnostics)
-    results.rows(f"Located {path}", rows)
+    results.rows(f"Located {path}", rows | found.reconstruction.rows)
     results.document(found.to_json())
+
+
+@app.command(
+    "reconstruct",
+    short_help="Write a measured file as a combination of a library's materials.",
+    epilog="Example: manifold reconstruct my_paint_spec.bsdf -o nearest_spec.bsdf",
+)
+def reconstruct(
+    path: MeasuredArgument,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
+    without: WithoutOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="The file to write. [default: reconstructed.bsdf]", metavar="FILE"
+        ),
+    ] = None,
+    physical: options.PhysicalOption = False,
+    force: ForceAlbedoOption = False,
+    json: options.JsonOption = None,
+) -> None:
+    """Reconstruct a measured material from a library, by non-negative least squares in every band.
+
+    The most accurate description of a new material by measured ones: single bands of all materials, and analytic
+    lobes, with weights that are never negative. It needs no model, and has no latent.
+    """
+    from manifold.model import reconstructed
+
+    results = terminal.Results(json)
+    target = or_default(output, "reconstructed.bsdf", "reconstruct", force)
+    with terminal.progress("Reading materials") as step:
+        made = reconstructed.reconstruct_file(
+            library, path, target, without=without or (), physical=physical, force=force, on_progress=step
+        )
+    rows: dict[str, object] = {
+        "combination of": f"{made.materials} materials, and analytic lobes",
+        "largest shares": [f"{name} ({share:.2f})" for name, share in made.parts],
+    }
+    results.rows(f"Reconstructed {path}", rows | made.reconstruction.rows)
+    results.document(made.to_json())

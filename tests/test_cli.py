@@ -19,13 +19,17 @@ from conftest import REPOSITORY
 from sample_files import write_samples
 from small_library import NAMES, measured, small_library, small_model
 
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.metrics import relative_error
+from manifold.model.decoding import encoding_pairs
 from manifold.model.manifold import Manifold
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
-    "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "report",
+    "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "reconstruct", "report",
     "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget", "export",
 )  # fmt: skip
 
@@ -415,6 +419,73 @@ def test_a_file_of_the_library_is_located_at_its_material(run, folder):
     assert found["nearest"][0][0] == "syn_satin_gold"
     assert found["relative_error"] < 0.2
     assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
+
+
+def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_path):
+    file, output = folder / "files" / "syn_satin_gold_rgb.bsdf", tmp_path / "again_rgb.bsdf"
+    code, out, _ = run("locate", file, "-o", output, "--json", "-", cwd=folder)
+    found = json.loads(out)
+    model = Manifold.load(folder / "model.h5")
+    predicted = model.predict(found["latent"], np.array(found["colours"]))
+    wi, wo = _some_pairs()
+    assert code == 0
+    assert found["output"] == str(output)
+    assert MeasuredBRDF(read_bsdf(output)).eval(wi, wo) == pytest.approx(predicted.eval(wi, wo), rel=0.05)
+    assert f"latent ({','.join(found['coordinates'])})".replace(",", ", ") in read_bsdf(output).description
+
+
+def test_a_file_is_reconstructed_from_a_library_with_and_without_itself(run, folder, tmp_path):
+    file = folder / "files" / "syn_satin_gold_rgb.bsdf"
+    made = {}
+    for name, without in (("with", ()), ("without", ("--without", "syn_satin_gold"))):
+        output = tmp_path / f"{name}_rgb.bsdf"
+        code, out, err = run("reconstruct", file, *without, "-o", output, "--json", "-", cwd=folder)
+        assert code == 0, err
+        made[name] = json.loads(out)
+        error = relative_error(*_two_materials(file, output))
+        assert error == pytest.approx(made[name]["relative_error"], abs=0.05)
+    assert (made["with"]["materials"], made["without"]["materials"]) == (len(NAMES), len(NAMES) - 1)
+    assert made["with"]["parts"][0][0] == "syn_satin_gold"
+    assert "syn_satin_gold" not in dict(made["without"]["parts"])
+    assert made["with"]["ball"] < 0.1 < made["without"]["ball"]
+    assert any("--without syn_satin_gold" in note for note in made["with"]["diagnostics"])
+    assert not any("--without" in note for note in made["without"]["diagnostics"])
+
+
+def test_materials_are_held_out_of_a_model(run, folder, tmp_path):
+    model = tmp_path / "fewer.h5"
+    held_out = ("--without", "syn_satin_gold", "--without", "syn_gloss_red")
+    assert run("embed", *held_out, "-M", model, cwd=folder)[0] == 0
+    assert set(Manifold.load(model).names) == set(NAMES) - {"syn_satin_gold", "syn_gloss_red"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("embed", "-M", "other.h5"), ("reconstruct", "files/syn_satin_gold_rgb.bsdf")],
+)
+def test_a_held_out_name_that_the_library_lacks_is_told_with_those_like_it(run, folder, arguments):
+    code, _, err = run(*arguments, "--without", "satin", cwd=folder)
+    assert code == 2
+    assert "no material 'satin' in library.zarr; near are syn_satin_gold" in one_line(err)
+
+
+def test_nothing_is_reconstructed_from_no_material(run, folder):
+    held_out = [word for name in NAMES for word in ("--without", name)]
+    code, _, err = run("reconstruct", "files/syn_satin_gold_rgb.bsdf", *held_out, cwd=folder)
+    assert code == 2
+    assert "no material is left" in one_line(err)
+    assert not (folder / "reconstructed.bsdf").exists()
+
+
+def _some_pairs():
+    rng = np.random.default_rng(0)
+    return (from_spherical(rng.uniform(0.1, 1.2, 50), rng.uniform(-3.0, 3.0, 50)) for _ in range(2))
+
+
+def _two_materials(*files):
+    """Values of two files on the grid of reports, and the weights of its pairs."""
+    pairs = encoding_pairs()
+    return *(MeasuredBRDF(read_bsdf(file)).eval(pairs.wi, pairs.wo) for file in files), pairs.cosines
 
 
 def test_mixing_bands_is_refused(run, folder, tmp_path):

@@ -30,6 +30,7 @@ WORKS = {
     "embed": ["embed"],
     "predict": ["predict", "--latent", "0.1,0.1", "--srgb", "#c87832", "-o", "made.bsdf"],
     "locate": ["locate", "files/syn_satin_gold_rgb.bsdf"],
+    "reconstruct": ["reconstruct", "files/syn_satin_gold_rgb.bsdf", "--without", "syn_satin_gold"],
     "slices": ["slices", "made.bsdf", "syn_satin_gold"],
     "map": ["map", "--mark", "0.1,0.1"],
     "report": ["report", "--picture", "report.png"],

@@ -44,7 +44,7 @@ class MaterialCache:
             UsageError: there is none of that name.
         """
         if name not in self.names:
-            raise UsageError(f"no material '{name}' in this model; {self._names_like(name)}")
+            raise UsageError(f"no material '{name}' in this model; {_names_like(self.names, name)}")
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
@@ -128,19 +128,27 @@ class MaterialCache:
                     on_progress(done, len(names), material.name)
         return loaded
 
-    def _names_like(self, name: str) -> str:
-        """Similar names for an error message: those that contain a name, or are close matches."""
-        within = [known for known in self.names if name and name.lower() in known.lower()]
-        near = (within or difflib.get_close_matches(name, self.names))[:_SHOWN_NAMES]
-        if near:
-            return f"near are {', '.join(near)}"
-        more = len(self.names) - _SHOWN_NAMES
-        return f"it holds {', '.join(self.names[:_SHOWN_NAMES])}" + f" and {more} more" * (more > 0)
+
+def _names_like(names: Sequence[str], name: str) -> str:
+    """Similar names for an error message: those that contain a name, or are close matches."""
+    within = [known for known in names if name and name.lower() in known.lower()]
+    near = (within or difflib.get_close_matches(name, names))[:_SHOWN_NAMES]
+    if near:
+        return f"near are {', '.join(near)}"
+    more = len(names) - _SHOWN_NAMES
+    return f"it holds {', '.join(names[:_SHOWN_NAMES])}" + f" and {more} more" * (more > 0)
 
 
 def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
     """Some materials of a library, in its order. Raises UsageError where it lacks one."""
     unknown = sorted(set(names) - set(library.names))
     if unknown:
-        raise UsageError(f"{library.path.name} has no material '{unknown[0]}', expected some of its names")
+        near = _names_like(library.names, unknown[0])
+        raise UsageError(f"no material '{unknown[0]}' in {library.path.name}; {near}")
     return tuple(name for name in library.names if name in names)
+
+
+def names_without(library: Library, names: Collection[str]) -> tuple[str, ...]:
+    """The other materials of a library, in its order. Raises UsageError where it lacks one that is named."""
+    left_out = names_among(library, names)
+    return tuple(name for name in library.names if name not in left_out)

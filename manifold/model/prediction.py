@@ -26,6 +26,7 @@ from manifold.system.parallel import one_blas_thread
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
 BLOCK_PAIRS = 2048
+_SHOWN_PARTS = 3
 
 
 def _block_size(n_pairs: int) -> int:
@@ -83,10 +84,19 @@ class PredictedBRDF:
         self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
 
     def __repr__(self) -> str:
-        largest = np.argsort(-self._sampling_weights)[:3]
-        names = [getattr(self._samplers[k], "name", "analytic lobes") for k in largest]
-        more = ", ..." if len(self._samplers) > len(largest) else ""
-        return f"<PredictedBRDF: {self.bands}, of {', '.join(names)}{more}>"
+        names = [name for name, _ in self.parts]
+        more = ", ..." if len(names) > _SHOWN_PARTS else ""
+        return f"<PredictedBRDF: {self.bands}, of {', '.join(names[:_SHOWN_PARTS])}{more}>"
+
+    @property
+    def parts(self) -> list[tuple[str, float]]:
+        """What is combined, materials and analytic lobes, with shares of the sum of |weights|; the largest first."""
+        order = np.argsort(-self._sampling_weights, kind="stable")
+        return [
+            (getattr(self._samplers[k], "name", "analytic lobes"), float(self._sampling_weights[k]))
+            for k in order
+            if self._sampling_weights[k] > 0.0
+        ]
 
     def _sampled_parts(self, totals: Array) -> tuple[Array, list[LobeSampling]]:
         """Sampling weights of materials and lobes, from those of samples or atoms; drops lobes without weight."""

@@ -5,7 +5,7 @@ Reports, figures and choices are imported where they are used: with scikit-learn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
+from manifold.model.materials import names_without
 from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
 from manifold.system.stages import with_progress
@@ -42,26 +43,28 @@ def embed(
     model: Path,
     settings: Settings,
     *,
+    without: Collection[str] = (),
     auto_mapping: bool = False,
     auto_latent_dim: bool = False,
     stage: Stage = no_stage,
 ) -> Embedding:
-    """Fit a manifold to a library and save it; see `selection.choose` for what `auto` means."""
+    """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`."""
     atomic.require_writable(model)
     opened = Library.open(library)
+    names = names_without(opened, without)
     candidates: list[Candidate] = []
     if auto_mapping or auto_latent_dim:
         from manifold.experiments.evaluation import selection
 
         with stage("Reading materials") as step:
-            names = with_progress(opened.names, step, str)
-            materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in names]
+            read = with_progress(names, step, str)
+            materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in read]
         with stage("Leaving materials out") as step:
             settings, candidates = selection.choose(
                 materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim, on_progress=step
             )
     with stage("Embedding") as step:
-        fitted = Manifold.fit(opened, settings, step)
+        fitted = Manifold.fit(opened, settings, step, names=names)
     with stage("Leaving each material out") as step:
         fitted.calibrate(step)
     fitted.save(model)

@@ -119,7 +119,7 @@ def _embedded(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
             found = locate(Path(folder, "model.h5"), Path(folder, "spoilt_rgb.bsdf"))
         whole = bed.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
         there = model.predict(np.array(found.latent))
-        return Measurement(bed.error(there, model.predict(whole)), found.diagnostics)
+        return Measurement(bed.error(there, model.predict(whole)), found.reconstruction.diagnostics)
 
     return trial
 

@@ -163,7 +163,7 @@ def _located(damage: Damage) -> Trial:
         with _copy(bed) as folder:
             damage(folder, severity)
             found = locate(folder / "model.h5", folder / _FILE)
-        return Measurement(float(severity > 0), found.diagnostics)
+        return Measurement(float(severity > 0), found.reconstruction.diagnostics)
 
     return trial
 

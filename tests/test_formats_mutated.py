@@ -9,6 +9,7 @@ import zipfile
 import numpy as np
 import pytest
 from instrument_files import SUFFIXES, write_every_format
+from test_formats_layouts import LAYOUTS, write_csv
 
 from manifold.errors import ManifoldError
 from manifold.formats import registry
@@ -112,6 +113,12 @@ def run(name: str, data: bytes, count: int, folder) -> int:
 @pytest.mark.parametrize("name", SUFFIXES)
 def test_damaged_files_end_in_one_line_or_a_whole_record(contents, name, tmp_path):
     run(name, contents[name], {"merl": 8, "mini-diff": 20}.get(name, 100), tmp_path)
+
+
+@pytest.mark.parametrize("layout", ["45as-15 400", "two header rows", "a row per value"])
+def test_damaged_tables_of_other_layouts_end_in_one_line_or_a_whole_record(layout, tmp_path):
+    write_csv(tmp_path / "table.csv", LAYOUTS[layout])
+    run("csv", (tmp_path / "table.csv").read_bytes(), 40, tmp_path)
 
 
 @pytest.mark.slow

@@ -137,15 +137,6 @@ def test_percent_in_a_title_is_believed_where_values_could_be_factors(tmp_path):
     np.testing.assert_allclose(np.pi * found.values[0], [0.012, 0.013, 0.014])
 
 
-def test_a_row_per_wavelength_of_every_geometry_is_no_table(tmp_path):
-    """Its rows begin as a header does: a geometry, and a number that could be a wavelength."""
-    rows = [f"A,{g},{nm},0.{nm}\n" for g in MA_T12_NAMES[:3] for nm in (400, 500, 600)]
-    path = tmp_path / "long.csv"
-    path.write_text("Sample,Geometry,Wavelength,Reflectance\n" + "".join(rows))
-    with pytest.raises(FileFormatError, match="expected columns of wavelengths"):
-        registry.read_readings(path)
-
-
 def test_a_sample_without_any_value_is_refused(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text(re.sub(r"0\.\d{7}", "", spectro_table()))
@@ -279,6 +270,12 @@ def test_units_behind_geometries_are_percent(tmp_path):
         ),
         ("Geometry,400,500,600\nd/8 SPIN,1,2,3\n", "at geometry 'd/8 SPIN'"),
         ("Name,400,500,600\nA,1,2,3\n", "beside a column of geometries"),
+        ("Name,Angle,400,500,600\nA,25,1,2,3\nA,45,1,2,3\nA,75,1,2,3\n", "45as25 ... or 25/0"),
+        ("Geometry,400,500\n45/25,1,2\n45/75,1,2\n", "write 45as25 or 45as20"),
+        ("Name,45as15 400,45as15 500,45as15 400 nm\nA,1,2,3\n", "row 1: two columns of 400 nm at 45as15"),
+        ("Name,45as15 400,45as15 500,45as25 400\nA,1,2,3\nB,1,2,O.3\n", "row 3, column 4: found 'O.3'"),
+        ("Name,45as15 400,45as15 500,45as25 400\nA,1,2\n", "row 2, column 4: the row ends after 3"),
+        ("nm,45as15,45as25,45as45\n400,1,2,x\n500,1,2,3\n600,1,2,3\n", "row 2, column 4: found 'x'"),
     ],
 )
 def test_tables_that_hold_no_reflectance_at_a_geometry_are_refused(table, words, tmp_path):

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import to_spherical
-from manifold.formats.geometry_names import parse_aspecular, parse_geometry
+from manifold.formats.geometry_names import can_be_geometry
 from manifold.formats.readings import Readings
-from manifold.formats.spectro_table import parse_wavelength, read_table
+from manifold.formats.spectro_table import read_table
+from manifold.formats.table_cells import parse_wavelength, plain_table
+from manifold.formats.table_layouts import names_both
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
@@ -31,8 +33,8 @@ def sniff(head: bytes) -> bool:
     text = decode(head)
     if "\0" in text:
         return False
-    lines = [line for line in text.splitlines() if line.strip()][:60]
-    for line in lines:
+    rows_of_both = 0
+    for line in [line for line in text.splitlines() if line.strip()][:60]:
         words = line.lower()
         separator = _separator(line)
         if separator is None:
@@ -40,13 +42,20 @@ def sniff(head: bytes) -> bool:
         if "geometr" in words or re.search(r"theta\W?_?i", words):
             return "vars" not in words
         cells = [cell.strip(' "') for cell in words.split(separator)]
-        if sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS or (
-            cells[0].startswith(("nm", "wavelength")) and sum(map(_is_geometry, cells)) >= _HEADS
-        ):
+        if _is_header(cells) or (sum(c.isdigit() for c in line) > 20 and "as" in line):
             return True
-    return any(
-        _separator(line) is not None and sum(c.isdigit() for c in line) > 20 and "as" in line
-        for line in lines
+        rows_of_both += names_both(cells[0]) or (
+            can_be_geometry(cells[0]) and parse_wavelength(cells[1]) is not None
+        )
+    return rows_of_both >= _HEADS
+
+
+def _is_header(cells: list[str]) -> bool:
+    """Whether cells are wavelengths, both geometries and wavelengths, or geometries beside the word."""
+    return (
+        sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS
+        or sum(map(names_both, cells)) >= _HEADS
+        or (cells[0].startswith(("nm", "wavelength")) and sum(map(can_be_geometry, cells)) >= _HEADS)
     )
 
 
@@ -82,7 +91,7 @@ def read(path: Path) -> list[Readings]:
         if line.startswith("#") and value.strip():
             name = value.strip() if key.strip().lower() == "name" else name
             instrument = value.strip() if key.strip().lower() == "instrument" else instrument
-    found_readings = read_table(rows, place, name, instrument)
+    found_readings = read_table(plain_table(rows), place, name, instrument)
     if texture and len(found_readings) == 1:
         return [replace(found_readings[0], texture=texture)]
     return found_readings
@@ -113,10 +122,6 @@ def band_heads(readings: Readings) -> list[str]:
     """`465nm` or `R`, `G`, `B`."""
     nm = readings.bands.wavelengths_nm
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]
-
-
-def _is_geometry(cell: str) -> bool:
-    return parse_aspecular(cell) is not None or parse_geometry(cell) is not None
 
 
 def _separator(line: str) -> str | None:

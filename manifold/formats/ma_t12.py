@@ -17,9 +17,12 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import FileFormatError
+from manifold.formats.geometry_names import can_be_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.sheet_images import sheet_images
-from manifold.formats.spectro_table import Cell, read_table
+from manifold.formats.spectro_table import Header, find_header, read_rows
+from manifold.formats.table_cells import Cell, Table, plain_table
+from manifold.formats.table_layouts import with_geometries
 from manifold.formats.text import Place, read_bytes
 from manifold.system import atomic
 
@@ -46,29 +49,54 @@ def read(path: Path) -> list[Readings]:
     data = read_bytes(path, _LARGEST_FILE)
     _check_archive(data, place)
     sheets = _sheets(data, place)
-    spectral = _pick(sheets, "spectral")
-    candidates = [spectral] if spectral is not None else list(sheets)
-    errors: list[FileFormatError] = []
-    for title in candidates:
-        try:
-            found = read_table(
-                sheets[title], Place(path, _REMEDY), path.stem, _instrument(sheets), is_sheet=True
-            )
-        except FileFormatError as error:
-            message = str(error).replace(f"{path.name}:", f"{path.name}, sheet '{title}':", 1)
-            errors.append(
-                FileFormatError(message.replace(f"{path.name}, row", f"{path.name}, sheet '{title}', row", 1))
-            )
-            continue
-        texture = _texture(sheets, data)
-        return [replace(one, texture=texture.get(one.name, texture.get("", {}))) for one in found]
-    if spectral is None:
-        titles = ", ".join(list(sheets)[:6])
-        raise place.error(
-            f"found a workbook with sheets {titles}, expected one called 'Spectral Data', or "
-            "columns of wavelengths beside one of geometries such as 45as15"
-        )
-    raise errors[0]
+    found = _tables(sheets, place)
+    instrument = _instrument(sheets)
+    several = len(found) > 1
+    readings = {
+        title: read_rows(*table, place, title if several else path.stem, instrument)
+        for title, table in found.items()
+    }
+    texture = _texture(sheets, data)
+    return [
+        replace(one, texture=texture.get(one.name, texture.get("", {}))) for one in _named_apart(readings)
+    ]
+
+
+def _tables(sheets: Mapping[str, list[list[Cell]]], place: Place) -> dict[str, tuple[Table, Header]]:
+    """The sheets that hold reflectance, by title: those called spectral, else all; or one of geometries' sheets.
+
+    Raises:
+        FileFormatError: there is none.
+    """
+    titles = [title for title in sheets if "spectral" in title.lower()] or list(sheets)
+    found = {}
+    for title in titles:
+        table = find_header(plain_table(sheets[title], title), place)
+        if table is not None:
+            found[title] = table
+    spectra = {title: table for title, table in found.items() if not table[1].is_rgb}
+    if found:
+        return spectra or found
+    geometries = [(plain_table(sheets[t], t), t) for t in sheets if can_be_geometry(t)]
+    joined = with_geometries(geometries, place)
+    table = find_header(joined, place) if joined is not None else None
+    if table is not None:
+        return {geometries[0][1]: table}
+    listed = ", ".join(list(sheets)[:6])
+    raise place.error(
+        f"found a workbook with sheets {listed}, expected one called 'Spectral Data', or "
+        "columns of wavelengths beside one of geometries such as 45as15, or a sheet per geometry"
+    )
+
+
+def _named_apart(readings: Mapping[str, list[Readings]]) -> list[Readings]:
+    """The samples of all sheets; where two have the same name, the title of the sheet stands before it."""
+    names = [one.name for found in readings.values() for one in found]
+    return [
+        one if names.count(one.name) == 1 else replace(one, name=f"{title}: {one.name}")
+        for title, found in readings.items()
+        for one in found
+    ]
 
 
 def _check_archive(data: bytes, place: Place) -> None:

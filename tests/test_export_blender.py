@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import blender_module
+import numpy as np
 import pytest
+from blender_module import EDGE, SIZE
 from test_export_files import MATERIALS, export, written
 
-from manifold.fitting.exports import TARGETS
+from manifold.colour import ball_colours
+from manifold.colour.conversion import srgb_to_xyz
+from manifold.directions import normalize
+from manifold.fitting.exports import TARGETS, blender
 
 NAMES = ["it's a \"\"\"'''{NAME}\\n %s", "x" * 90, "a\x00b\udc80\n", "é" * 40]
 """That Blender, or a script, could stumble over; a name has at most 63 bytes in Blender 4."""
@@ -70,3 +77,42 @@ def test_a_glb_keeps_its_parameters_when_imported(tmp_path):
             assert sockets["Coat Roughness"] == pytest.approx(values["clearcoatRoughnessFactor"], abs=1e-6)
         sheen = [sockets["Sheen Weight"] * c for c in sockets["Sheen Tint"][:3]]
         assert sheen == pytest.approx(values["sheenColorFactor"], abs=1e-6)
+
+
+# CIEDE2000 on the ball. What is left of sheen: Cycles has a table of the linearly transformed cosine, this package polynomials.
+CYCLES = {"full": 0.05, "plain": 0.02, "metal": 0.02, 'cloth <&> "1"': 0.15, "diffuse": 0.01, "velvet": 0.5}
+VELVET = {"Base Color": [0.2, 0.1, 0.05], "Sheen Weight": 1.0, "Sheen Roughness": 0.5}
+
+
+def drawn_and_expected(picture, parameters, view, light):
+    """Linear colours of pixels of a ball, (K, 3) each: drawn, and of the model."""
+    right = normalize(np.cross([0.0, 0.0, 1.0], view))
+    across = (2.0 * (np.arange(SIZE) + 0.5) / SIZE - 1.0) * EDGE
+    x, y = np.meshgrid(across, across)
+    inside = x * x + y * y < 0.9**2
+    x, y = x[inside][:, None], y[inside][:, None]
+    normal = x * right + y * np.cross(view, right) + np.sqrt(1.0 - x * x - y * y) * view
+    tangent = normalize(
+        np.cross([0.0, 0.0, 1.0], normal)
+    )  # Blender's, where there are no texture coordinates
+    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+    wi, wo = frame @ view, frame @ light
+    lit = wo[:, 2] > 0.02
+    drawn = np.array(picture).reshape(SIZE, SIZE, 4)[inside][lit]
+    assert np.all(drawn[:, 3] == 1.0)
+    return drawn[:, :3], np.pi * blender.brdf(parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
+
+
+def test_cycles_draws_the_model_that_losses_are_measured_with(tmp_path):
+    made = {str(path): exported for path, exported in (written(tmp_path, n, "blender") for n in MATERIALS)}
+    velvet = replace(export("velvet", "blender", MATERIALS["plain"]), parameters=blender.DEFAULTS | VELVET)
+    (tmp_path / "velvet.py").write_text(blender.script(velvet))
+    made[str(tmp_path / "velvet.py")] = velvet
+    view, light = normalize(np.array([0.0, -1.0, 0.3])), normalize(np.array([-0.5, -0.6, 0.7]))
+    task = {"scripts": list(made), "picture": str(tmp_path / "x.exr"), "size": SIZE, "edge": EDGE}
+    found = blender_module.run(blender_module.BALLS, task | {"view": list(view), "light": list(light)})
+    for path, exported in made.items():
+        linear = drawn_and_expected(found[path], exported.parameters, view, light)
+        difference = ball_colours.delta_e(*(srgb_to_xyz(np.clip(values, 0.0, 1.0)) for values in linear))
+        print(exported.name, difference)
+        assert difference < CYCLES[exported.name], exported.name

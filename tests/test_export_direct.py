@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from manifold.colour import ball_colours
-from manifold.errors import UsageError
 from manifold.fitting import fit_samples
 from manifold.fitting.exports import TARGETS, Principled, loss
 from manifold.fitting.exports.direct import fit_target
@@ -36,7 +35,7 @@ class Own:
         "usd",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("gltf", "openpbr", "standard-surface", "unreal")
+            for name in ("gltf", "openpbr", "standard-surface", "blender", "unreal", "unity")
         ),
     ],
 )
@@ -66,9 +65,3 @@ def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
     assert found["anisotropyStrength"] == 0.0
     assert found["metallicFactor"] == 1.0  # not 0.9999999
     np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
-
-
-def test_a_target_without_a_model_is_refused():
-    target = TARGETS["unity"]
-    with pytest.raises(UsageError, match="the model of unity is not evaluated"):
-        fit_target(target, target.parameters(TRUTH), None, None)

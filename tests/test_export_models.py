@@ -22,11 +22,11 @@ from manifold.fitting.exports import (
     openpbr,
     preview_surface,
     standard_surface,
+    unity,
     unreal,
 )
 from manifold.fitting.exports.lobes import Pairs
 
-EVALUATED = [target for target in TARGETS.values() if target.brdf is not None]
 FULL = Principled(
     (0.8, 0.3, 0.05), metallic=0.3, roughness=0.4, specular=0.7, clearcoat=0.8, clearcoat_gloss=0.9, sheen=0.5,
     spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6,
@@ -78,15 +78,18 @@ def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between
     view, light = view[steep], light[steep]
     values = {"base_color": [0.9, 0.5, 0.1], "roughness": 0.3, "metallic": 1.0}
     expected = mitsuba(principled(values), values, view, light)
-    for target in EVALUATED:
+    for target in TARGETS.values():
         made = target.parameters(Principled((0.9, 0.5, 0.1), metallic=1.0, roughness=0.3))
         found = target.brdf(made, view, light)
         limit = 0.1 if target.name == "standard-surface" else 0.05  # a conductor's Fresnel term
         assert np.median(np.abs(found / expected - 1.0)) < limit, target.name
 
 
-@pytest.mark.parametrize("target", EVALUATED, ids=lambda target: target.name)
-def test_a_diffuse_surface_is_lambertian_in_every_target(target, rng):
+@pytest.mark.parametrize(
+    "name", [name for name in TARGETS if name != "unity"]
+)  # whose base is Burley's, below 4 %
+def test_a_diffuse_surface_is_lambertian(name, rng):
+    target = TARGETS[name]
     view, light = directions(rng, 200), directions(rng, 200)
     expected = mitsuba(diffuse(), {"reflectance": [0.5, 0.3, 0.1]}, view, light)
     material = Principled.from_fit({"type": "diffuse"}, {"reflectance": [0.5, 0.3, 0.1]})
@@ -98,7 +101,7 @@ def test_a_diffuse_surface_is_lambertian_in_every_target(target, rng):
         np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("target", EVALUATED, ids=lambda target: target.name)
+@pytest.mark.parametrize("target", TARGETS.values(), ids=lambda target: target.name)
 def test_no_target_makes_light(target):
     light, solid_angle = hemisphere()
     white = Principled((1.0, 1.0, 1.0), roughness=0.6, clearcoat=1.0, clearcoat_gloss=0.2, sheen=1.0)
@@ -106,10 +109,51 @@ def test_no_target_makes_light(target):
         view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
         f = target.brdf(target.parameters(white), view, light)
         albedo = np.sum(f * light[:, 2:], axis=0) * solid_angle
-        # Unreal and UsdPreviewSurface add lobes without taking what they reflect from the diffuse
-        limit = 1.25 if target.name in ("unreal", "usd", "usd-materialx") else 1.02
+        # these add lobes without taking what they reflect from the diffuse
+        limit = 1.25 if target.name in ("unreal", "unity", "usd", "usd-materialx") else 1.02
         assert albedo.max() < limit, (target.name, cosine)
         assert f.min() >= 0.0
+
+
+@pytest.mark.parametrize("name", ["openpbr", "blender", "unity"])
+def test_a_rough_white_metal_loses_nothing_where_light_scatters_between_facets(name):
+    light, solid_angle = hemisphere(128)
+    values = TARGETS[name].parameters(Principled((1.0, 1.0, 1.0), metallic=1.0, roughness=0.8))
+    for cosine in (0.2, 0.6, 1.0):
+        view = np.broadcast_to([np.sqrt(1.0 - cosine**2), 0.0, cosine], light.shape)
+        albedo = np.sum(TARGETS[name].brdf(values, view, light) * light[:, 2:], axis=0) * solid_angle
+        assert albedo == pytest.approx([1.0] * 3, abs=0.01)  # quadratures of albedo and here
+
+
+def test_an_anisotropic_lobe_with_joint_masking_is_the_isotropic_one_where_the_alphas_are_equal(rng):
+    pairs = Pairs.of(directions(rng, 100), directions(rng, 100))
+    np.testing.assert_allclose(
+        lobes.specular_joint(pairs, 0.3, 0.3), lobes.specular_correlated(pairs, 0.3, 0.3), rtol=1e-9
+    )
+
+
+def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():
+    up, grazing = np.array([[0.0, 0.0, 1.0]]), from_spherical(np.array([1.4]), np.array([0.0]))
+    plain = unity.DEFAULTS | {"_BaseColor": [1.0] * 3, "_Smoothness": 0.0}
+    light = Pairs.of(up, up)
+    specular = 0.04 * lobes.specular_joint(light, 1.0, 1.0)[0]
+    scattered = 1.0 + 0.04 * (1.0 / lobes.single_scattering(1.0, light.cos_v)[0][0, 0] - 1.0)
+    found = unity.brdf(plain, up, up)[0, 0] - specular * scattered
+    assert found == pytest.approx(1.0 / (1.03571 * np.pi), rel=1e-9)
+    assert unity.brdf(plain, grazing, grazing)[0, 0] > 1.5 / np.pi  # a rough surface shines back
+    metal = unity.DEFAULTS | {"_BaseColor": [0.0] * 3, "_Smoothness": 0.7}
+    coated = unity.brdf(metal | {"_CoatMask": 1.0}, up, up)[0, 0]
+    assert coated == pytest.approx(0.04 / (4.0 * np.pi * 1e-4), rel=0.01)  # the peak of the coat
+
+
+def test_a_coat_in_unity_leaves_the_base_as_rough_as_it_was():
+    coated = Principled((0.5, 0.5, 0.5), roughness=0.4, clearcoat=1.0, clearcoat_gloss=1.0)
+    made = unity.parameters(coated)
+    assert made["_CoatMask"] == 0.5
+    assert made["_Smoothness"] > 0.6
+    below = unity._widened((1.0 - made["_Smoothness"]) ** 2, unity._narrowing(0.5))
+    assert below == pytest.approx(0.16, rel=1e-9)
+    assert unity._widened(0.16, unity._narrowing(0.5)) > 0.16
 
 
 def test_split_sums_are_the_albedo_of_the_lobe():

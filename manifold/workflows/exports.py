@@ -150,17 +150,14 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
         samples = subject.samples or fit_samples.from_brdf(material)
         parameters = fit_target(target, parameters, samples, material)
     reference = loss.material_xyz(material)
-    own = None
-    if target.brdf is not None:
-        brdf = target.brdf
-        own = loss.rgb_xyz(lambda view, light: brdf(parameters, view, light))
+    own = loss.rgb_xyz(lambda view, light: target.brdf(parameters, view, light))
     made = Export(
         name=subject.name,
         target=target.name,
         parameters=parameters,
         source=subject.source,
         method="direct" if is_direct else "mapping",
-        loss=None if own is None else ball_colours.delta_e(own, reference),
+        loss=ball_colours.delta_e(own, reference),
         principled_loss=None
         if subject.material is None
         else ball_colours.delta_e(loss.material_xyz(fitted), reference),

@@ -1,15 +1,19 @@
-"""Blender's Principled BSDF (4.0 and later) as values of its sockets, as JSON and as a script that sets them."""
+"""Blender's Principled BSDF (4.0 and later): values of its sockets, a script that sets them, and Cycles' BRDF."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from manifold.fitting.exports import openpbr
+from manifold.fitting.exports import lobes, openpbr
 from manifold.fitting.exports.document import Export
-from manifold.fitting.exports.principled_values import Principled
+from manifold.fitting.exports.layers import zeltner_layer
+from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.records import Array
 
 DEFAULTS: dict[str, Any] = {
     "Base Color": [0.8, 0.8, 0.8],
@@ -27,6 +31,20 @@ DEFAULTS: dict[str, Any] = {
     "Sheen Tint": [1.0, 1.0, 1.0],
 }
 """Every socket that exports may set, with its default; colours without alpha."""
+
+COAT = ("Coat Weight", "Coat Roughness")
+SHEEN = ("Sheen Weight", "Sheen Tint", "Sheen Roughness")
+FREE = (
+    "Base Color",
+    "Metallic",
+    "Roughness",
+    "IOR",
+    "Coat Weight",
+    "Coat Roughness",
+    "Sheen Weight",
+    "Sheen Roughness",
+)
+"""What a direct fit changes."""
 
 _SCRIPT = '''"""{sentence}
 
@@ -101,3 +119,61 @@ def read_script(text: str) -> dict[str, Any]:
 def document(export: Export) -> str:
     """The same as JSON."""
     return json.dumps(export.to_json(), indent=2, allow_nan=False) + "\n"
+
+
+def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
+    """The material's BRDF in Cycles, f in 1/sr, shape (P, 3).
+
+    Args:
+        values: all of `DEFAULTS`; the distribution is Multiscatter GGX.
+        view, light: unit vectors (P, 3).
+    Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
+    is scaled by one minus the layer's albedo, towards the viewer.
+    """
+    pairs = Pairs.of(view, light)
+    base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]
+    aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
+    alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
+    f0 = min(2.0 * values["Specular IOR Level"] * ior_to_f0(values["IOR"]), 0.99)
+    f = np.broadcast_to(base / np.pi, (len(view), 3))
+    if f0 > 0.0:
+        ior = 2.0 / (1.0 - float(np.sqrt(f0))) - 1.0
+        f = _interface(pairs, f, ior, alpha_x, alpha_y, tint=tint)
+    if m:
+        fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
+        mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
+        scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
+        f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
+    if values["Coat Weight"]:
+        alpha = values["Coat Roughness"] ** 2
+        f = _interface(pairs, f, values["Coat IOR"], alpha, alpha, weight=values["Coat Weight"])
+    return zeltner_layer(
+        pairs, f, values["Sheen Weight"], np.asarray(values["Sheen Tint"]), values["Sheen Roughness"]
+    )
+
+
+def _interface(
+    pairs: Pairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
+    tint: Array | float = 1.0,
+) -> Array:  # fmt: skip
+    """A rough dielectric over a BRDF `below` (P, 3), its reflectance along the normal tinted."""
+    real = ior_to_f0(ior)
+    f0 = np.clip(real * np.broadcast_to(tint, 3), 0.0, 1.0)
+
+    def between(share: Array | float) -> Array:
+        return f0 + (1.0 - f0) * share
+
+    fresnel = between((lobes.fresnel_dielectric(ior, pairs.cos_d) - real) / (1.0 - real))
+    mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
+    scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
+    share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
+    albedo = (between(share) * scattered * single).max(axis=1, keepdims=True)
+    lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
+    return weight * lobe + (1.0 - weight * albedo) * below
+
+
+def _scattered(pairs: Pairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:
+    """The factor for light scattered between facets of mean reflectance (3,); the albedo without Fresnel, (P, 1)."""
+    single, average = lobes.single_scattering(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
+    multiple = mean * average / (1.0 - mean * (1.0 - average))
+    return 1.0 + multiple * (1.0 - single) / single, single

@@ -18,7 +18,6 @@ from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import to_lab
-from manifold.errors import UsageError
 from manifold.fitting.exports.principled_values import snapped
 from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_metrics import Metric
@@ -47,15 +46,11 @@ def fit_target(
     """Parameters of a target whose model is nearest to a material, all of the target's.
 
     Args:
-        target: with a shading model.
+        target: whose model.
         start: mapped parameters, which what is not fitted keeps.
         samples: of the material; at most 512 of them are used.
         material: the same as a BRDF.
-    Raises:
-        UsageError: the target's model is not evaluated.
     """
-    if target.brdf is None:
-        raise UsageError(f"the model of {target.name} is not evaluated; leave --direct out")
     problem = _Problem(target, start, samples.as_rgb().subsample(_PAIRS), material)
     with threadpool_limits(1):
         ends = [
@@ -74,7 +69,6 @@ class _Problem:
     def __init__(
         self, target: Target, start: Mapping[str, Any], samples: FitSamples, material: EvaluableBRDF
     ) -> None:
-        assert target.brdf is not None
         self._brdf, self._start, self._target = target.brdf, dict(start), target
         self._samples = samples
         self._metric = Metric.of("cube-root", samples)
@@ -138,6 +132,8 @@ def _range(name: str) -> tuple[float, float]:
     lowered = name.lower()
     if lowered.endswith("ior"):
         return 1.0, 2.0
+    if lowered.endswith("smoothness"):
+        return 0.0, 0.98
     return (0.02 if "roughness" in lowered else 0.0), 1.0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from manifold import __version__
@@ -19,20 +19,19 @@ class Export:
         parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
         source: where the parameters come from, plain values.
         method: `mapping`, from the parameters of `principled`; or `direct`, a fit of the target's own model.
-        loss: mean CIEDE2000 on the ball of the target's own model, against what `loss_against` names; None where
-            the target's model is not evaluated.
-        principled_loss: the same of Mitsuba's `principled`.
+        loss: mean CIEDE2000 on the ball of the target's own model, against what `loss_against` names.
+        principled_loss: the same of Mitsuba's `principled`; None where that is what `loss_against` names.
         loss_against: `measured file`, `prediction` or `fit`.
     """
 
     name: str
     target: str
     parameters: Mapping[str, Any]
-    source: Mapping[str, Any] = field(default_factory=dict)
-    method: str = "mapping"
-    loss: float | None = None
-    principled_loss: float | None = None
-    loss_against: str | None = None
+    source: Mapping[str, Any]
+    method: str
+    loss: float
+    principled_loss: float | None
+    loss_against: str
 
     @property
     def label(self) -> str:
@@ -54,10 +53,10 @@ class Export:
 
     def sentence(self) -> str:
         """One line for people."""
-        text = f"{self.label}: Exported by manifold {__version__} for {self.target}"
-        if self.loss is not None:
-            text += f"; mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
-        return text
+        return (
+            f"{self.label}: Exported by manifold {__version__} for {self.target}; "
+            f"mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -83,10 +83,27 @@ def specular_correlated(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
     return ggx(pairs, alpha_x, alpha_y) * g / (4.0 * pairs.cos_v * pairs.cos_l)
 
 
+def specular_joint(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
+    """`D G2 / (4 cos cos)` of GGX, (P,), G2 height-correlated with both alphas. Source: Heitz 2014, eq. 99."""
+    g = 1.0 / smith_g1(pairs.view, alpha_x, alpha_y) + 1.0 / smith_g1(pairs.light, alpha_x, alpha_y) - 1.0
+    return ggx(pairs, alpha_x, alpha_y) / (4.0 * pairs.cos_v * pairs.cos_l * g)
+
+
 def schlick(f0: Array | float, f90: Array | float, cosine: Array) -> Array:
     """Schlick's Fresnel term, (P, 3) for colours, else (P, 1)."""
     f0, f90 = np.atleast_1d(f0), np.atleast_1d(f90)
     return f0 + (f90 - f0) * (1.0 - cosine[:, None]) ** 5
+
+
+def fresnel_f82(f0: Array, edge: Array, cosine: Array) -> Array:
+    """Schlick's term with a colour at 82 degrees (F82-tint), (P, 3). Source: Hoffman 2019; Kutz et al. 2021."""
+    return schlick(f0, 1.0, cosine) - f82_dip(f0, edge) * (cosine * (1.0 - cosine) ** 6)[:, None]
+
+
+def f82_dip(f0: Array, edge: Array) -> Array:
+    """What F82-tint takes from Schlick's term, as the factor of `cos (1 - cos)^6`, (3,)."""
+    at = 1.0 / 7.0
+    return (f0 + (1.0 - f0) * (1.0 - at) ** 5) * (1.0 - edge) / (at * (1.0 - at) ** 6)
 
 
 def fresnel_dielectric(ior: float, cosine: Array) -> Array:
@@ -119,8 +136,36 @@ def split_sum(alpha: float, cosine: Array) -> tuple[Array, Array]:
     return np.interp(cosine, nodes, a), np.interp(cosine, nodes, b)
 
 
+def single_scattering(alpha: float, cosine: Array) -> tuple[Array, float]:
+    """Directional albedo (P, 1) of a correlated GGX lobe without Fresnel, and its mean over the hemisphere."""
+    nodes, a, b = _split_sum_table(round(float(alpha), 6))
+    return np.interp(cosine, nodes, a + b)[:, None], float(np.trapezoid(2.0 * nodes * (a + b), nodes))
+
+
 @lru_cache(maxsize=256)
 def _split_sum_table(alpha: float) -> tuple[Array, Array, Array]:
+    nodes, weight, cos_d = _visible_reflections(alpha)
+    f = (1.0 - cos_d) ** 5
+    return nodes, (weight * (1.0 - f)).mean(axis=1), (weight * f).mean(axis=1)
+
+
+def dielectric_share(alpha: float, ior: float, cosine: Array) -> Array:
+    """Mean of `(F - F0) / (1 - F0)` over a correlated GGX lobe seen along `cosine`, F of a dielectric, (P,)."""
+    nodes, share = _dielectric_table(round(float(alpha), 6), round(float(ior), 6))
+    return np.interp(cosine, nodes, share)
+
+
+@lru_cache(maxsize=256)
+def _dielectric_table(alpha: float, ior: float) -> tuple[Array, Array]:
+    nodes, weight, cos_d = _visible_reflections(alpha)
+    f = fresnel_dielectric(ior, cos_d.ravel()).reshape(cos_d.shape)
+    f0 = ((ior - 1.0) / (ior + 1.0)) ** 2
+    return nodes, (weight * (f - f0)).mean(axis=1) / (weight.mean(axis=1) * (1.0 - f0))
+
+
+@lru_cache(maxsize=16)
+def _visible_reflections(alpha: float) -> tuple[Array, Array, Array]:
+    """Cosines with the normal (C,), weights (C, S) and cosines with the half vector (C, S) of a lobe's samples."""
     alpha = max(alpha, 1e-3)
     nodes = np.linspace(0.0, 1.0, _NODES) ** 2  # dense at grazing
     nodes[0] = 1e-3
@@ -139,8 +184,7 @@ def _split_sum_table(alpha: float) -> tuple[Array, Array, Array]:
     cos_v = np.broadcast_to(nodes[:, None], safe.shape)
     g1 = 2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * (1.0 / cos_v**2 - 1.0)))
     weight = np.where(lit, smith_correlated(safe, cos_v, alpha) / g1, 0.0)
-    f = (1.0 - np.clip(cos_d, 0.0, 1.0)) ** 5
-    return nodes, (weight * (1.0 - f)).mean(axis=1), (weight * f).mean(axis=1)
+    return nodes, weight, np.clip(cos_d, 0.0, 1.0)
 
 
 def charlie(pairs: Pairs, roughness: float) -> Array:

@@ -123,7 +123,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     )
     m = values["base_metalness"]
     if m:
-        edge = _metal_fresnel(base, np.asarray(values["specular_color"]), pairs.cos_d)
+        edge = lobes.fresnel_f82(base, np.asarray(values["specular_color"]), pairs.cos_d)
         f = (1.0 - m) * f + m * values["specular_weight"] * metal(pairs, edge, alpha_x, alpha_y)
     f = f * _darkening(values, base)
     coat_x, coat_y = _alphas(values["coat_roughness"], 0.0)
@@ -137,14 +137,6 @@ def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
     across = 1.0 - anisotropy
     alpha_x = roughness**2 * float(np.sqrt(2.0 / (1.0 + across**2)))
     return alpha_x, across * alpha_x
-
-
-def _metal_fresnel(f0: Array, edge: Array, cosine: Array) -> Array:
-    """Schlick's term with a colour at 82 degrees (F82-tint). Source: Hoffman 2019; Kutz et al. 2021."""
-    at = 1.0 / 7.0
-    plain = f0 + (1.0 - f0) * (1.0 - at) ** 5
-    a = plain * (1.0 - edge) / (at * (1.0 - at) ** 6)
-    return lobes.schlick(f0, 1.0, cosine) - a * (cosine * (1.0 - cosine) ** 6)[:, None]
 
 
 def _darkening(values: Mapping[str, Any], base: Array) -> Array:

@@ -37,7 +37,7 @@ class Target:
         suffix: of its files; several targets share `.json`.
         defaults: every parameter that exports may set.
         parameters: those of a material.
-        brdf: the target's own shading model, f in 1/sr of parameters, view and light; None where it is not evaluated.
+        brdf: the target's own shading model, f in 1/sr of parameters, view and light.
         content: the file of an export.
         title: in words.
         free: parameters that a direct fit changes.
@@ -48,7 +48,7 @@ class Target:
     suffix: str
     defaults: Mapping[str, Any]
     parameters: Callable[[Principled], dict[str, Any]]
-    brdf: Brdf | None
+    brdf: Brdf
     content: Callable[[Export, Principled], bytes]
     title: str
     free: tuple[str, ...] = ()
@@ -100,12 +100,14 @@ _ALL = (
         preview_surface.FREE, preview_surface.COAT,
     ),
     Target(
-        "blender", ".py", blender.DEFAULTS, blender.parameters, None,
-        lambda export, material: blender.script(export).encode(), "Blender 4, Principled BSDF, a script",
+        "blender", ".py", blender.DEFAULTS, blender.parameters, blender.brdf,
+        lambda export, material: blender.script(export).encode(), "Blender 4 and later, Principled BSDF, a script",
+        blender.FREE, blender.COAT, blender.SHEEN,
     ),
     Target(
-        "blender-json", ".json", blender.DEFAULTS, blender.parameters, None, _json(_BLENDER),
-        "Blender 4, Principled BSDF, values",
+        "blender-json", ".json", blender.DEFAULTS, blender.parameters, blender.brdf, _json(_BLENDER),
+        "Blender 4 and later, Principled BSDF, values",
+        blender.FREE, blender.COAT, blender.SHEEN,
     ),
     Target(
         "unreal", ".json", unreal.DEFAULTS, unreal.parameters, unreal.brdf, _json(unreal.CONVENTIONS),
@@ -113,8 +115,9 @@ _ALL = (
         unreal.FREE, unreal.COAT,
     ),
     Target(
-        "unity", ".json", unity.DEFAULTS, unity.parameters, None, _json(unity.CONVENTIONS),
+        "unity", ".json", unity.DEFAULTS, unity.parameters, unity.brdf, _json(unity.CONVENTIONS),
         "Unity, High Definition pipeline, Lit",
+        unity.FREE, unity.COAT,
     ),
 )  # fmt: skip
 

@@ -33,9 +33,8 @@ const plainName = (file) =>
 function inWords(result) {
   const made = result?.exports?.[0];
   if (made) {
-    const loss = made.ciede2000 === null ? "its error is not evaluated" : `error ${made.ciede2000.toFixed(2)} CIEDE2000`;
     const principled = made.principled_ciede2000;
-    return `, ${loss}` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
+    return `, error ${made.ciede2000.toFixed(2)} CIEDE2000` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
   }
   if (result?.expected) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);

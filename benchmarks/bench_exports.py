@@ -1,0 +1,67 @@
+"""What every target of exports loses: the table of docs/exports.md, CIEDE2000 on the ball, mapped / --direct.
+
+    python benchmarks/bench_exports.py --files FOLDER [--targets gltf,openpbr] [--work FOLDER] [--json FILE]
+
+FOLDER holds .bsdf files, which are fitted, and their fits, if there are any. What was exported to the folder --work
+before is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+from pathlib import Path
+
+from manifold.fitting.exports import TARGETS
+from manifold.workflows.export_folders import export_all
+
+TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity")
+SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}
+
+
+def losses(files: Path, target: str, work: Path, *, is_direct: bool) -> dict[str, dict[str, float]]:
+    """CIEDE2000 of a target and of `principled`, by material."""
+    outcomes = export_all(files, TARGETS[target], work / f"{target}_{is_direct}", is_direct=is_direct)
+    made = {outcome.name: outcome.export or {} for outcome in outcomes}
+    return {
+        name: {"own": e["ciede2000"], "principled": e["principled_ciede2000"]} for name, e in made.items()
+    }
+
+
+def main() -> None:
+    """Print the table, in Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--files", type=Path, required=True)
+    parser.add_argument("--targets", default=",".join(TABLE))
+    parser.add_argument("--work", type=Path)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    targets = options.targets.split(",")
+    with tempfile.TemporaryDirectory() as scratch:
+        work = options.work or Path(scratch)
+        found = {
+            target: [losses(options.files, target, work, is_direct=direct) for direct in (False, True)]
+            for target in targets
+        }
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=2))
+    principled = {name: loss["principled"] for name, loss in found[targets[0]][0].items()}
+    print("| file | `principled` |", " | ".join(targets), "|")
+    print("|---" * (2 + len(targets)) + "|")
+    for name, loss in principled.items():
+        cells = [" / ".join(f"{made[name]['own']:.2f}" for made in found[target]) for target in targets]
+        print(f"| {name} | {loss:.2f} |", " | ".join(cells), "|")
+    for word, summary in SUMMARIES.items():
+        cells = [
+            " / ".join(f"{summary([loss['own'] for loss in made.values()]):.2f}" for made in found[target])
+            for target in targets
+        ]
+        print(
+            f"| **{word}** | {summary(principled.values()):.2f} |", " | ".join(f"**{c}**" for c in cells), "|"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -79,7 +79,7 @@ def test_a_glb_keeps_its_parameters_when_imported(tmp_path):
         assert sheen == pytest.approx(values["sheenColorFactor"], abs=1e-6)
 
 
-# CIEDE2000 on the ball. What is left of sheen: Cycles has a table of the linearly transformed cosine, this package polynomials.
+# CIEDE2000 on the ball. Of sheen, Cycles has a table of the linearly transformed cosine, the model polynomials.
 CYCLES = {"full": 0.05, "plain": 0.02, "metal": 0.02, 'cloth <&> "1"': 0.15, "diffuse": 0.01, "velvet": 0.5}
 VELVET = {"Base Color": [0.2, 0.1, 0.05], "Sheen Weight": 1.0, "Sheen Roughness": 0.5}
 

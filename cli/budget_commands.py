@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +15,6 @@ from .application import app
 if TYPE_CHECKING:
     from manifold.workflows.budgets import Budget
 
-_WIDTH = 80
 _NAME = 16  # columns of a material's name in the table; below it stands in full
 
 
@@ -102,17 +100,16 @@ def _show(results: terminal.Results, made: Budget) -> None:
         for one in made.chosen
     ]
     results.table(columns, rows)
-    lines = []
     for one in made.chosen:
-        words = f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
-        lines += textwrap.wrap(words, _WIDTH, subsequent_indent="  ")
-    lines.append("pred., verified: mean CIEDE2000; ms: of a million evaluations")
-    lines.append(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files")
+        results.sentence(
+            f"{one.material}: {one.lighting}; {one.reason}; noise {one.noise.rendered:.2f}, subtracted"
+        )
+    results.text("pred., verified: mean CIEDE2000; ms: of a million evaluations\n")
+    results.text(f"{made.size} of {made.full_size} bytes, {_share(made)} of the whole files\n")
     for note in made.notes:
-        lines += textwrap.wrap(f"note: {note}", _WIDTH, subsequent_indent="  ")
+        results.sentence(f"note: {note}")
     if made.output is not None:
-        lines.append(f"wrote {made.output}")
-    results.text("".join(f"{line}\n" for line in lines))
+        results.text(f"wrote {made.output}\n")
     results.document(made.to_json())
 
 

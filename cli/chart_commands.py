@@ -97,9 +97,11 @@ def chart(
     )
     for row in made.rows:
         if row.warnings:
-            results.text(f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}\n")
+            results.sentence(
+                f"{row.title}: {len(row.warnings)} of {made.folds} fits warned: {row.warnings[0]}"
+            )
     for key, reason in made.skipped.items():
-        results.text(f"{key} was skipped: {reason}\n")
+        results.sentence(f"{key} was skipped: {reason}")
     if output is not None:
         figures.save(plot_chart.chart(made), output)
     results.document(made.to_json())

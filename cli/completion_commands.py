@@ -108,9 +108,9 @@ def complete(
             f"linear {100 * expected['linear']:.0f} %",
             "residual of readings": f"{100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
             f"at most {100 * found.misfits.max():.1f} %",
-            "combination of": ", ".join(f"{name} {weight:.2f}" for name, weight in found.made_of),
+            "combination of": [f"{name} {weight:.2f}" for name, weight in found.made_of],
             "albedo": f"at most {made.plausibility.max_albedo:.2f}",
-            **({"picture": str(made.picture)} if made.picture else {}),
+            **({"picture": made.picture} if made.picture else {}),
             "time": f"{made.seconds:.1f} s",
             **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
         },

@@ -63,7 +63,7 @@ def show_points(
     results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")
     warned = [(o.path.name, found) for o in made if (found := (o.result or {}).get("diagnostics"))]
     for name, found in warned[:_MOST_WARNED]:
-        results.text(f"{name}: {'; '.join(found)}\n")
+        results.sentence(f"{name}: {'; '.join(found)}")
     if warned[_MOST_WARNED:]:
         results.text(f"and diagnostics of {len(warned) - _MOST_WARNED} more (--json lists them)\n")
     bad = [*failures, *((o.point.line, o.failure) for o in outcomes if o.failure is not None)]

@@ -32,7 +32,7 @@ Step = Callable[[int, int, str], None]
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
 
-_WIDTH = 80  # columns that lists are broken to; a line with a single long word may be longer
+_WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
 @contextmanager
@@ -90,13 +90,17 @@ class Results:
         if not self._only_json:
             sys.stdout.write(printable(text))
 
+    def sentence(self, text: str) -> None:
+        """Print a text as a paragraph, whose lines but the first are indented."""
+        self.text(_filled(text, "", "  ") + "\n")
+
     def title(self, title: str) -> None:
         """Print a line, bold on a terminal."""
         if not self._only_json:
             Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
 
     def rows(self, title: str, rows: Mapping[str, object]) -> None:
-        """Print a title, then one aligned line per label and value; a list of values is broken into lines."""
+        """Print a title, then one aligned line per label and value; sentences and lists are broken into lines."""
         self.title(title)
         width = max((len(label) for label in rows), default=0)
         for label, value in rows.items():
@@ -143,16 +147,24 @@ def printable(text: str) -> str:
 
 
 def _row(head: str, value: object) -> str:
-    if not isinstance(value, list):
+    """A label and its value, whose lines begin below each other; paths stay whole, whatever their length."""
+    if isinstance(value, Path):
         return f"{head}{value}"
-    room = _WIDTH - len(head)
-    # Lines break between items only, unless an item is longer than a line.
-    items = [text if len(text) > room else text.replace(" ", "\0") for text in map(str, value)]
-    broken = textwrap.fill(
-        ", ".join(items), _WIDTH, initial_indent=head, subsequent_indent=" " * len(head),
-        break_long_words=False, break_on_hyphens=False, drop_whitespace=True,
+    if isinstance(value, list):
+        # Lines break between items only, unless an item is longer than a line.
+        room = _WIDTH - len(head)
+        items = [text if len(text) > room else text.replace(" ", "\0") for text in map(str, value)]
+        return _filled(", ".join(items), head, " " * len(head)).replace("\0", " ")
+    text = f"{head}{value}"
+    return text if len(text) <= _WIDTH else _filled(str(value), head, " " * len(head))
+
+
+def _filled(text: str, first: str, others: str) -> str:
+    """Lines of at most `_WIDTH` columns, broken at blanks, with what they begin with."""
+    return textwrap.fill(
+        text, _WIDTH, initial_indent=first, subsequent_indent=others,
+        break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
-    return broken.replace("\0", " ")
 
 
 def is_number(text: str) -> bool:

@@ -13,6 +13,7 @@ import typer
 from small_library import NAMES, small_model
 from test_cli import COMMANDS, one_line
 
+from manifold.cli import terminal
 from manifold.cli.main import app
 from manifold.cli.outputs import require_replaceable
 from manifold.errors import UsageError
@@ -145,3 +146,16 @@ def test_a_format_of_binary_values_replaces_its_own_kind(tmp_path):
     path.write_bytes(b"notes of mine")
     with pytest.raises(UsageError, match="was not written by this command"):
         require_replaceable("convert", {"output": path, "to": None})
+
+
+def test_sentences_are_broken_at_80_columns_and_paths_are_not(capsys):
+    words = "a sentence of more words than one line of a terminal has room for, which readers would have to scroll"
+    results = terminal.Results()
+    path = Path("/folder with blanks" * 5)
+    results.rows("Completed", {"note 1": words, "notes": [words], "file": path, "n": 3})
+    results.sentence(words)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if len(line) > 80] == [f"  file    {path}"]
+    assert " ".join(" ".join(lines[1:3]).split()) == f"note 1 {words}"
+    assert lines[2].startswith(10 * " ")
+    assert " ".join(line.strip() for line in lines[-2:]) == words

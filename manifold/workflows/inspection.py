@@ -62,7 +62,7 @@ def inspect_renderer() -> Inspection:
     rows: dict[str, object] = {
         "Mitsuba": libllvm.mitsuba_version(),
         "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
-        "libLLVM": str(chosen.library or "none"),
+        "libLLVM": chosen.library or "none",
     }
     if chosen.advice is not None:
         rows["advice"] = chosen.advice
@@ -168,7 +168,7 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
     s = model.settings
     rows: dict[str, object] = {
         "materials": len(model.names),
-        "library": str(model.library.path),
+        "library": model.library.path,
         "bands": str(model.bands),
         "kind": "monochrome: structure on the map, a colour per band"
         if s.kind == "monochrome"

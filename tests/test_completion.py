@@ -341,6 +341,23 @@ def test_expected_errors_are_learned_from_the_other_materials(samples):
         np.testing.assert_allclose(found.left_out[m], list(learned.values()))
 
 
+def test_errors_of_bands_that_are_not_read_are_expected(samples):
+    """Calibrated on colours that were read, a completion from one band expected the error of a known colour."""
+    spectral = replace(samples, bands=Bands((450.0, 550.0, 650.0)))
+    at = samples.at(*DIRECTIONS)
+    every, one = (
+        readings(np.ones((12, len(nm))), nm=np.array(nm)) for nm in ([440.0, 560.0, 700.0], [540.0])
+    )
+    for m in range(len(samples.names)):
+        grey = leave_out(spectral, m, at, one)
+        np.testing.assert_array_equal(grey.weights, grey.weights[:1].repeat(3, axis=0))
+    coloured = calibrate(spectral, every).errors
+    np.testing.assert_allclose(coloured, calibrate(spectral, readings(np.ones((12, 3)))).errors)
+    missed = calibrate(spectral, one)
+    assert np.median(missed.errors[:, 0]) > 2.0 * np.median(coloured[:, 0])
+    assert missed.expected(grey)["ball"] > np.median(missed.errors[:, 0]) / 2.0
+
+
 def test_expected_errors_are_the_line_of_their_logarithms(rng):
     x = rng.standard_normal((400, 2))
     x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
@@ -361,7 +378,7 @@ def test_a_completion_says_that_one_band_tells_no_colour(samples):
     made = complete(samples, readings(np.full((12, 3), 0.1)))
     red = readings(np.full((12, 1), 0.1), nm=np.array([650.0]))
     spectral = replace(made, samples=SimpleNamespace(bands=Bands((450.0, 550.0, 650.0))), readings=red)
-    assert spectral.notes[0].startswith("read at 650 nm only: the result is the same in all bands")
+    assert spectral.notes[0].startswith("read at 650 nm only, which tells no colour: the result is")
 
 
 def test_a_completion_says_that_no_reading_sees_mirrors(samples):
@@ -376,8 +393,13 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples)
     first = suggest(samples, 12, instrument="ma-t12")
     assert len({tuple(row) for row in first.angles_deg.round()}) == 12
     made = complete(samples, readings(np.full((12, 3), 0.1)))
-    with pytest.raises(UsageError, match="expected 1 to 0"):
+    with pytest.raises(UsageError, match="have all 12 directions of ma-t12 already"):
         suggest(samples, 1, made, "ma-t12")
+    part = replace(made, readings=made.readings.select_pairs(np.arange(10)))
+    with pytest.raises(
+        UsageError, match=r"3 readings .* 12 directions of ma-t12 and 10 of them read, expected 1 to 2;"
+    ):
+        suggest(samples, 3, part, "ma-t12")
     assert len(suggest(samples, 3, made).wi) == 3
     with pytest.raises(UsageError, match="no instrument"):
         suggest(samples, 1, instrument="gonio")
@@ -543,6 +565,7 @@ def test_options_that_would_be_ignored_are_usage_errors(run, library, tmp_path):
     for arguments, what in (
         (("complete", "-L", library), "no file of readings"),
         (("complete", "felt.csv", "-L", library, "--instrument", "ma-t12"), "give --suggest K"),
+        (("complete", "-L", "none.zarr", "--instrument", "ma-t12", "--suggest", "13"), "expected 1 to 12"),
         (("chart", "--readings", "--model", "model.h5"), "leave --model"),
     ):
         status, _, err = run(*arguments, cwd=tmp_path)

@@ -25,7 +25,7 @@ from manifold.model.completion.correction_file import read_correction, write_cor
 from manifold.model.completion.expected import calibrate
 from manifold.model.completion.hybrid import Hybrid, combine, corrected, learn_across
 from manifold.model.completion.samples import LibrarySamples
-from manifold.model.completion.suggest import Suggested, directions_of, suggest
+from manifold.model.completion.suggest import Suggested, directions_left, suggest
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Progress
@@ -119,7 +119,8 @@ def complete_readings(
         UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
     """
     start = time.perf_counter()
-    directions_of(instrument)
+    if count:
+        directions_left(count, hybrid.readings, instrument)
     require_bsdf_output(output, "completed materials")
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
     stages = Stages(on_progress, shares)
@@ -202,6 +203,7 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrectio
 
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
     """The readings to begin with, for a library, before anything is read."""
+    directions_left(count, None, instrument)
     opened = Library.open(library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
     return suggest(samples, count, None, instrument)

@@ -90,8 +90,8 @@ class Completion:
         reach = beyond(self.readings, self.samples.bands)
         if reach is not None and reach[0] == reach[1]:
             notes.append(
-                f"read at {reach[0]:g} nm only: the result is the same in all bands, and expected errors do not "
-                f"include its colour"
+                f"read at {reach[0]:g} nm only, which tells no colour: the result is the same in all bands, and the "
+                f"expected errors are those of coloured materials taken as grey"
             )
         elif reach is not None:
             notes.append(

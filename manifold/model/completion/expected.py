@@ -64,11 +64,11 @@ def indicators_of(found: Completion) -> Array:
 
 
 def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
-    """Complete every material of a library from the others, at the directions of some readings.
+    """Complete every material of a library from the others, at the directions and in the bands of some readings.
 
     Args:
         samples: of the library.
-        readings: those of which values do not matter, only directions and weights.
+        readings: those of which values do not matter, only directions, bands and weights.
     """
     at_readings = samples.at(readings.wi, readings.wo)
     errors, signs = [], []
@@ -80,15 +80,28 @@ def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
 
 
 def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Readings) -> Completion:
-    """Material m completed from all others, read without noise in the sample bands, as weights of these bands."""
-    axis = sample_axis(samples)
+    """Material m completed from all others, read without noise in sample bands, as weights of all sample bands.
+
+    It is read in those of the sample bands that are the nearest to a band of the readings, so that what these do not
+    tell of other bands is an error.
+    """
     own = samples.material_of == m
+    axis = sample_axis(samples)
+    is_read = _nearest(axis, readings.bands)
     read = Readings(
         samples.names[m], "library", readings.wi, readings.wo,
-        None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm),
-        at_readings[own].T ** 3, readings.weights,
+        None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
+        at_readings[own].T[:, is_read] ** 3, readings.weights,
     )  # fmt: skip
     return complete_at(in_sample_bands(samples.without(m)), read, at_readings[~own])
+
+
+def _nearest(bands: Bands, to: Bands) -> Array:
+    """Which bands (B,) are the nearest to one of others; all where one of both is linear sRGB."""
+    if bands.wavelengths_nm is None or to.wavelengths_nm is None:
+        return np.ones(bands.count, bool)
+    apart = np.abs(np.subtract.outer(to.wavelengths_nm, bands.wavelengths_nm))
+    return np.isin(np.arange(bands.count), apart.argmin(axis=1))
 
 
 def completion_errors(samples: LibrarySamples, m: int, found: Completion) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.formats.readings import geometry_ma_t12
+from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.model.completion.complete import Completion
 from manifold.model.completion.samples import LibrarySamples, ball_pairs, ball_places
 from manifold.models.nearby import places
@@ -53,14 +53,34 @@ def suggest(
     Raises:
         UsageError: there is no such instrument, or it has fewer directions left.
     """
-    wi, wo = directions_of(instrument)
-    if known is not None:
-        is_new = ~_taken(wi, wo, known.readings.wi, known.readings.wo)
-        wi, wo = wi[is_new], wo[is_new]
-    if not 1 <= count <= len(wi):
-        raise UsageError(f"{count} readings to suggest, expected 1 to {len(wi)}, as many as there are left")
+    wi, wo = directions_left(count, None if known is None else known.readings, instrument)
     chosen = readings_to_take(samples, samples.at(wi, wo), places(wi, wo), count, known)
     return Suggested(wi[chosen], wo[chosen])
+
+
+def directions_left(
+    count: int, readings: Readings | None = None, instrument: str | None = None
+) -> tuple[Array, Array]:
+    """Directions of a named instrument, or of any, that are not among the readings: wi (D, 3) and wo (D, 3).
+
+    Raises:
+        UsageError: there is no such instrument, or there are fewer than `count`.
+    """
+    wi, wo = directions_of(instrument)
+    total, whose = len(wi), f"the {len(wi)} directions" + (f" of {instrument}" if instrument else "")
+    if readings is not None:
+        is_read = readings.measured.any(axis=1)
+        is_new = ~_taken(wi, wo, readings.wi[is_read], readings.wo[is_read])
+        wi, wo = wi[is_new], wo[is_new]
+    if not 1 <= count <= len(wi):
+        read = "" if len(wi) == total else f" and {total - len(wi)} of them read"
+        other = "; name another instrument" if instrument else ""
+        raise UsageError(
+            f"{count} readings to suggest of {whose}{read}, expected 1 to {len(wi)}{other}"
+            if len(wi)
+            else f"the readings have all {whose[4:]} already, so that none is left to suggest{other}"
+        )
+    return wi, wo
 
 
 def readings_to_take(

@@ -150,14 +150,17 @@ def calibrate(
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 
     Compares linear, root-polynomial and Cheung's polynomial forms, and selects the one with the least
-    leave-one-out error.
+    leave-one-out error, sample by sample. Give six or more samples of different colours: one sample determines the
+    correction of its own colour only.
     """
     from manifold.workflows import completions
 
     learned = completions.calibrate_instrument(pairs, output)
     results = terminal.Results(None)
-    results.rows(f"Colour correction {output}", {"samples": len(pairs) // 2, "form": learned.form})
-    results.text("\nLeave-one-out relative error:\n")
+    n_samples = len(pairs) // 2
+    results.rows(f"Colour correction {output}", {"samples": n_samples, "form": learned.form})
+    left_out = "reading by reading of the one sample" if n_samples == 1 else "sample by sample"
+    results.text(f"\nLeave-one-out relative error, {left_out}:\n")
     results.table(
         ("form", "error", "chosen"),
         [
@@ -165,6 +168,8 @@ def calibrate(
             for form, error in learned.errors.items()
         ],
     )
+    for note in completions.calibration_notes(n_samples):
+        results.sentence(f"note: {note}")
 
 
 def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:

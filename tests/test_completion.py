@@ -619,6 +619,14 @@ def test_a_correction_is_learned_across_samples_written_and_applied(run, tmp_pat
     with pytest.raises(FileFormatError, match="not a colour correction"):
         read_correction(tmp_path / "c.json")
     assert run("calibrate", names[0], cwd=tmp_path)[0] == 2
+    for count, words in (
+        (1, "one sample determines the correction of its own colour"),
+        (3, "3 samples determine"),
+    ):
+        status, out, err = run("calibrate", *names[: 2 * count], "-o", f"c{count}.json", cwd=tmp_path)
+        assert status == 0, err
+        assert f"note: {words}" in out
+        assert ("reading by reading of the one sample" in out) == (count == 1)
 
 
 def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tmp_path):

@@ -34,6 +34,7 @@ from manifold.system.stages import Stages
 from manifold.workflows import renders
 
 _MOST_READINGS = 2000
+_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/design/completion.md
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 
@@ -199,6 +200,20 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrectio
     learned = learn_across(list(zip(readings[::2], readings[1::2], strict=True)))
     write_correction(output, learned)
     return learned.colours
+
+
+def calibration_notes(n_samples: int) -> tuple[str, ...]:
+    """What the samples of a colour correction leave open, in sentences."""
+    if n_samples >= _ENOUGH_SAMPLES:
+        return ()
+    few = (
+        "one sample determines the correction of its own colour, and its error says nothing of others: in "
+        "simulations these are missed by half"
+        if n_samples == 1
+        else f"{n_samples} samples determine a correction badly: in simulations new colours are missed by a quarter, "
+        "with six by a sixth"
+    )
+    return (f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours",)
 
 
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:

@@ -39,7 +39,11 @@ def chart(
         typer.Option("--model", "-M", help="A fitted model: chart its materials.", metavar="FILE"),
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option(help="A setting's key; may be repeated.", metavar="KEY")
+        list[str] | None,
+        typer.Option(
+            help="A setting's key, or a method's with --readings; may be repeated.",
+            metavar="KEY",
+        ),
     ] = None,
     anchor: Annotated[
         str | None,
@@ -50,11 +54,17 @@ def chart(
     ] = None,
     readings: Annotated[
         bool,
-        typer.Option("--readings", help="Instead: errors of completions against the number of readings."),
+        typer.Option(
+            "--readings",
+            help="Instead: errors of completions against the number of readings (takes minutes; with --only one of "
+            "completion, ridge, ridge_same, nearest, principled: less).",
+        ),
     ] = False,
     json: options.JsonOption = None,
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
+
+    Takes minutes (51 materials in 195 bands: ten); nothing is kept when it is interrupted.
 
     Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no

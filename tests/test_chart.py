@@ -1,7 +1,9 @@
 """The chart of settings on a small library: complete, consistent, and drawn so that a person sees it."""
 
 import json
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from typer.testing import CliRunner
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.cli.main import app
 from manifold.errors import UsageError
-from manifold.experiments.chart import held_out, registry, storage_forms
+from manifold.experiments.chart import fits, held_out, registry, storage_forms
 from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of, fronts, make_chart
 from manifold.experiments.chart.held_out import without_small_weights
 from manifold.experiments.chart.instruments import RelativeTime, some_pairs
@@ -161,8 +163,20 @@ def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
 
 
 def test_an_unknown_setting_is_one_clear_error():
-    with pytest.raises(UsageError, match="no setting is called 'pca'"):
-        make_chart(FILES, ["pca"])
+    with pytest.raises(
+        UsageError, match="no setting is called 'blend'; near are blend_2, blend_3, "
+    ) as raised:
+        make_chart(FILES, ["blend"])
+    assert len(str(raised.value)) < 200
+
+
+def test_the_document_lists_every_key():
+    text = (Path(__file__).parents[1] / "docs/design/chart.md").read_text()
+    listed = re.findall(
+        r"`([^`]+)`", text.partition("**Keys** for `--only`:")[2].partition(". Libraries in RGB")[0]
+    )
+    own = [setting.key for setting in registry.settings(195)]
+    assert listed == [*own, *(f"fit_{method}" for method in fits.METHODS), fits.NEURAL]
 
 
 def test_too_few_materials_are_one_clear_error():

@@ -29,6 +29,7 @@ from manifold.formats.light_side import with_light_side_note
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC, printable
 from manifold.formats.text import read_bytes
+from manifold.system.names import names_like
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
@@ -139,11 +140,11 @@ def read(path: Path | str, sample: str | None = None) -> Record:
     names = [record.name for record in found]
     if sample is None and len(found) == 1:
         return found[0]
-    listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
     if sample is None:
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         raise UsageError(f"{path}: holds {len(names)} samples ({listed}); name one with --sample")
     if sample not in names:
-        raise UsageError(f"{path}: no sample '{sample}', expected one of {listed}")
+        raise UsageError(f"{path}: no sample '{sample}'; {names_like(names, sample)}")
     return found[names.index(sample)]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,8 +14,7 @@ from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasur
 from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.records import BsdfFile, Progress
-
-_SHOWN_NAMES = 4  # of a model's materials, in messages
+from manifold.system.names import names_like
 
 
 class MaterialCache:
@@ -44,7 +42,7 @@ class MaterialCache:
             UsageError: there is none of that name.
         """
         if name not in self.names:
-            raise UsageError(f"no material '{name}' in this model; {_names_like(self.names, name)}")
+            raise UsageError(f"no material '{name}' in this model; {names_like(self.names, name)}")
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
@@ -129,21 +127,11 @@ class MaterialCache:
         return loaded
 
 
-def _names_like(names: Sequence[str], name: str) -> str:
-    """Similar names for an error message: those that contain a name, or are close matches."""
-    within = [known for known in names if name and name.lower() in known.lower()]
-    near = (within or difflib.get_close_matches(name, names))[:_SHOWN_NAMES]
-    if near:
-        return f"near are {', '.join(near)}"
-    more = len(names) - _SHOWN_NAMES
-    return f"it holds {', '.join(names[:_SHOWN_NAMES])}" + f" and {more} more" * (more > 0)
-
-
 def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
     """Some materials of a library, in its order. Raises UsageError where it lacks one."""
     unknown = sorted(set(names) - set(library.names))
     if unknown:
-        near = _names_like(library.names, unknown[0])
+        near = names_like(library.names, unknown[0])
         raise UsageError(f"no material '{unknown[0]}' in {library.path.name}; {near}")
     return tuple(name for name in library.names if name in names)
 

@@ -15,6 +15,7 @@ from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, M
 from manifold.experiments.chart.registry import Setting, settings
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import BsdfFile, Progress
+from manifold.system.names import names_like
 
 ERRORS = {
     "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
@@ -111,7 +112,8 @@ def make_chart(
         known[fits.NEURAL] = fits.NEURAL
     unknown = [key for key in only if key not in known]
     if unknown:
-        raise UsageError(f"no setting is called {unknown[0]!r}, expected one of {', '.join(known)}")
+        near = names_like(list(known), unknown[0], "there are")
+        raise UsageError(f"no setting is called {unknown[0]!r}; {near}; docs/design/chart.md lists all")
     chosen = [known[key] for key in only or known]
     held_out = [s for s in chosen if isinstance(s, Setting)]
     rows: dict[str, ChartRow] = {}

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from manifold.errors import ManifoldError, UsageError
 from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
+from manifold.system.names import names_like
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
@@ -204,9 +205,8 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     known = {mode.key for mode in modes}
     unknown = [name for name in only if name not in known]
     if unknown:
-        raise UsageError(
-            f"no failure mode is called '{unknown[0]}'; expected one of {', '.join(sorted(known))}"
-        )
+        near = names_like(sorted(known), unknown[0], "there are")
+        raise UsageError(f"no failure mode is called '{unknown[0]}'; {near}; docs/stability.md lists all")
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 

@@ -11,6 +11,7 @@ from matplotlib.mathtext import MathTextParser
 from matplotlib.text import Text
 
 from manifold.errors import UsageError
+from manifold.plots.glyphs import drawable
 from manifold.system import atomic
 
 Box = tuple[float, float, float, float]
@@ -61,6 +62,17 @@ def _formulas() -> MathTextParser:
     return MathTextParser("agg")
 
 
+def make_drawable(text: Text) -> None:
+    """Let a text be drawn as it is: names may hold dollars, and characters that the font lacks."""
+    words = text.get_text()
+    if "$" in words and not _is_formula(words):
+        text.set_parse_math(False)
+    if not words.isascii():
+        words, families = drawable(words, text.get_fontfamily())
+        text.set_text(words)
+        text.set_fontfamily(families)
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG (or what the suffix says), atomically.
 
@@ -69,7 +81,6 @@ def save(figure: Figure, path: Path) -> None:
     """
     require_writable(path)
     for text in figure.findobj(Text):
-        if "$" in text.get_text() and not _is_formula(text.get_text()):
-            text.set_parse_math(False)
+        make_drawable(text)
     with atomic.replacing(path) as partial:
         figure.savefig(partial)

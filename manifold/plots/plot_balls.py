@@ -13,7 +13,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import make_drawable, new_figure, shortened
 from manifold.plots.plot_latents import MARK, draw_expected_error, latent_axes, two_dimensions
 from manifold.records import Array
 
@@ -64,6 +64,8 @@ def ball_map(
         )
         for k, name in enumerate(names)
     ]  # fmt: skip
+    for label in labels:
+        make_drawable(label)
     ball_pixels = _BALL_POINTS * point
     text = np.array([[box.width, box.height] for box in (label.get_window_extent() for label in labels)])
     room = np.column_stack([np.maximum(text[:, 0], 0.8 * ball_pixels), ball_pixels + text[:, 1]])

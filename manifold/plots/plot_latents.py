@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import Box, new_figure, overlap, shortened
+from manifold.plots.figures import Box, make_drawable, new_figure, overlap, shortened
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
@@ -135,6 +135,7 @@ def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
             names[k], X[k], xytext=(0, 0), textcoords="offset pixels", fontsize=8, ha="center", va="center",
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.8)], zorder=4,
         )  # fmt: skip
+        make_drawable(text)
         extent = text.get_window_extent(renderer)
         offset, box = _best_place(pixels[k], extent.width, extent.height, dot, taken, frame.extents)
         text.set_position(offset)

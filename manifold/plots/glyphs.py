@@ -25,8 +25,8 @@ def drawable(text: str, families: list[str]) -> tuple[str, list[str]]:
         text: any, of a name.
         families: that it would be drawn in.
     Returns:
-        The text, in which characters that no font has are escapes such as \\\\u6f06, and the families, with those at the
-        end that have what the first ones lack.
+        The text, where what no font has is an escape such as `u6f06` behind a backslash, and the families, with
+        others at the end that have what the first lack.
     """
     missing = [c for c in dict.fromkeys(text) if c != "\n" and ord(c) not in _characters_of(tuple(families))]
     found = list(families)

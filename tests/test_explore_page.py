@@ -127,6 +127,18 @@ def test_the_shader_sums_the_prediction_of_python(visited, model, document, rng)
         assert np.mean(np.abs(found - expected)) < 0.01 * np.mean(expected)
 
 
+def test_shaders_ask_for_full_precision(visited):
+    """Else half vectors are 16 bits wide where drivers take the defaults of GLSL at their word: 0.3 CIEDE2000."""
+    script = """() => {
+      const { balls } = window.explorer, { gl } = balls;
+      const programs = [...Object.values(balls.programs), balls.show, ...balls.blends.programs.values()];
+      return programs.map(({ handle }) => gl.getShaderSource(gl.getAttachedShaders(handle)[1]).split("\\n")[1]);
+    }"""
+    found = visited.page.evaluate(script)
+    assert len(found) >= 6
+    assert set(found) == {"precision highp float; precision highp int; precision highp sampler2D;"}
+
+
 def test_a_moving_ball_makes_up_for_the_materials_that_it_leaves_out(visited, model):
     x = model.X[0] + [0.05, 0.0]
     at_rest = table_of_page(visited.page, x)

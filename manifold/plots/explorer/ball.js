@@ -9,9 +9,8 @@ const MOVING = [18, 12], RESTING = [36, 24]; // products of four
 const ACROSS = 8; // fours of half vectors beside each other in the texture of their light
 const SCALE = 256; // of what a half vector contributes, so that half floats hold it
 
-const COMMON = `#version 300 es
-precision highp float;
-uniform highp sampler2D table; // cube roots of f cos(theta_i) cos(theta_o): phi_d across, theta_d within theta_h down
+const COMMON = `
+uniform sampler2D table; // cube roots of f cos(theta_i) cos(theta_o): phi_d across, theta_d within theta_h down
 uniform vec3 nodes, view;
 uniform float thetaHMax, thetaHPower, thetaDShare;
 const float PI = 3.14159265358979;
@@ -103,9 +102,8 @@ void main() {
 }`;
 
 // The same, channel by channel, four half vectors to a texel.
-const TURN = `#version 300 es
-precision highp float;
-uniform highp sampler2D contribution;
+const TURN = `
+uniform sampler2D contribution;
 out vec4 result;
 
 void main() {
@@ -115,9 +113,8 @@ void main() {
   result = four;
 }`;
 
-const SUM = `#version 300 es
-precision highp float;
-uniform highp sampler2D channels, light;
+const SUM = `
+uniform sampler2D channels, light;
 uniform int fours;
 out vec4 result;
 

@@ -12,10 +12,8 @@ const range = (count) => [...Array(count).keys()];
  * A material of the blend has its corner in the texture, then its weights: one for all of its components where
  * isWhole, else of its components one by one for four outputs each.
  */
-const blendShader = ({ groups, parts, nodes, capacity, stride, isWhole }) => `#version 300 es
-precision highp float;
-precision highp int;
-uniform highp sampler2D materials; // a block of the grid per material and four components, its blocks side by side
+const blendShader = ({ groups, parts, nodes, capacity, stride, isWhole }) => `
+uniform sampler2D materials; // a block of the grid per material and four components, its blocks side by side
 layout(std140) uniform Blend { vec4 texels[${capacity}]; };
 uniform int count, columns;
 uniform vec4 toNodes[${nodes * parts}];

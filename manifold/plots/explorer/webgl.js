@@ -1,12 +1,15 @@
 // Programs, textures and targets of WebGL2 that cover their whole target with one triangle.
 
-const QUAD = `#version 300 es
+const VERSION = "#version 300 es\n";
+const QUAD = `${VERSION}
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+// Fragment shaders have integers of 16 bits and textures of 8 unless told otherwise, and some drivers take that at its word.
+const PRECISE = `${VERSION}precision highp float; precision highp int; precision highp sampler2D;`;
 
-/** A program of a fragment shader: its handle, and `at(name)`, the place of a uniform. */
+/** A program of a fragment shader, without its version and precisions: its handle, and `at(name)`, the place of a uniform. */
 export function makeProgram(gl, fragment) {
   const handle = gl.createProgram();
-  for (const [type, source] of [[gl.VERTEX_SHADER, QUAD], [gl.FRAGMENT_SHADER, fragment]]) {
+  for (const [type, source] of [[gl.VERTEX_SHADER, QUAD], [gl.FRAGMENT_SHADER, PRECISE + fragment]]) {
     const shader = gl.createShader(type);
     gl.shaderSource(shader, source);
     gl.compileShader(shader);

@@ -297,15 +297,92 @@ def test_only_one_place_of_the_page_speaks_by_itself(page):
     assert page.locator("#exposure").get_attribute("aria-valuetext") == "+0.25 EV"
 
 
+def test_a_move_is_said_once(page):
+    """Not by the name of the map too, which screen readers read again where it has the focus."""
+    page.locator("#map").focus()
+    name, said = page.locator("#map").get_attribute("aria-label"), page.locator("#live").inner_text()
+    page.keyboard.press("Enter")
+    page.wait_for_function("(said) => document.getElementById('live').textContent !== said", arg=said)
+    place = state(page)["at"]
+    assert place in page.locator("#live").text_content()
+    assert page.locator("#map").get_attribute("aria-label") == name
+    page.keyboard.press("Tab")
+    assert place in page.locator("#map").get_attribute("aria-label")
+    page.evaluate("document.getElementById('live').textContent = ''")
+    page.locator("#exposure").press("ArrowRight")
+    page.wait_for_timeout(600)
+    assert page.locator("#live").text_content() == ""
+
+
+def test_the_focus_is_not_lost_with_the_button_that_has_it(page):
+    page.locator("#map").press("Enter")
+    settle(page)
+    for button, other in (("undo", "redo"), ("redo", "undo")):
+        page.locator(f"#{button}").press("Enter")
+        settle(page)
+        assert page.evaluate("document.activeElement.id") == other
+    page.locator("#pin").press("Enter")
+    settle(page)
+    page.locator("#unpin").press("Enter")
+    settle(page)
+    assert page.evaluate("document.activeElement.id") == "pin"
+    page.evaluate("window.explorer.problem('a message')")
+    page.locator("#problem-close").press("Enter")
+    assert page.evaluate("document.activeElement.id") == "map"
+
+
+def test_a_name_that_was_found_is_chosen_by_a_click_alone(page):
+    """As screen readers do; a finger that touches the list may mean to scroll it."""
+    page.locator("#search").fill("syn")
+    page.locator("#found li").nth(1).dispatch_event("pointerdown")
+    settle(page)
+    assert "at" not in state(page)
+    page.locator("#found li").nth(1).dispatch_event("click")
+    settle(page)
+    assert state(page)["at"] in NAMES
+
+
+def test_a_path_that_was_left_is_off(page):
+    page.locator("#path-t").press("End")
+    page.locator("#map").press("ArrowLeft")
+    settle(page)
+    assert page.locator("#path-value").inner_text() == "off"
+    assert page.locator("#path-t").input_value() == "0"
+
+
+def test_in_forced_colours_what_is_chosen_is_seen(page):
+    page.emulate_media(forced_colors="active")
+    page.locator("#search").fill("syn")
+    script = """[...document.querySelectorAll("#found li")].map((e) => getComputedStyle(e).backgroundColor)"""
+    chosen, other, *_ = page.evaluate(script)
+    page.emulate_media(forced_colors="none")
+    assert chosen != other
+
+
+def test_without_webgl_the_reason_is_said(browser, address):
+    context = browser.new_context()
+    context.add_init_script("HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...rest) {"
+                            " return kind === 'webgl2' ? null : get.call(this, kind, ...rest); })"
+                            "(HTMLCanvasElement.prototype.getContext)")  # fmt: skip
+    without = context.new_page()
+    without.goto(address)
+    without.locator("#problem", has_text="has no WebGL2, or it is switched off").wait_for()
+    without.locator("#map").press("Enter")
+    without.locator("#error-value", has_text="measured material").wait_for()
+    context.close()
+
+
 def test_a_choice_stands_beside_its_words(page):
     script = """[...document.querySelectorAll("input[type=radio]")].filter((radio) => {
       const words = document.createRange();
       words.selectNode([...radio.parentElement.childNodes].find((e) => e.nodeType === 3 && e.data.trim()));
       return words.getBoundingClientRect().top > radio.getBoundingClientRect().bottom;
     }).map((radio) => radio.value)"""
+    sizes = """new Set([...document.querySelectorAll("input[type=radio]")].map((radio) => radio.clientWidth)).size"""
     for width in (360, 390, 768, 1280, 1920):
         page.set_viewport_size({"width": width, "height": 900})
         assert page.evaluate(script) == []
+        assert page.evaluate(sizes) == 1
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 

@@ -75,7 +75,10 @@ export const controls = {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
     this.byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
     this.byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
-    this.byId("problem-close").addEventListener("click", () => this.problem(""));
+    this.byId("problem-close").addEventListener("click", () => {
+      this.problem("");
+      this.byId("map").focus({ preventScroll: true }); // what had the focus is hidden
+    });
     this.root.addEventListener("keydown", (event) => this.shortcut(event));
     this.link.listen(() => {
       if (this.link.read() !== toFragment(this.state)) {
@@ -146,6 +149,7 @@ export const controls = {
     }, { passive: false });
     canvas.addEventListener("keydown", (event) => this.mapKey(event));
     canvas.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && this.commit());
+    canvas.addEventListener("blur", () => this.showLabels());
     this.byId("zoom-in").addEventListener("click", () => this.zoom(map.zoom * 1.5));
     this.byId("zoom-out").addEventListener("click", () => this.zoom(map.zoom / 1.5));
   },
@@ -188,6 +192,7 @@ export const controls = {
       this.history.amend({ lamp: this.state.lamp });
       this.link.write(toFragment(this.state), this);
     };
+    canvas.addEventListener("blur", () => this.showLabels());
     canvas.addEventListener("webglcontextlost", (event) => this.loseBalls(event));
     canvas.addEventListener("webglcontextrestored", () => this.restoreBalls());
     canvas.addEventListener("pointermove", (event) => {
@@ -332,10 +337,8 @@ export const controls = {
         item.setAttribute("role", "option");
         item.setAttribute("aria-selected", String(row === at));
         item.textContent = this.data.names[k];
-        item.addEventListener("pointerdown", (event) => {
-          event.preventDefault();
-          choose(k);
-        });
+        item.addEventListener("pointerdown", (event) => event.preventDefault()); // the focus stays
+        item.addEventListener("click", () => choose(k)); // a finger may scroll the list; screen readers only click
         return item;
       }));
       if (!found.length) {
@@ -344,6 +347,7 @@ export const controls = {
         none.setAttribute("aria-disabled", "true");
         none.textContent = "no material has such a name";
         list.append(none);
+        if (input.value.trim()) this.say(none.textContent);
       }
       list.hidden = !input.value.trim();
       input.setAttribute("aria-expanded", String(!list.hidden));

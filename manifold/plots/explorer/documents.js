@@ -7,7 +7,7 @@ export const documents = {
     this.commit();
     try {
       await navigator.clipboard.writeText(this.link.address());
-      this.byId("live").textContent = "Link copied";
+      this.say("Link copied");
       this.byId("link").textContent = "Copied";
     } catch {
       this.byId("link").textContent = "See the address";

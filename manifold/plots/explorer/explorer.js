@@ -36,9 +36,15 @@ export class Explorer {
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
     this.balls = BallRenderer.create(this.byId("ball"), materials);
-    if (!this.balls) this.problem("This browser's WebGL2 cannot hold these materials, so balls are not drawn; everything else works.");
+    if (!this.balls) this.problem(`${this.lacks()}, so balls are not drawn; everything else works.`);
     this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
+  }
+
+  /** Why no balls can be drawn. */
+  lacks() {
+    const hasWebGL = document.createElement("canvas").getContext("webgl2") !== null;
+    return hasWebGL ? "This browser's WebGL2 cannot hold these materials" : "This browser has no WebGL2, or it is switched off";
   }
 
   start() {

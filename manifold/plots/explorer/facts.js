@@ -5,6 +5,7 @@ import { fixed, percent } from "./elements.js";
 import { isBetween } from "./state.js";
 
 const NEAREST = 6;
+const SILENCE = 400; // ms without a change, after which the place is said
 const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
 const MISSED = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
@@ -84,10 +85,27 @@ export const facts = {
     this.byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
     const place = `${this.words(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
     const known = error === null || !data.error ? "" : `${data.error.what} ${error.toFixed(2)}. `;
-    this.byId("map").setAttribute("aria-label", `Map of ${data.names.length} materials. ${place}`);
-    this.byId("ball").setAttribute("aria-label", `Ball of the material at ${place}`);
+    this.labels = { map: `Map of ${data.names.length} materials. ${place}`, ball: `Ball of the material at ${place}` };
+    this.showLabels();
     clearTimeout(this.saying);
-    this.saying = setTimeout(() => (this.byId("live").textContent = `${place}${known}${found.join(". ")}`), 400);
+    this.saying = setTimeout(() => this.sayPlace(`${place}${known}${found.join(". ")}`), SILENCE);
+  },
+
+  /** The names of the canvases; not of the one that has the focus, which screen readers would read beside what is said. */
+  showLabels() {
+    for (const [id, label] of Object.entries(this.labels)) {
+      if (this.byId(id) !== this.root.activeElement) this.byId(id).setAttribute("aria-label", label);
+    }
+  },
+
+  sayPlace(words) {
+    if (words !== this.said) this.say(words); // not again where only the light has changed
+    this.said = words;
+  },
+
+  /** Let a screen reader say something. */
+  say(words) {
+    this.byId("live").textContent = words;
   },
 
   words(state) {
@@ -96,6 +114,14 @@ export const facts = {
     const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
     const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
     return named ? `${place}, ${named}` : place;
+  },
+
+  /** Enable and disable buttons; the focus of one that is disabled goes to another, else it would be lost. */
+  enable(buttons) {
+    const focused = this.root.activeElement;
+    for (const [id, isEnabled] of Object.entries(buttons)) this.byId(id).disabled = !isEnabled;
+    const other = { undo: "redo", redo: "undo", unpin: "pin" }[focused?.id];
+    if (other && focused.disabled) this.byId(other).focus();
   },
 
   showControls() {
@@ -110,16 +136,14 @@ export const facts = {
     this.byId("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} EV`;
     this.byId("exposure").setAttribute("aria-valuetext", this.byId("exposure-value").textContent);
     this.byId("ball").classList.toggle("lamp", state.light === "lamp");
-    this.byId("undo").disabled = !past.can(-1);
-    this.byId("redo").disabled = !past.can(1);
-    this.byId("unpin").disabled = !state.pin;
+    this.enable({ undo: past.can(-1), redo: past.can(1), unpin: Boolean(state.pin) });
     this.byId("pinned").value = state.pin ? state.pin.at && state.pin.colour === "blend" ? state.pin.at : "\u0000pinned" : "";
     this.byId("pinned").options[1].hidden = this.byId("pinned").options[1].disabled = this.byId("pinned").value !== "\u0000pinned";
     if (state.path) {
       this.byId("path-from").value = state.path.from;
       this.byId("path-to").value = state.path.to;
-      this.byId("path-t").value = state.path.t;
     }
+    this.byId("path-t").value = state.path?.t ?? 0;
     this.byId("path-value").textContent = state.path ? percent(state.path.t) : "off";
     this.byId("path-t").setAttribute("aria-valuetext", this.byId("path-value").textContent);
     for (const input of this.byId("coordinates").querySelectorAll("input")) {

@@ -169,7 +169,7 @@ class Actions {
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;
-    if (!isOpen) this.explorer.byId("live").textContent = `${job.title}: ${job.state}`;
+    if (job.state !== "running") this.explorer.say(`${job.title}: ${job.state}${said}`);
     if (job.state === "done" && job.picture) this.showPicture(item, job);
     if (job.state === "done" && job.result?.latent) this.showPlace(item, job.result);
   }

@@ -9,7 +9,7 @@ import pytest
 
 from manifold.colour import ball_colours
 from manifold.fitting import fit_samples
-from manifold.fitting.exports import TARGETS, Principled, loss
+from manifold.fitting.exports import TARGETS, Principled, gltf, loss
 from manifold.fitting.exports.direct import fit_target
 from manifold.records import Bands
 
@@ -65,3 +65,13 @@ def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
     assert found["anisotropyStrength"] == 0.0
     assert found["metallicFactor"] == 1.0  # not 0.9999999
     np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
+
+
+def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
+    # Narrower than principled's, it is a coloured line that hardly any sample determines.
+    target = TARGETS["gltf"]
+    narrow = {"sheenColorFactor": [1.0, 0.0, 0.0], "sheenRoughnessFactor": 0.05}
+    truth = Own(target, target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5)) | narrow)
+    start = target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth), truth)
+    assert found["sheenRoughnessFactor"] == 0.0 or found["sheenRoughnessFactor"] >= gltf.SHEEN_ROUGHNESS

@@ -37,7 +37,6 @@ class Subject:
         source: where it comes from, plain values.
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
-        samples: of it, where it was fitted here.
         against: that in words.
     """
 
@@ -46,7 +45,6 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
-    samples: FitSamples | None = None
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def _fitted(
     on_progress: Progress | None = None,
 ) -> Subject:  # fmt: skip
     content = fit_json.document(fit_bsdf(samples, on_progress=on_progress), fit_json.Source(name))
-    return Subject(name, source, content, material, against, samples)
+    return Subject(name, source, content, material, against)
 
 
 def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = False) -> ExportOutcome:
@@ -147,8 +145,7 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
     fitted = FittedBRDF(subject.fit)
     material = fitted if subject.material is None else subject.material
     if is_direct:
-        samples = subject.samples or fit_samples.from_brdf(material)
-        parameters = fit_target(target, parameters, samples, material)
+        parameters = fit_target(target, parameters, fit_samples.from_brdf(material), material)
     reference = loss.material_xyz(material)
     own = loss.rgb_xyz(lambda view, light: target.brdf(parameters, view, light))
     made = Export(

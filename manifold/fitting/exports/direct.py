@@ -18,6 +18,7 @@ from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import to_lab
+from manifold.fitting.exports import gltf, openpbr, standard_surface
 from manifold.fitting.exports.principled_values import snapped
 from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_metrics import Metric
@@ -32,6 +33,12 @@ _COAT, _COAT_ROUGHNESS = (
     0.6,
 )  # of the second start: long tails are a rough coat's, which the first may not have
 _EVALUATIONS = 40
+_LEAST = {
+    "sheenRoughnessFactor": gltf.SHEEN_ROUGHNESS,
+    "sheen_roughness": standard_surface.SHEEN_ROUGHNESS,
+    "fuzz_roughness": openpbr.FUZZ_ROUGHNESS,
+    "Sheen Roughness": openpbr.FUZZ_ROUGHNESS,
+}  # that of principled: a narrower sheen is a coloured line at the rim, where hardly any value determines it
 _NONE = 2e-3  # a coat or a sheen below this weight is none
 
 
@@ -134,7 +141,7 @@ def _range(name: str) -> tuple[float, float]:
         return 1.0, 2.0
     if lowered.endswith("smoothness"):
         return 0.0, 0.98
-    return (0.02 if "roughness" in lowered else 0.0), 1.0
+    return _LEAST.get(name, 0.02 if "roughness" in lowered else 0.0), 1.0
 
 
 def _lab(f: Array, bands: Bands) -> Array:

@@ -358,6 +358,14 @@ def test_errors_of_bands_that_are_not_read_are_expected(samples):
     assert missed.expected(grey)["ball"] > np.median(missed.errors[:, 0]) / 2.0
 
 
+def test_readings_that_no_material_meets_so_badly_are_said(samples, rng):
+    calibration = calibrate(samples, readings(np.ones((12, 3))))
+    own = leave_out(samples, 2, samples.at(*DIRECTIONS), readings(np.ones((12, 3))))
+    assert calibration.notes(own) == ()
+    (note,) = calibration.notes(complete(samples, readings(np.exp(2.0 * rng.standard_normal((12, 3))))))
+    assert "other units or directions" in note
+
+
 def test_expected_errors_are_the_line_of_their_logarithms(rng):
     x = rng.standard_normal((400, 2))
     x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
@@ -503,7 +511,7 @@ def test_samples_are_left_out_whole(rng):
     assert found.errors["linear"] == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library):
+def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library, rng):
     brdf = MeasuredBRDF(Library.open(library).read("syn_felt_green"))
     nm = np.linspace(400.0, 700.0, 31)
     spectra = np.array([np.interp(nm, [420.0, 550.0, 650.0], row[::-1]) for row in brdf.eval(*DIRECTIONS)])
@@ -521,6 +529,11 @@ def test_a_goniometer_gets_the_colours_of_the_spectrophotometer(samples, library
     made = found.readings.values[12:]
     assert float(np.median(np.abs(made - truth) / truth.max(axis=1, keepdims=True))) < 0.03
     assert found.readings.bands.count == 31
+    assert "a leave-one-out error of" in found.readings.notes[-1]
+    assert "one sample" not in found.readings.notes[-1]
+    of_another = replace(gonio, values=gonio.values[rng.permutation(len(gonio))], name="other")
+    mixed = combine(readings(spectra, nm=nm), of_another)
+    assert mixed.readings.notes[-1].endswith("do both files read one sample, sample and other?")
     with pytest.raises(BandMismatchError, match="expected three bands, to be corrected"):
         combine(readings(spectra, nm=nm), readings(spectra[:, :5], nm=nm[:5]))
 

@@ -131,7 +131,8 @@ def complete_readings(
     stages.begin("completing")
     found = complete(samples, hybrid.readings)
     stages.begin("expected error")
-    expected = calibrate(samples, found.readings).expected(found)
+    calibration = calibrate(samples, found.readings)
+    expected = calibration.expected(found)
     suggested = suggest(samples, count, found, instrument) if count else None
     stages.begin("writing")
     plausibility = write_checked(
@@ -148,7 +149,7 @@ def complete_readings(
     if picture is not None:
         settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
         renders.render(renders.file_source(output), picture, settings, stages.begin("rendering"))
-    notes = (*found.notes, *diagnostics.of_prediction(False, plausibility))
+    notes = (*found.notes, *calibration.notes(found), *diagnostics.of_prediction(False, plausibility))
     if physical:
         notes += diagnostics.of_projection(plausibility)
     return Completed(

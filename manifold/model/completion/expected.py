@@ -40,6 +40,17 @@ class Calibration:
         every = np.ones(len(self.signs), bool)
         return dict(zip(KINDS, self._line(indicators_of(found), every).tolist(), strict=True))
 
+    def notes(self, found: Completion) -> tuple[str, ...]:
+        """Of readings that are met worse than those of any material, to which expected errors do not reach."""
+        residual, largest = indicators_of(found)[0], self.signs[:, 0].max()
+        if residual <= largest:
+            return ()
+        return (
+            f"the readings are met with a residual of {100.0 * residual:.0f} %, those of left-out materials with at "
+            f"most {100.0 * largest:.0f} %: two samples, other units or directions, or a kind that the library lacks; "
+            "errors may be larger than expected",
+        )
+
     @property
     def left_out(self) -> Array:
         """Errors to expect of every material, learned from the others, shape (N, 3)."""

@@ -24,7 +24,8 @@ for path in json.loads(sys.argv[1]):
     materials = {}
     for material in bpy.data.materials:
         (shader,) = [n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED"]
-        values = {s.name: s.default_value for s in shader.inputs if hasattr(s, "default_value")}
+        sockets = [s for s in shader.inputs if hasattr(s, "default_value") and not s.is_linked]
+        values = {s.name: s.default_value for s in sockets}
         values = {k: list(v) if hasattr(v, "__len__") else v for k, v in values.items()}
         output = material.node_tree.get_output_node("ALL")
         is_connected = output.inputs["Surface"].links[0].from_node == shader

@@ -46,6 +46,27 @@ def test_the_script_makes_one_material_and_sets_its_sockets(tmp_path):
             assert sockets[key] == pytest.approx(value, abs=1e-6), key
 
 
+TEXTURED = """
+import bpy
+old = bpy.data.materials.get("plain") or bpy.data.materials.new("plain")
+if not old.node_tree:
+    old.use_nodes = True
+(shader,) = [n for n in old.node_tree.nodes if n.type == "BSDF_PRINCIPLED"]
+colour = old.node_tree.nodes.new("ShaderNodeRGB")
+old.node_tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
+"""
+
+
+def test_a_material_of_the_name_is_changed_where_textures_set_it(tmp_path):
+    path, made = written(tmp_path, "plain", "blender")
+    path.write_text(TEXTURED + path.read_text())
+    ((sockets, _, is_connected, _),) = blender_module.run(blender_module.SCRIPTS, [str(path)])[
+        str(path)
+    ].values()
+    assert is_connected
+    assert sockets["Base Color"] == pytest.approx([*made.parameters["Base Color"], 1.0], abs=1e-6)
+
+
 def test_the_defaults_are_blender_s(tmp_path):
     path = tmp_path / "x.py"
     path.write_text(

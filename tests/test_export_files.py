@@ -215,7 +215,7 @@ def test_blender_s_script_sets_the_parameters(tmp_path, name):
 
 
 class _Socket:
-    default_value = None
+    default_value, links = None, ()
 
 
 class _Shader:

@@ -72,6 +72,8 @@ if shader is None:
     material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
 shader.distribution = "MULTI_GGX"
 for key, value in VALUES.items():
+    for link in shader.inputs[key].links:  # of a texture, whose value would be taken
+        material.node_tree.links.remove(link)
     shader.inputs[key].default_value = (*value, 1.0) if isinstance(value, list) else value
 '''
 _NAME_BYTES = 63  # that Blender 4 keeps of a name; with more, a script would not find its material again

@@ -44,7 +44,7 @@ def complete(
         ),
     ] = None,
     sample: Annotated[
-        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+        str | None, typer.Option("--sample", help="Which sample of files with several.", metavar="NAME")
     ] = None,
     correction: options.CorrectionOption = None,
     picture: Annotated[
@@ -140,7 +140,9 @@ def calibrate(
     pairs: Annotated[
         list[Path],
         typer.Argument(
-            help="For every sample the reference's file, then the other's.", metavar="REF OTHER ..."
+            help="For every sample the reference's file, then the other's; of files with several samples, those with "
+            "the same names are used.",
+            metavar="REF OTHER ...",
         ),
     ],
     output: Annotated[
@@ -155,9 +157,8 @@ def calibrate(
     """
     from manifold.workflows import completions
 
-    learned = completions.calibrate_instrument(pairs, output)
+    learned, n_samples = completions.calibrate_instrument(pairs, output)
     results = terminal.Results(None)
-    n_samples = len(pairs) // 2
     results.rows(f"Colour correction {output}", {"samples": n_samples, "form": learned.form})
     left_out = "reading by reading of the one sample" if n_samples == 1 else "sample by sample"
     results.text(f"\nLeave-one-out relative error, {left_out}:\n")

@@ -63,6 +63,9 @@ def fit(
         bool,
         typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines accept 0 to 1."),
     ] = False,
+    sample: Annotated[
+        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+    ] = None,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
@@ -86,6 +89,8 @@ def fit(
     if bool(sources) == (latent is not None):
         raise UsageError("expected either files or --latent X,Y; name what to fit")
     colour = ColourChoice(like, reflectance, srgb)
+    if latent is not None and sample is not None:
+        raise UsageError("--sample is of a file of readings; leave it or --latent out")
     if sources and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
     for path in sources or () if picture else ():
@@ -97,7 +102,7 @@ def fit(
     results = terminal.Results(json)
     settings = fits.FitSettings(
         family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method, metric=metric,
-        noise=noise, wide_colours=wide_colours,
+        noise=noise, wide_colours=wide_colours, sample=sample,
     )  # fmt: skip
     if latent is not None:
         coordinates = options.parse_latent(latent)
@@ -135,7 +140,10 @@ def _failures(outcomes: list[FitOutcome]) -> str:
     for outcome in outcomes:
         if outcome.failure is not None:
             names.setdefault(outcome.failure, []).append(outcome.name)
-    said = [f"{_first_three(failed)}: {failure}" for failure, failed in names.items()]
+    said = [
+        failure if failed[0] in failure else f"{_first_three(failed)}: {failure}"
+        for failure, failed in names.items()
+    ]
     return _first_three(said, "; ")
 
 

@@ -178,4 +178,4 @@ def is_number(text: str) -> bool:
 
 def megabytes(size: int) -> str:
     """A size in bytes for people."""
-    return f"{size / 1e6:.1f} MB"
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

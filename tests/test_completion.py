@@ -16,8 +16,8 @@ from manifold.colour.correction import learn_correction
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, FileFormatError, UsageError
 from manifold.experiments.readings.curve import measure_curves
-from manifold.formats import csv_table
-from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.formats import csv_table, registry
+from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -658,6 +658,43 @@ def test_fit_takes_readings_and_says_what_they_do_not_determine(run, library, tm
     status, _, err = run("fit", "felt.csv", "-o", "again.fit.json", "--picture", cwd=tmp_path)
     assert (status, "leave --picture" in err) == (2, True)
     assert not (tmp_path / "again.fit.json").exists()
+
+
+def table_of(path, samples):
+    rows = [f"{name},{g},{v},{v},{v}" for name, v in samples.items() for g in MA_T12_NAMES]
+    path.write_text("\n".join(["Name,Geometry,465,525,630", *rows]))
+
+
+def test_samples_of_two_files_are_paired_by_name(tmp_path):
+    """`calibrate` advised --sample, which it does not have."""
+    a, b, c = (tmp_path / f"{name}.csv" for name in "abc")
+    table_of(a, {"red": 0.2, "blue": 0.4})
+    table_of(b, {"blue": 0.4, "red": 0.2, "green": 0.3})
+    table_of(c, {"other": 0.2})
+    assert [(x.name, y.name) for x, y in registry.read_pairs(a, b)] == [("red", "red"), ("blue", "blue")]
+    assert [(x.name, y.name) for x, y in registry.read_pairs(c, c)] == [("other", "other")]
+    with pytest.raises(UsageError, match=r"a\.csv holds 2 samples, c\.csv 1, and no name is in both"):
+        registry.read_pairs(a, c)
+
+
+def test_a_sample_is_chosen_of_every_file_with_several(run, tmp_path):
+    table_of(tmp_path / "one.csv", {"own": 0.2})
+    table_of(tmp_path / "several.csv", {"red": 0.2, "blue": 0.4})
+    both = [tmp_path / "several.csv", tmp_path / "one.csv"]
+    for files in (both, both[::-1]):
+        assert completions.read(files, "blue").readings.values.max() == pytest.approx(0.4 / np.pi)
+    with pytest.raises(UsageError, match="no sample 'blue'; it holds own"):
+        completions.read(both[1:], "blue")
+    with pytest.raises(UsageError, match="no file holds a sample 'blue', but own; name another"):
+        completions.read([both[1]] * 2, "blue")
+    with pytest.raises(UsageError, match="no sample 'own'; it holds red, blue"):
+        completions.read(both[::-1], "own")
+    for name in ("red", "blue"):
+        status, out, err = run("fit", "several.csv", "--sample", name, "-o", "x.fit.json", cwd=tmp_path)
+        assert (status, "up to date" in out) == (0, False), err
+        assert json.loads((tmp_path / "x.fit.json").read_text())["source"]["name"] == name
+    status, _, err = run("fit", "several.csv", cwd=tmp_path)
+    assert (status, err.count("several.csv")) == (1, 1)
 
 
 def test_a_correction_that_is_no_text_is_refused_in_plain_words(tmp_path):

@@ -33,6 +33,7 @@ from manifold.system.names import names_like
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
+_SHOWN = 8  # names of samples in a message
 _WORKBOOKS = (".xlsx", ".xlsm", ".xls")
 _LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
@@ -126,34 +127,63 @@ def read_all(path: Path | str) -> list[Record]:
     return [with_light_side_note(r) if isinstance(r, Readings) else r for r in records]
 
 
-def read(path: Path | str, sample: str | None = None) -> Record:
+def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -> Record:
     """One sample of an instrument's file.
 
     Args:
         path: of any known format.
         sample: which, by name; may be left out where there is only one.
+        is_only: whether no other file is asked for this sample: then a file's only sample, too, must have its name.
     Raises:
         UsageError: there are several and none is named, or none has this name.
         FileFormatError: as `read_all`.
     """
     found = read_all(path)
     names = [record.name for record in found]
-    if sample is None and len(found) == 1:
+    if len(found) == 1 and (sample is None or not is_only):
         return found[0]
     if sample is None:
-        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        raise UsageError(f"{path}: holds {len(names)} samples ({listed}); name one with --sample")
+        raise UsageError(f"{path}: holds {len(names)} samples ({_some(names)}); name one with --sample")
     if sample not in names:
         raise UsageError(f"{path}: no sample '{sample}'; {names_like(names, sample)}")
     return found[names.index(sample)]
 
 
-def read_readings(path: Path | str, sample: str | None = None, limit: int | None = None) -> Readings:
+def read_readings(
+    path: Path | str, sample: str | None = None, limit: int | None = None, *, is_only: bool = True
+) -> Readings:
     """One sample as readings; dense tables give their measured nodes, at most `limit` of them.
 
     Raises: as `read`.
     """
-    record = read(path, sample)
+    return _as_readings(read(path, sample, is_only=is_only), limit)
+
+
+def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[tuple[Readings, Readings]]:
+    """The samples that two instruments' files both hold: one each, or those of the same names.
+
+    Raises:
+        UsageError: one holds several samples, and none has a name of the other's.
+        FileFormatError: as `read_all`.
+    """
+    found = [{record.name: record for record in read_all(path)} for path in (reference, other)]
+    first, second = ({name: _as_readings(record, limit) for name, record in of.items()} for of in found)
+    if len(first) == len(second) == 1:
+        return list(zip(first.values(), second.values(), strict=True))
+    both = [name for name in first if name in second]
+    if not both:
+        raise UsageError(
+            f"{reference.name} holds {len(first)} samples, {other.name} {len(second)}, and no name is in both; "
+            f"expected the same names: {_some(list(first))}; {_some(list(second))}"
+        )
+    return [(first[name], second[name]) for name in both]
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+
+
+def _as_readings(record: Record, limit: int | None) -> Readings:
     return record.readings(limit) if isinstance(record, DenseTable) else record
 
 

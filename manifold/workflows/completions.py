@@ -162,17 +162,20 @@ def read(paths: Sequence[Path], sample: str | None = None, correction: Path | No
 
     Args:
         paths: of one instrument, or of several, whose colours are right first.
-        sample: which of a file's samples.
+        sample: which of a file's samples, of every file that holds several.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
     Raises:
         FileFormatError: a file is of no known format, or damaged.
         BandMismatchError: bands of the files, or of the correction, do not go together.
         UsageError: a file cannot be read, or has no such sample.
     """
-    readings = [
-        registry.read_readings(path, sample if k == 0 else None, _MOST_READINGS)
-        for k, path in enumerate(paths)
-    ]
+    is_only = len(paths) == 1
+    readings = [registry.read_readings(path, sample, _MOST_READINGS, is_only=is_only) for path in paths]
+    names = list(dict.fromkeys(one.name for one in readings))
+    if sample is not None and sample not in names:
+        raise UsageError(
+            f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"
+        )
     if correction is not None:
         learned = read_correction(correction)
         readings = [corrected(r, learned) if r.values.shape[1] == 3 else r for r in readings]
@@ -182,14 +185,16 @@ def read(paths: Sequence[Path], sample: str | None = None, correction: Path | No
     return found
 
 
-def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrection:
+def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCorrection, int]:
     """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
 
     Args:
-        paths: of every sample the reference's file, then the other's.
+        paths: of every sample, or several of the same names, the reference's file, then the other's.
         output: a JSON file.
+    Returns:
+        The correction, and from how many samples it was learned.
     Raises:
-        UsageError: the number of files is odd, or too few directions are shared.
+        UsageError: the number of files is odd, no names are the same, or too few directions are shared.
         BandMismatchError: bands differ between samples, or the other instrument has not three.
     """
     if len(paths) % 2 or not paths:
@@ -197,10 +202,14 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> ColourCorrectio
             f"{len(paths)} files, expected pairs: of every sample the reference's, then the other's"
         )
     atomic.require_writable(output)
-    readings = [registry.read_readings(path, None, _MOST_READINGS) for path in paths]
-    learned = learn_across(list(zip(readings[::2], readings[1::2], strict=True)))
+    pairs = [
+        pair
+        for reference, other in zip(paths[::2], paths[1::2], strict=True)
+        for pair in registry.read_pairs(reference, other, _MOST_READINGS)
+    ]
+    learned = learn_across(pairs)
     write_correction(output, learned)
-    return learned.colours
+    return learned.colours, len(pairs)
 
 
 def calibration_notes(n_samples: int) -> tuple[str, ...]:

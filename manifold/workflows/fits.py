@@ -43,6 +43,7 @@ class FitSettings:
 
     Attributes:
         family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
+        sample: which of an instrument's file with several.
     """
 
     family: BsdfFamily | None = None
@@ -50,6 +51,7 @@ class FitSettings:
     metric: str = "cube-root"
     noise: float = 0.01
     wide_colours: bool = False
+    sample: str | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS or self.metric not in METRICS:
@@ -61,6 +63,10 @@ class FitSettings:
             raise UsageError(
                 f"noise {self.noise:g}, expected a share of the values between 0 and 1, such as 0.01"
             )
+
+    def name_of(self, path: Path) -> str:
+        """Of the material that is fitted."""
+        return self.sample or material_name(path)
 
     def made(self, content: dict[str, Any]) -> bool:
         """Whether a written fit was asked for in the same way, of the same version of this program."""
@@ -181,7 +187,9 @@ def fit_files(
         RendererError: Mitsuba is missing.
     """
     paths = find_files(sources)
-    tasks, outcomes = _plan(paths, output)
+    if settings.sample is not None and len(paths) > 1:
+        raise UsageError(f"--sample {settings.sample} of {len(paths)} files, expected one file; name one")
+    tasks, outcomes = _plan(paths, output, settings)
     backend.choose()  # probed once, here, and not by every process
 
     def done(outcome: FitOutcome) -> None:
@@ -202,7 +210,7 @@ def fit_files(
                 done(outcome)
     for path, target in tasks.items():
         if path not in outcomes:
-            outcomes[path] = FitOutcome(material_name(path), target, None, failure=_KILLED, file=path)
+            outcomes[path] = FitOutcome(settings.name_of(path), target, None, failure=_KILLED, file=path)
     return [outcomes[path] for path in paths]
 
 
@@ -238,7 +246,9 @@ def fit_prediction(
     return FitOutcome(source.name, path, content, diagnosis=diagnosis)
 
 
-def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path], dict[Path, FitOutcome]]:
+def _plan(
+    paths: Sequence[Path], output: Path | None, settings: FitSettings
+) -> tuple[dict[Path, Path], dict[Path, FitOutcome]]:
     """The JSON of every file, and the outcomes of those that cannot have one."""
     is_single = output is not None and len(paths) == 1 and not output.is_dir()
     folder = Path() if output is None else output
@@ -256,7 +266,7 @@ def _plan(paths: Sequence[Path], output: Path | None) -> tuple[dict[Path, Path],
     refused: dict[Path, FitOutcome] = {}
     taken: dict[Path, Path] = {}
     for path in paths:
-        name = material_name(path)
+        name = settings.name_of(path)
         target = folder if is_single else folder / f"{name}.fit.json"
         try:
             require_material_name(name)
@@ -281,13 +291,13 @@ def _use_one_thread() -> None:
 
 def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
     """The fit of a file, not yet written: whoever is killed here leaves nothing behind."""
-    name = material_name(path)
+    name = settings.name_of(path)
     try:
         source = Source(name=name, file=path.name, sha256=file_sha256(path))
         there = _earlier(target, source, settings)
         if there is not None:
             return FitOutcome(name, target, there, was_there=True, file=path)
-        samples = _samples(path)
+        samples = _samples(path, settings.sample)
         content = fit_json.document(_fit(samples, settings), source)
         return FitOutcome(name, target, content, file=path)
     except ManifoldError as error:
@@ -297,11 +307,13 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
         return FitOutcome(name, target, None, failure=reason, file=path)
 
 
-def _samples(path: Path) -> fit_samples.FitSamples:
+def _samples(path: Path, sample: str | None) -> fit_samples.FitSamples:
     """Of an RGL file, or of an instrument's."""
     if registry.identify(path) is None:
+        if sample is not None:
+            raise UsageError(f"{path} holds one material; leave --sample out")
         return fit_samples.from_file(read_bsdf(path))
-    return fit_samples.from_readings(registry.read_readings(path, limit=fit_samples.MAX_PAIRS))
+    return fit_samples.from_readings(registry.read_readings(path, sample, fit_samples.MAX_PAIRS))
 
 
 def _fit(
@@ -332,5 +344,8 @@ def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, A
         content = fit_json.read(target)
     except ManifoldError:
         return None  # not a fit, or of another version: it is written anew
-    is_same = content["source"]["sha256"] == source.sha256 and settings.made(content)
+    known = content["source"]
+    is_same = known["sha256"] == source.sha256 and settings.made(content)
+    if settings.sample is not None:
+        is_same &= known["name"] == source.name
     return content if is_same and fit_json.is_untouched(content) else None

@@ -30,7 +30,7 @@ from manifold.model.completion.samples import grid_pairs
 from manifold.model.materials import MaterialCache
 from manifold.models.band_mixtures import band_mixtures
 from manifold.models.completion_weights import completion_weights
-from manifold.models.mixtures import posterior
+from manifold.models.mixtures import log_of_norm, normalised, posterior
 from manifold.models.nearby import covariance, nearby_factors, places
 from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Bands
@@ -96,6 +96,13 @@ def test_the_mixture_that_was_read_is_among_the_likeliest(rng):
     best = found.most_probable(1)[0]
     assert {found.first[best], found.second[best]} == {1, 4}
     np.testing.assert_allclose(found.weights(np.array([best]))[0] @ at, target, rtol=0.02)
+
+
+def test_a_mixture_without_light_is_never_the_most_probable():
+    """Its squared norm of 0 was rewarded beyond any misfit: thousands of readings ended in a black completion."""
+    probability = normalised(-log_of_norm(np.array([0.0, 1.0, 4.0])))
+    np.testing.assert_allclose(probability, np.array([0.0, 1.0, 4.0**-2.5]) / (1.0 + 4.0**-2.5))
+    np.testing.assert_array_equal(log_of_norm(np.zeros(3)), np.zeros(3))
 
 
 def candidates(at, target, where, gram):

@@ -12,6 +12,7 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.formats import registry
 from manifold.formats.geometry_names import parse_aspecular, parse_geometry
 from manifold.formats.readings import MA_T12_NAMES, aspecular_pair
+from manifold.workflows.instrument_inspection import inspect_instrument_file
 
 SPECTRO = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
 FACTORS = np.pi * SPECTRO.values
@@ -212,3 +213,10 @@ def test_second_angles_are_aspecular_where_one_cannot_be_from_the_normal(tmp_pat
     (tmp_path / "a.csv").write_text(angle_table(["45/-15", "45/25", "45/110"]))
     found = registry.read_readings(tmp_path / "a.csv")
     np.testing.assert_allclose(found.wo, [aspecular_pair(45, a)[1] for a in (-15, 25, 110)])
+
+
+def test_the_values_of_several_samples_are_shown_together(tmp_path):
+    """Those of the first sample were shown as those of the file."""
+    write_csv(tmp_path / "a.csv", wide())
+    shown = inspect_instrument_file(tmp_path / "a.csv", "CSV table")
+    assert shown.rows["values in 1/sr"] == f"{0.5 * SPECTRO.values.min():.4g} to {SPECTRO.values.max():.4g}"

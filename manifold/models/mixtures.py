@@ -116,8 +116,14 @@ def log_likelihood(misfit: Array, count: float) -> Array:
 
 
 def log_of_norm(norm: Array) -> Array:
-    """What a mixture's squared norm over all directions costs it: errors are relative."""
-    return np.asarray(0.5 * _RELATIVE * np.log(np.maximum(norm, np.finfo(float).tiny)))
+    """What a mixture's squared norm over all directions costs it: errors are relative.
+
+    Readings with light are not of a mixture without any: it costs infinitely much, unless all are without.
+    """
+    is_black = norm <= np.finfo(float).tiny
+    if is_black.all():
+        return np.zeros_like(norm)
+    return np.where(is_black, np.inf, 0.5 * _RELATIVE * np.log(np.where(is_black, 1.0, norm)))
 
 
 def normalised(log_probability: Array) -> Array:

@@ -30,10 +30,11 @@ def inspect_instrument_file(path: Path, format_name: str) -> Inspection:
     else:
         rows["sample"] = first.name
     rows |= _of_table(first) if isinstance(first, DenseTable) else _of_readings(first)
-    rows["values in 1/sr"] = _range(first.values)
+    rows["values in 1/sr"] = _range(np.concatenate([record.values.ravel() for record in records]))
     for k, note in enumerate(dict.fromkeys(note for record in records for note in record.notes), start=1):
         rows[f"note {k}"] = note
-    rows["size"] = f"{path.stat().st_size / 1e6:.3g} MB"
+    size = path.stat().st_size
+    rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
     tables = []
     if len(records) > 1:
         listed = records[:_MOST_SAMPLES]
@@ -76,7 +77,7 @@ def _of_table(table: DenseTable) -> dict[str, object]:
 
 
 def _bands(bands: Bands) -> str:
-    return f"{bands}: {', '.join(bands.labels)}" if bands.count <= 4 and not bands.is_rgb else str(bands)
+    return f"{bands}: {', '.join(bands.labels)}" if 1 < bands.count <= 4 and not bands.is_rgb else str(bands)
 
 
 def _range(values: Any) -> str:

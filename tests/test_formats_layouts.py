@@ -37,13 +37,13 @@ def two_headers(repeats=False, geometry_first=True, geometry=str):
     return [*heads, *([name, *values(scale)] for name, scale in SAMPLES.items())]
 
 
-def long_rows():
+def long_rows(head="Geometry"):
     rows = [
         [name, g, w, value]
         for name, scale in SAMPLES.items()
         for (g, w), value in zip(BOTH, values(scale), strict=True)
     ]
-    return [["Sample", "Geometry", "Wavelength (nm)", "Reflectance"], *rows]
+    return [["Sample", head, "Wavelength (nm)", "Reflectance"], *rows]
 
 
 def turned(rows):
@@ -64,6 +64,7 @@ LAYOUTS = {
     "two header columns": turned(two_headers()),
     "title above": [["Reflectance"] + [""] * len(BOTH), *two_headers()],
     "a row per value": long_rows(),
+    "angle, a row per value": long_rows("Angle"),
 }
 
 

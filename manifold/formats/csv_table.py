@@ -51,8 +51,12 @@ def sniff(head: bytes) -> bool:
 
 
 def _is_header(cells: list[str]) -> bool:
-    """Whether cells are wavelengths, both geometries and wavelengths, or geometries beside the word."""
-    return (
+    """Whether cells are wavelengths, both geometries and wavelengths, geometries beside the word, or both words."""
+    has_angle, has_nm = (
+        any(cell.startswith(words) for cell in cells)
+        for words in (("angle", "aspecular"), ("wavelength", "lambda", "nm"))
+    )
+    return (has_angle and has_nm) or (
         sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS
         or sum(map(names_both, cells)) >= _HEADS
         or (cells[0].startswith(("nm", "wavelength")) and sum(map(can_be_geometry, cells)) >= _HEADS)

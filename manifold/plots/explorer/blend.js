@@ -123,12 +123,12 @@ export class BlendRenderer {
   _setWeights(texels, stride, shares, scale, outputs) {
     const { layout: { groups }, materials: { nComponents } } = this;
     const place = new Map(shares.map(([i], k) => [i, stride * k + 1]));
-    outputs.forEach((rows, m) => {
-      for (const [row, weight] of rows) {
-        const i = Math.floor(row / nComponents), part = Math.floor(m / 4);
-        if (place.has(i)) texels[4 * (place.get(i) + part * groups * 4 + (row % nComponents)) + (m % 4)] = scale * weight;
-      }
-    });
+    for (const [i, at] of place) {
+      outputs.forEach((weights, m) => {
+        const first = 4 * (at + Math.floor(m / 4) * groups * 4) + (m % 4);
+        for (let r = 0; r < nComponents; r++) texels[first + 4 * r] = scale * weights[i * nComponents + r];
+      });
+    }
   }
 }
 
@@ -141,13 +141,8 @@ function largest(all, least, most) {
 }
 
 /** How much of each material is in outputs. */
-function sizes(outputs, { nComponents }) {
-  const total = new Map();
-  for (const rows of outputs) {
-    for (const [row, weight] of rows) {
-      const i = Math.floor(row / nComponents);
-      total.set(i, (total.get(i) ?? 0) + Math.abs(weight));
-    }
-  }
-  return total;
+function sizes(outputs, { count, nComponents }) {
+  const total = new Float64Array(count);
+  for (const weights of outputs) weights.forEach((w, row) => (total[Math.floor(row / nComponents)] += Math.abs(w)));
+  return new Map(total.entries());
 }

@@ -130,44 +130,36 @@ export class Materials {
     return this.data.X.findIndex((row) => row.every((v, q) => v === x[q]));
   }
 
-  /** Weights of the samples (single bands of materials) on the path of a blend u at coordinate t, sparse. */
-  pathWeights(u, t) {
-    const total = new Map();
+  /** Weights of the components of all materials, (N R), on the path of a blend u at coordinate t. */
+  pathComponents(u, t) {
+    const total = new Float64Array(this.count * this.nComponents);
     u.forEach((share, i) => {
       if (share <= 0) return;
       const { at, weights } = this.data.paths.vertices[i];
       const [k, s] = segment(at, t);
-      for (const [vertex, part] of [[weights[k], 1 - s], [weights[k + 1], s]]) {
-        if (part !== 0) for (const [n, w] of vertex) total.set(n, (total.get(n) ?? 0) + share * part * w);
-      }
+      this._addSamples(total, weights[k], share * (1 - s));
+      this._addSamples(total, weights[k + 1], share * s);
     });
     return total;
   }
 
-  /** The same over the components of materials. */
-  pathComponents(u, t) {
-    return this.asComponents(this.pathWeights(u, t));
-  }
-
-  /** Sparse weights of samples as those of components. */
-  asComponents(weights) {
+  /** Add a vertex of a path, weights of samples (single bands of materials), to weights of components. */
+  _addSamples(total, vertex, share) {
     const { sampleBasis } = this.data.paths, R = this.nComponents;
-    const total = new Map();
-    for (const [n, w] of weights) {
-      const i = Math.floor(n / sampleBasis.length), basis = sampleBasis[n % sampleBasis.length];
-      for (let r = 0; r < R; r++) total.set(i * R + r, (total.get(i * R + r) ?? 0) + w * basis[r]);
+    for (const [n, w] of vertex) {
+      const basis = sampleBasis[n % sampleBasis.length], row = Math.floor(n / sampleBasis.length) * R;
+      for (let r = 0; r < R; r++) total[row + r] += share * w * basis[r];
     }
-    return total;
   }
 
-  /** Sum of components by sparse weights at the pairs beside the grid, from start on: a cube root of f times cosines. */
+  /** Sum of components by weights (N R) at the pairs beside the grid, from start on: a cube root of f times cosines. */
   combine(weights, start = 0) {
-    const P = this.nBeside, out = new Float32Array(P - start);
-    const rows = [...weights].filter(([, w]) => w !== 0);
-    while (rows.length % 4) rows.push([0, 0]); // four rows at a time, which takes half as long as one by one
-    for (let k = 0; k < rows.length; k += 4) {
-      const [[a, wa], [b, wb], [c, wc], [d, wd]] = rows.slice(k, k + 4)
-        .map(([row, w]) => [this.components.subarray(row * P + start, (row + 1) * P), w]);
+    const P = this.nBeside, out = new Float32Array(P - start), rows = [];
+    weights.forEach((w, row) => w !== 0 && rows.push(row));
+    for (let k = 0; k < rows.length; k += 4) { // four rows at a time, which takes half as long as one by one
+      const four = [0, 1, 2, 3].map((j) => rows[k + j] ?? rows[0]);
+      const [wa, wb, wc, wd] = four.map((row, j) => (k + j < rows.length ? weights[row] : 0));
+      const [a, b, c, d] = four.map((row) => this.components.subarray(row * P + start, (row + 1) * P));
       for (let p = 0; p < out.length; p++) out[p] += wa * a[p] + wb * b[p] + wc * c[p] + wd * d[p];
     }
     return out;
@@ -186,8 +178,11 @@ export class Materials {
 
   /** Cube roots at the sphere's pairs of every vertex of every path, made when first asked for. */
   verticesInSphere() {
-    this.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) =>
-      this.combine(this.asComponents(new Map(vertex)), this.sphereStart)));
+    this.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) => {
+      const total = new Float64Array(this.count * this.nComponents);
+      this._addSamples(total, vertex, 1);
+      return this.combine(total, this.sphereStart);
+    }));
     return this.inside;
   }
 
@@ -223,7 +218,7 @@ export class Materials {
   }
 
   /**
-   * What a place is made of: outputs as sparse weights over components, and the matrix (J, M) from outputs to nodes.
+   * What a place is made of: outputs as weights of all components (N R), and the matrix (J, M) from outputs to nodes.
    * Without a colour (J reflectances) materials are blended whole: the outputs are null, and stand for the components.
    */
   combination(u, reflectance) {
@@ -239,8 +234,7 @@ export class Materials {
       const position = high > low ? ((t - low) / (high - low)) * (PATH_NODES - 1) : 0;
       return Math.max(0, 1 - Math.abs(position - k));
     }));
-    const outputs = nodes.map((t) =>
-      new Map([...this.pathComponents(u, t)].filter(([, w]) => Math.abs(w) > LEAST_COMPONENT)));
+    const outputs = nodes.map((t) => this.pathComponents(u, t).map((w) => (Math.abs(w) > LEAST_COMPONENT ? w : 0)));
     return { outputs, toNodes, coordinates, missed };
   }
 
@@ -262,17 +256,21 @@ export class Materials {
     const coloured = this.combination(u, a.map((v, j) => (1 - t) * v + t * b[j]));
     const kept = u.map((share, i) => (ends.includes(i) ? share : 0));
     const others = 1 - kept.reduce((sum, share) => sum + share, 0);
-    const outputs = coloured.outputs.map((weights) => new Map([...weights].map(([row, w]) => [row, others * w])));
+    const outputs = coloured.outputs.map((weights) => weights.map((w) => others * w));
     return new Prediction(this, u, {
       outputs: [...this.wholeComponents(kept), ...outputs], coordinates: coloured.coordinates, missed: 0,
       toNodes: coloured.toNodes.map((row, j) => [...this.data.basis[j], ...row]),
     });
   }
 
-  /** Weights u of whole materials as sparse weights of components, per component. */
+  /** Weights u of whole materials as weights of components (N R), per component. */
   wholeComponents(u) {
     const R = this.nComponents;
-    return Array.from({ length: R }, (_, r) => new Map(u.flatMap((share, i) => (share > 0 ? [[i * R + r, share]] : []))));
+    return Array.from({ length: R }, (_, r) => {
+      const weights = new Float64Array(this.count * R);
+      u.forEach((share, i) => (weights[i * R + r] = share));
+      return weights;
+    });
   }
 }
 

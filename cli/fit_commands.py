@@ -139,11 +139,10 @@ def _failures(outcomes: list[FitOutcome]) -> str:
     names: dict[str, list[str]] = {}
     for outcome in outcomes:
         if outcome.failure is not None:
-            names.setdefault(outcome.failure, []).append(outcome.name)
-    said = [
-        failure if failed[0] in failure else f"{_first_three(failed)}: {failure}"
-        for failure, failed in names.items()
-    ]
+            failed = names.setdefault(outcome.failure, [])
+            is_named = outcome.file and outcome.failure.startswith((str(outcome.file), outcome.file.name))
+            failed += [] if is_named else [outcome.name]
+    said = [f"{_first_three(failed)}: {failure}" if failed else failure for failure, failed in names.items()]
     return _first_three(said, "; ")
 
 

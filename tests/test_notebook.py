@@ -134,7 +134,7 @@ def test_a_brdf_of_ones_own_becomes_a_file_a_picture_and_a_fit(tmp_path):
             "found Gloss, expected a BsdfFile; manifold.brdf.gonio",
         ),
         (lambda model, file: model.predict([0.1, 0.2], np.zeros(3)), "all weights are zero, as of black"),
-        (lambda model, file: Manifold.fit(model.library, names=["a"]), "has no material 'a'"),
+        (lambda model, file: Manifold.fit(model.library, names=["a"]), "no material 'a' in library.zarr"),
     ],
 )
 def test_what_is_no_brdf_or_no_file_is_told_from_one(model, call, message):

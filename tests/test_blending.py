@@ -18,7 +18,7 @@ from manifold.library.store import Library
 from manifold.model.blend_fitting import appearance_distances
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
-from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights
+from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights, widest_gap
 from manifold.models.colour_paths import WHITE, fit_paths
 
 
@@ -201,6 +201,20 @@ def test_a_material_is_exact_and_the_limit_of_its_surroundings(model):
     for distance, most in ((0.0, 0.0), (1e-6, 0.05), (1e-4, 0.1), (1e-3, 0.5)):
         f = model.predict(model.latent(name) + distance * step).eval(ball.wi, ball.wo)
         assert ball_colours.delta_e(own, ball.xyz(f, model.bands)) <= most
+
+
+def test_new_materials_are_located_where_the_data_support_blends(model, rng):
+    reach = widest_gap(model.X)
+    for _ in range(5):
+        brdf = model.predict(model.X.mean(axis=0) + rng.normal(size=2) * 3.0 * np.ptp(model.X))  # far outside
+        found = model.embed(brdf).latent
+        assert np.linalg.norm(model.X - found, axis=1).min() <= reach
+        assert not model.space.is_far(found[None], None)[0]
+
+
+def test_the_widest_gap_is_that_of_the_loneliest_sample():
+    assert widest_gap(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 3.0]])) == 3.0
+    assert widest_gap(np.zeros((1, 2))) == np.inf
 
 
 def test_between_two_materials_the_colour_is_between_theirs(model):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
@@ -21,7 +22,7 @@ from manifold.model.latent_space import (
     require_bands,
     require_shape,
 )
-from manifold.models.blending import blend_weights
+from manifold.models.blending import blend_weights, widest_gap
 from manifold.models.colour_paths import ColourPaths
 from manifold.models.decoder import Decoder, EncodingPairs
 from manifold.models.encoder import Encoder
@@ -121,6 +122,10 @@ class BlendSpace(LatentSpace):
     def material_weights(self, X: Array, colours: Array | None) -> Array:
         """Shares of the materials at places X (M, Q), whatever their colours, shape (M, N)."""
         return blend_weights(X, self.X, self.kernel.length_scale)
+
+    def is_far(self, X: Array, colours: Array | None) -> Array:
+        """Whether places X (M, Q) are farther from all materials than any of these is from the others, shape (M,)."""
+        return cdist(X, self.X).min(axis=1) > widest_gap(self.X)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material whose place x (Q,) is, in its own colours."""
@@ -249,12 +254,13 @@ class _BestPlace:
 
     def place(self, bands: Array, norm: float) -> Array:
         """The place (Q,) with the least squared residual in some bands, whose squared norm is given."""
-        X, cross = self._X, self._cross[:, :, bands]
+        X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
         def residuals(x: Array) -> Array:
-            """At places (M, Q), shape (M,)."""
+            """At places (M, Q), shape (M,); infinite where the data do not support blends."""
             inner, squared = self._products(x, cross)
-            return norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
+            residual = norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
+            return np.where(cdist(x, X).min(axis=1) <= reach, residual, np.inf)
 
         rng = np.random.default_rng(0)
         count = min(3, len(X))

@@ -13,6 +13,7 @@ from manifold.model.latent_space import LatentSpace, require_shape
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
+from manifold.models.blending import widest_gap
 from manifold.models.expected_error import LEAST_MATERIALS, ExpectedError
 from manifold.records import Array, Progress, evenly_spaced
 from manifold.system.stages import with_progress
@@ -101,9 +102,7 @@ class LeftOut:
         nearest material is farther than any material is from the others.
         """
         X = self.space.X
-        apart = cdist(X, X)
-        np.fill_diagonal(apart, np.inf)
-        is_far = cdist(x, X).min(axis=1) > apart.min(axis=1).max()
+        is_far = cdist(x, X).min(axis=1) > widest_gap(X)
         most = max(_MOST_BALL, float(np.quantile(self.ball, 0.9)))
         return is_far | (self.expected(x).ball > most)
 

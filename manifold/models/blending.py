@@ -68,6 +68,13 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
     return u / u.sum(axis=1, keepdims=True)
 
 
+def widest_gap(X: Array) -> float:
+    """The largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
+    apart = cdist(X, X)
+    np.fill_diagonal(apart, np.inf)
+    return float(apart.min(axis=1).max())
+
+
 def blend_layout(
     distance: Array, separation: Array, implausible: Array, n_components: int, cost: Cost | None = None
 ) -> Layout:

@@ -123,10 +123,6 @@ class BlendSpace(LatentSpace):
         """Shares of the materials at places X (M, Q), whatever their colours, shape (M, N)."""
         return blend_weights(X, self.X, self.kernel.length_scale)
 
-    def is_far(self, X: Array, colours: Array | None) -> Array:
-        """Whether places X (M, Q) are farther from all materials than any of these is from the others, shape (M,)."""
-        return cdist(X, self.X).min(axis=1) > widest_gap(self.X)
-
     def training_index(self, x: Array, colours: Array | None) -> int | None:
         """The material whose place x (Q,) is, in its own colours."""
         k = int(first_equal_row(x[None], self.X)[0])

@@ -15,6 +15,8 @@ from manifold.model.settings import Settings
 from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
+EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
+
 
 class LatentMap:
     """Latents of materials; weights, uncertainty and expected errors at other latents.
@@ -66,13 +68,13 @@ class LatentMap:
     def is_extrapolation(self, x: ArrayLike, colours: Array | None = None) -> Array:
         """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
 
-        For a model that is not calibrated, see `is_far` of its space.
+        For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
         """
 
         def is_unsupported(X: Array) -> Array:
             if self.left_out is not None:
                 return self.left_out.is_unsupported(X) & (self.space.training_indices(X, colours) < 0)
-            return self.space.is_far(X, colours)
+            return self.space.variance_fraction(X, colours) > EXTRAPOLATION
 
         return self._at(x, is_unsupported)
 

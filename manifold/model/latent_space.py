@@ -27,8 +27,6 @@ from manifold.models.gp_weights import GPWeights
 from manifold.models.kernels import Kernel, first_equal_row
 from manifold.records import Array
 
-_EXTRAPOLATION = 0.5  # share of the prior variance, above which a latent counts as extrapolated
-
 if TYPE_CHECKING:
     from manifold.model.blend_space import BlendSpace
     from manifold.model.material_table import MaterialTable
@@ -212,10 +210,6 @@ class LatentSpace(ABC):
         """Posterior over prior variance at X (M, Q), averaged over bands, shape (M,); 0 at a material."""
         found = self.gp.variance_fraction(self.join(X, colours)).reshape(len(X), -1).mean(axis=1)
         return np.where(self.training_indices(X, colours) < 0, found, 0.0)
-
-    def is_far(self, X: Array, colours: Array | None) -> Array:
-        """Whether more than half of the prior variance is left at X (M, Q), shape (M,)."""
-        return self.variance_fraction(X, colours) > _EXTRAPOLATION
 
 
 def require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:

@@ -51,7 +51,7 @@ def in_processes(
         except BaseException:
             for process in set(multiprocessing.active_children()) - before:
                 process.terminate()
-            pool.shutdown(wait=False, cancel_futures=True)
+            pool.shutdown(cancel_futures=True)  # waits: its thread must not end beside the interpreter
             raise
 
 

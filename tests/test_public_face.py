@@ -71,9 +71,9 @@ def test_importing_the_package_is_quick_and_loads_nothing_heavy():
 
 
 def test_the_readme_runs(tmp_path, monkeypatch):
-    (tmp_path / "rgl").mkdir()
+    (tmp_path / "corpus").mkdir()
     for name in NAMES:
-        write_bsdf(tmp_path / "rgl" / f"{name}_spec.bsdf", measured(name))
+        write_bsdf(tmp_path / "corpus" / f"{name}_spec.bsdf", measured(name))
     script = "".join(re.findall(r"```python\n(.*?)```", IN_PYTHON, flags=re.DOTALL))
     assert 'illuminant="F11"' in script  # which the RGB materials of this test do not take
     script = script.replace("size=256", "size=24, samples=4").replace('illuminant="F11"', 'illuminant="D65"')
@@ -87,9 +87,9 @@ def test_the_readme_runs(tmp_path, monkeypatch):
     read, completed = (names[name].eval(wi, wo) for name in ("brdf", "completed"))
     assert manifold.metrics.cube_root_error(read, completed) < 0.05  # at what was read
     assert names["found"].relative_error < 0.05  # of the library itself: the posterior beside the material
-    assert Path("model.h5").is_file()
+    assert Path("corpus.h5").is_file()
     n = len(NAMES)
-    assert repr(manifold.Library.open("library.zarr")) == f"<Library: library.zarr, {n} materials, RGB>"
+    assert repr(manifold.Library.open("corpus.zarr")) == f"<Library: corpus.zarr, {n} materials, RGB>"
     assert repr(names["model"]).startswith(f"<Manifold: {n} materials, RGB, 2 dimensions, kind blend")
     assert repr(names["halfway"]).startswith("<PredictedBRDF: RGB, of syn_")
     assert repr(names["brdf"]) == "MeasuredBRDF('syn_satin_gold', RGB)"

@@ -15,6 +15,7 @@ from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
+from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.reconstruction import reconstruct
 from manifold.records import Bands
@@ -51,6 +52,23 @@ def test_a_new_material_is_nearer_than_any_of_the_library(model, pairs):
     assert cube_root_error(truth, found, cosines) < 0.2 * nearest
     assert found.min() >= 0.0
     assert plausibility(predicted).negative_share == 0.0
+
+
+def test_errors_of_reports_between_any_two_brdfs(model):
+    brdf = MeasuredBRDF(measured(LEFT_OUT))
+    found = brdf_errors(brdf, model.reconstruct(brdf))
+    wi, wo, above = RusinkiewiczGrid.named("default").directions()
+    f, grey = brdf.eval(wi[above], wo[above]), Lambert(np.full(3, 0.2), brdf.bands)
+    errors = brdf_errors(brdf, grey)
+    cosines = cosine_weight(wi[above], wo[above])
+    assert errors.linear == pytest.approx(relative_error(f, np.full_like(f, 0.2 / np.pi), cosines))
+    assert errors.cube_root == pytest.approx(cube_root_error(f, np.full_like(f, 0.2 / np.pi), cosines))
+    assert all(0.0 < better < 0.3 * worse for better, worse in zip(found, errors, strict=True))
+    assert brdf_errors(brdf, brdf) == (0.0, 0.0, 0.0)
+    with pytest.raises(BandMismatchError, match="the prediction: found 2 bands"):
+        brdf_errors(brdf, Lambert(np.full(2, 0.2), Bands(np.array([500.0, 600.0]))))
+    with pytest.raises(UsageError, match="the prediction: found str"):
+        brdf_errors(brdf, "prediction_rgb.bsdf")
 
 
 def test_a_black_material_is_refused_in_words(model):

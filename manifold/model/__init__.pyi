@@ -1,4 +1,5 @@
 from .colours import ColourChoice
+from .comparison import BRDFErrors, brdf_errors
 from .latent_space import Embedded
 from .located import Located, locate
 from .manifold import LibraryChangedWarning, Manifold
@@ -6,6 +7,7 @@ from .predicted_file import Prediction, predict
 from .settings import Settings
 
 __all__ = [
+    "BRDFErrors",
     "ColourChoice",
     "Embedded",
     "LibraryChangedWarning",
@@ -13,6 +15,7 @@ __all__ = [
     "Manifold",
     "Prediction",
     "Settings",
+    "brdf_errors",
     "locate",
     "predict",
 ]

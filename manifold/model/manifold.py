@@ -147,7 +147,7 @@ class Manifold(LatentMap):
 
     @cached_property
     def colours(self) -> ReflectanceColours:
-        """Colour coordinates of a monochrome manifold, as reflectances.
+        """Colours of predictions, by reflectances: what `predict` takes for a spectrum or another material's.
 
         Raises:
             UsageError: its materials have fixed colours.

@@ -11,14 +11,12 @@ from manifold import __version__
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
-from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.metrics import cube_root_error, relative_error
 from manifold.model import diagnostics
 from manifold.model.checked_file import require_bsdf_output, write_checked
-from manifold.model.decoding import encoding_pairs
+from manifold.model.comparison import brdf_errors
 from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.reconstruction import reconstruct
@@ -33,7 +31,7 @@ class Reconstruction:
     """How near a reconstruction is to the file, and where it was written.
 
     Attributes:
-        relative_error: `||w (f* - f)|| / ||w f||`, w = cos(theta_i) cos(theta_o), on the encoding grid.
+        relative_error: `||w (f* - f)|| / ||w f||`, w = cos(theta_i) cos(theta_o), see `brdf_errors`.
         cube_root_error: the same of cube roots.
         ball: mean CIEDE2000 of the ball.
         output: the file that it was written to; None where it was not.
@@ -103,9 +101,7 @@ def judge(
     Raises:
         UsageError: the output cannot be written, or its albedo would exceed 1.05.
     """
-    pairs, ball = encoding_pairs(), ball_colours.ball()
-    f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, found))
-    lit, lit_star = (each.eval(ball.wi, ball.wo) for each in (brdf, found))
+    errors = brdf_errors(brdf, found)
     sentences: tuple[str, ...] = ()
     plausibility = None
     if output is not None:
@@ -116,10 +112,7 @@ def judge(
         )  # fmt: skip
         sentences = diagnostics.of_prediction(False, plausibility)
         sentences += diagnostics.of_projection(plausibility) if physical else ()
-    return Reconstruction(
-        relative_error(f, f_star, pairs.cosines), cube_root_error(f, f_star, pairs.cosines),
-        ball.difference(lit, lit_star, brdf.bands), output, plausibility, sentences,
-    )  # fmt: skip
+    return Reconstruction(errors.linear, errors.cube_root, errors.ball, output, plausibility, sentences)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Colours of a monochrome manifold as reflectances.
+"""Colours of monochrome manifolds and of blends as reflectances.
 
 Reflectance is the directional-hemispherical one at 8 degrees, specular included, as integrating spheres measure it;
 of an RGB library, the linear sRGB colour.

@@ -46,7 +46,10 @@ ForceAlbedoOption = Annotated[
 )
 def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
-    model: options.ModelOption = options.DEFAULT_MODEL,
+    model: Annotated[
+        Path,
+        typer.Option("--model", "-M", "--output", "-o", help="The model, which is written.", metavar="FILE"),
+    ] = options.DEFAULT_MODEL,
     kind: Annotated[
         Kind,
         typer.Option(

@@ -120,6 +120,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
     [
         (["info"], 2, "no such path"),
         (["embed"], 1, "manifold import"),
+        (["embed", "-o", "absent/m.h5"], 2, "absent/m.h5: cannot write this file"),
         (["predict", "--latent", "0,0"], 1, "manifold embed"),
         (["report"], 1, "manifold embed"),
         (["import", "absent"], 2, "absent"),

@@ -8,6 +8,8 @@ from scipy.stats import spearmanr
 from small_library import small_library
 
 from manifold.library.store import Library
+from manifold.model.colours import UNCHOSEN
+from manifold.model.diagnostics import in_words, of_brdf
 from manifold.model.left_out import LeftOut
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -74,6 +76,13 @@ def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, 
     loaded = Manifold.load(tmp_path / "model.h5", library)
     x = fitted.X.mean(axis=0) + 0.1
     assert float(loaded.expected_error(x).ball) == float(fitted.expected_error(x).ball)
+
+
+def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library):
+    fitted = Manifold.fit(library)
+    made = of_brdf(fitted, fitted.X.mean(axis=0), fitted.predict(fitted.X.mean(axis=0)), UNCHOSEN)
+    assert made.expected_ball is None
+    assert "unknown: the model is not calibrated" in in_words(made.expected_ball, made.expected_cube_root)
 
 
 def test_a_left_out_material_is_predicted_by_the_others_alone(model):

@@ -8,7 +8,7 @@ from small_library import NAMES, small_library
 
 from manifold.cli.options import parse_latent
 from manifold.colour import ball_colours
-from manifold.errors import UsageError
+from manifold.errors import LatentError, UsageError
 from manifold.library.store import Library
 from manifold.model.latents import on_path
 from manifold.model.located import locate
@@ -62,6 +62,8 @@ def test_a_material_is_a_latent_by_its_name(model):
     assert distance(source.brdf, loaded.material(name)) == 0.0
     with pytest.raises(UsageError, match="near are syn_felt_green"):
         loaded.require_latent("syn_felt_gren")
+    with pytest.raises(LatentError, match=r"latents of shape \(3, 2\), expected one, \(2,\)"):
+        loaded.predict(np.zeros((3, 2)))
 
 
 @pytest.mark.parametrize("name", ["a", "two words", "Ümläut 紙", "3 felts", "1e"])

@@ -135,6 +135,10 @@ def test_a_brdf_of_ones_own_becomes_a_file_a_picture_and_a_fit(tmp_path):
         ),
         (lambda model, file: model.predict([0.1, 0.2], np.zeros(3)), "all weights are zero, as of black"),
         (lambda model, file: Manifold.fit(model.library, names=["a"]), "no material 'a' in library.zarr"),
+        (
+            lambda model, file: Manifold.fit(model.library, names=NAMES[0]),
+            "found 1 material, expected at least",
+        ),
     ],
 )
 def test_what_is_no_brdf_or_no_file_is_told_from_one(model, call, message):

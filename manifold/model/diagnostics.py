@@ -103,7 +103,7 @@ def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diag
 def in_words(ball: float | None, cube_root: float | None) -> list[str]:
     """An expected error for a terminal."""
     if ball is None or cube_root is None:
-        return ["unknown: embed four materials or more with this version"]
+        return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
     if ball == 0.0 and cube_root == 0.0:
         return ["none: a measured material"]
     return [

@@ -59,6 +59,10 @@ def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
         LatentError: it has not so many finite coordinates, or far larger ones than materials have.
     """
     x = np.asarray(x, dtype=np.float64)
+    if x.ndim > 1:
+        raise LatentError(
+            f"latents of shape {x.shape}, expected one, ({latent_dim},); call once for each of several"
+        )
     if x.shape != (latent_dim,) or not np.all(np.isfinite(x)):
         raise LatentError(
             f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, "

@@ -129,6 +129,7 @@ class MaterialCache:
 
 def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
     """Some materials of a library, in its order. Raises UsageError where it lacks one."""
+    names = {names} if isinstance(names, str) else names
     unknown = sorted(set(names) - set(library.names))
     if unknown:
         near = names_like(library.names, unknown[0])

@@ -88,9 +88,10 @@ def read_model(path: Path) -> ModelRecord:
     except UsageError as error:
         raise ModelError(str(error)) from error
     if not content.startswith(MAGIC):
-        what = "an HDF5 file" if content.startswith(HDF5_MAGIC) else "unknown or damaged header"
+        is_hdf5 = content.startswith(HDF5_MAGIC)
+        what = "another HDF5 file, or a model of an old version" if is_hdf5 else "unknown or damaged header"
         raise ModelError(
-            f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; embed again with this version"
+            f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; name another, or embed again"
         )
     try:
         return _opened(content, path)

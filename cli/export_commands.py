@@ -69,7 +69,7 @@ def export(
     direct: Annotated[
         bool,
         typer.Option(
-            "--direct", help="Fit the target's own model to the material; more accurate, a few seconds each."
+            "--direct", help="Fit the target's own model to the material: more accurate, seconds each, up to a minute with a thin film."
         ),
     ] = False,
     force: Force = False,

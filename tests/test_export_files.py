@@ -6,6 +6,7 @@ import ast
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from manifold.fitting.exports import (
     materialx,
     openpbr,
     preview_surface,
+    standard_surface,
     target_of,
 )
 
@@ -40,14 +42,19 @@ MATERIALS = {
     "metal": Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.2),
     "cloth <&> \"1\"": Principled((0.1, 0.0, 0.3), sheen=1.0, specular=0.0),
     "diffuse": Principled((0.5, 0.5, 0.5), is_diffuse=True, specular=0.0),
+    "film": Principled((0.7, 0.5, 0.4), metallic=0.8, roughness=0.3),
 }  # fmt: skip
+FILMS = {
+    "gltf": dict(zip(gltf.FILM, (0.7, 380.0, 1.6), strict=True)),
+    "standard-surface": dict(zip(standard_surface.FILM, (380.0, 1.6), strict=True)),
+}  # of the material `film`: direct fits alone have one
 
 
 def export(name, target, material):
-    source = {"file": "x_rgb.bsdf"}
-    return Export(
-        name, target, TARGETS[target].parameters(material), source, "mapping", 1.25, 1.5, "measured file"
-    )
+    parameters = TARGETS[target].parameters(material)
+    if name == "film":
+        parameters |= FILMS.get(target, {})
+    return Export(name, target, parameters, {"file": "x_rgb.bsdf"}, "mapping", 1.25, 1.5, "measured file")
 
 
 def written(folder, name, target):
@@ -104,7 +111,8 @@ def test_extensions_are_there_only_where_they_apply(tmp_path):
         name: glb.read(written(tmp_path, name, "gltf")[0])[0].get("extensionsUsed", []) for name in MATERIALS
     }
     assert used["plain"] == used["metal"] == []
-    assert used["full"] == sorted(gltf.EXTENSIONS)
+    assert used["film"] == ["KHR_materials_iridescence"]
+    assert used["full"] == sorted(set(gltf.EXTENSIONS) - set(used["film"]))
     assert used["diffuse"] == ["KHR_materials_specular"] or used["diffuse"] == [
         "KHR_materials_ior",
         "KHR_materials_specular",
@@ -310,8 +318,10 @@ for (const file of process.argv.slice(1)) {
   const gltf = await new GLTFLoader().parseAsync(buffer, '');
   const material = gltf.scene.getObjectByName('ball').material;
   const { metalness, roughness, ior, clearcoat, clearcoatRoughness, sheenRoughness, anisotropy } = material;
+  const { iridescence, iridescenceIOR, iridescenceThicknessRange } = material;
   found[file] = { color: material.color.toArray(), sheen: material.sheenColor?.toArray(), metalness, roughness, ior,
-    clearcoat, clearcoatRoughness, sheenRoughness, anisotropy, meshes: gltf.scene.children.length };
+    clearcoat, clearcoatRoughness, sheenRoughness, anisotropy, iridescence, iridescenceIOR,
+    thickness: iridescenceThicknessRange?.[1], meshes: gltf.scene.children.length };
 }
 console.log(JSON.stringify(found));
 """
@@ -338,7 +348,7 @@ def test_gltf_validator_finds_no_error_and_no_warning(tmp_path):
 
 # CIEDE2000 on the ball. What is left: of sharp highlights, that three.js widens them by the change of the normal over
 # a pixel; of sheen, that its masking and albedo are fits of other functions.
-THREE_JS = {"full": 0.6, "plain": 0.1, "metal": 0.4, 'cloth <&> "1"': 1.0, "diffuse": 0.1}
+THREE_JS = {"full": 0.6, "plain": 0.1, "metal": 0.4, 'cloth <&> "1"': 1.0, "diffuse": 0.1, "film": 0.6}
 
 
 @pytest.fixture(scope="module")
@@ -348,7 +358,14 @@ def three():
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_three_js_draws_the_model_that_losses_are_measured_with(tmp_path, three, name):
+def test_three_js_draws_the_model_that_losses_are_measured_with(tmp_path, three, name, monkeypatch):
+    if (
+        name == "film"
+    ):  # three.js takes the film at the angle of the viewer with the normal, not with the half vector
+        at_half = gltf._filmed
+        monkeypatch.setattr(
+            gltf, "_filmed", lambda v, pairs, *rest: at_half(v, replace(pairs, cos_d=pairs.cos_v), *rest)
+        )
     path, made = written(tmp_path, name, "gltf")
     view, light = normalize(np.array([0.0, 0.3, 1.0])), normalize(np.array([-0.5, 0.7, 0.6]))
     picture = three.ball(path, view, light)
@@ -386,6 +403,9 @@ def test_three_js_loads_the_parameters(tmp_path):
             ("clearcoat", "clearcoatFactor"),
             ("ior", "ior"),
             ("anisotropy", "anisotropyStrength"),
+            ("iridescence", "iridescenceFactor"),
+            ("iridescenceIOR", "iridescenceIor"),
+            ("thickness", "iridescenceThicknessMaximum"),
         ):
             if key in loaded and values[name] != gltf.DEFAULTS[name]:
                 assert loaded[key] == pytest.approx(values[name], abs=1e-6)

@@ -12,6 +12,7 @@ from manifold.directions import from_spherical
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.fitting.exports.thin_film import film_over_f0
 from manifold.records import Array
 
 DEFAULTS: dict[str, Any] = {
@@ -26,11 +27,15 @@ DEFAULTS: dict[str, Any] = {
     "sheenColorFactor": [0.0, 0.0, 0.0],
     "sheenRoughnessFactor": 0.0,
     "anisotropyStrength": 0.0,
+    "iridescenceFactor": 0.0,
+    "iridescenceIor": 1.3,
+    "iridescenceThicknessMaximum": 400.0,
 }
 """Every parameter that exports may set, with the specification's default."""
 
 COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
 SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
+FILM = ("iridescenceFactor", "iridescenceThicknessMaximum", "iridescenceIor")
 FREE = (
     "baseColorFactor",
     "metallicFactor",
@@ -49,6 +54,7 @@ EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_clearcoat": ("clearcoatFactor", "clearcoatRoughnessFactor"),
     "KHR_materials_sheen": ("sheenColorFactor", "sheenRoughnessFactor"),
     "KHR_materials_anisotropy": ("anisotropyStrength",),
+    "KHR_materials_iridescence": FILM,
 }
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/exports.md
@@ -121,10 +127,11 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
     specular = lobes.specular_separable(pairs, along, alpha)[:, None]
-    metal = specular * lobes.schlick(base, 1.0, pairs.cos_d)
+    metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
     f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
     strength = values["specularFactor"]
-    fresnel = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
+    bare = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
+    fresnel = _filmed(values, pairs, bare, f0 * strength)
     dielectric = (1.0 - fresnel.max(axis=1, keepdims=True)) * base / np.pi + fresnel * specular
     f = dielectric + values["metallicFactor"] * (metal - dielectric)
     f = _sheen(values, pairs, f)
@@ -134,6 +141,14 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         share = values["clearcoatFactor"] * lobes.schlick(0.04, 1.0, pairs.cos_v)
         f = f + share * (coat - f)
     return f
+
+
+def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> Array:
+    """A Fresnel term (P, 3) with the share of the thin film."""
+    weight, thickness_nm, ior = (values[name] for name in FILM)
+    if not weight:
+        return bare
+    return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_d) - bare)
 
 
 def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:

@@ -15,12 +15,13 @@ from manifold.records import Array
 
 def dielectric_layer(
     pairs: Pairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
-    tint: Array | float = 1.0,
+    tint: Array | float = 1.0, fresnel: Array | None = None,
 ) -> Array:  # fmt: skip
-    """A rough dielectric interface over a BRDF `below` (P, 3)."""
+    """A rough dielectric interface over a BRDF `below` (P, 3); a Fresnel term other than its own may be given."""
     if not weight:
         return below
-    fresnel = lobes.fresnel_dielectric(ior, pairs.cos_d)
+    if fresnel is None:
+        fresnel = lobes.fresnel_dielectric(ior, pairs.cos_d)
     a, b = lobes.split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
     single = (a * ior_to_f0(ior) + b)[:, None]
     albedo = single * _compensation(pairs, fresnel, alpha_x, alpha_y)

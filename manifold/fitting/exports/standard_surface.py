@@ -11,6 +11,7 @@ from manifold.fitting.exports import lobes
 from manifold.fitting.exports.layers import dielectric_layer, imageworks_layer, metal
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import Principled
+from manifold.fitting.exports.thin_film import film_over_index
 from manifold.records import Array
 
 DEFAULTS: dict[str, Any] = {
@@ -28,11 +29,14 @@ DEFAULTS: dict[str, Any] = {
     "coat": 0.0,
     "coat_roughness": 0.1,
     "coat_IOR": 1.5,
+    "thin_film_thickness": 0.0,
+    "thin_film_IOR": 1.5,
 }
 """Every parameter that exports may set, with its default."""
 
 COAT = ("coat", "coat_roughness")
 SHEEN = ("sheen", "sheen_color", "sheen_roughness")
+FILM = ("thin_film_thickness", "thin_film_IOR")
 FREE = (
     "base_color",
     "metalness",
@@ -88,13 +92,20 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     f = imageworks_layer(
         pairs, f, values["sheen"], np.asarray(values["sheen_color"]), values["sheen_roughness"]
     )
+    ior, thickness_nm, film_ior = (values[name] for name in ("specular_IOR", *FILM))
+    fresnel = lobes.fresnel_dielectric(ior, pairs.cos_d)
+    if thickness_nm:
+        fresnel = film_over_index(film_ior, thickness_nm, np.full(3, ior), np.zeros(3), pairs.cos_d)
     f = dielectric_layer(
-        pairs, f, values["specular_IOR"], alpha_x, alpha_y, weight=values["specular"], tint=tint
+        pairs, f, ior, alpha_x, alpha_y, weight=values["specular"], tint=tint, fresnel=fresnel
     )
     m = values["metalness"]
     if m:
         n, k = artistic_index(base, tint * values["specular"])
-        f = (1.0 - m) * f + m * metal(pairs, lobes.fresnel_conductor(n, k, pairs.cos_d), alpha_x, alpha_y)
+        fresnel = lobes.fresnel_conductor(n, k, pairs.cos_d)
+        if thickness_nm:
+            fresnel = film_over_index(film_ior, thickness_nm, n, k, pairs.cos_d)
+        f = (1.0 - m) * f + m * metal(pairs, fresnel, alpha_x, alpha_y)
     coat_alpha = values["coat_roughness"] ** 2
     return dielectric_layer(pairs, f, values["coat_IOR"], coat_alpha, coat_alpha, weight=values["coat"])
 

@@ -42,6 +42,7 @@ class Target:
         title: in words.
         free: parameters that a direct fit changes.
         coat, sheen: those of the coat and of the sheen, the weight first; empty where there is none.
+        film: those of the thin film, the index last; empty where there is none.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Target:
     free: tuple[str, ...] = ()
     coat: tuple[str, ...] = ()
     sheen: tuple[str, ...] = ()
+    film: tuple[str, ...] = ()
 
 
 def _json(conventions: Mapping[str, str]) -> Callable[[Export, Principled], bytes]:
@@ -76,7 +78,7 @@ _ALL = (
     Target(
         "gltf", ".glb", gltf.DEFAULTS, gltf.parameters, gltf.brdf,
         lambda export, material: glb.glb(export), "glTF 2.0, metallic-roughness and extensions",
-        gltf.FREE, gltf.COAT, gltf.SHEEN,
+        gltf.FREE, gltf.COAT, gltf.SHEEN, gltf.FILM,
     ),
     Target(
         "openpbr", ".mtlx", openpbr.DEFAULTS, openpbr.parameters, openpbr.brdf,
@@ -86,7 +88,7 @@ _ALL = (
     Target(
         "standard-surface", ".mtlx", standard_surface.DEFAULTS, standard_surface.parameters, standard_surface.brdf,
         lambda export, material: materialx.mtlx(export), "MaterialX, standard_surface",
-        standard_surface.FREE, standard_surface.COAT, standard_surface.SHEEN,
+        standard_surface.FREE, standard_surface.COAT, standard_surface.SHEEN, standard_surface.FILM,
     ),
     Target(
         "usd", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,

@@ -69,7 +69,8 @@ def export(
     direct: Annotated[
         bool,
         typer.Option(
-            "--direct", help="Fit the target's own model to the material: more accurate, seconds each, up to a minute with a thin film."
+            "--direct", help="Fit the target's own model to the material: more accurate; takes seconds, with a "
+            "thin film up to a minute."
         ),
     ] = False,
     force: Force = False,

@@ -20,6 +20,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.models.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights, widest_gap
 from manifold.models.colour_paths import WHITE, fit_paths
+from manifold.records import Bands
 
 
 @given(st.integers(1, 8), st.integers(1, 3), st.integers(0, 10_000), st.floats(1e-3, 1e3))
@@ -129,11 +130,45 @@ def test_valleys_are_as_deep_as_they_are_made():
     assert angles.max() <= 20.0 + 1e-6
 
 
+def test_darkness_has_no_valley():
+    assert valley_depth(np.zeros((2, 5))).tolist() == [0.0, 0.0]
+
+
+class Grooved:
+    """A lobe of a width, with a groove in its middle, in one band."""
+
+    bands, is_isotropic = Bands.from_array(np.array([550.0])), True
+
+    def __init__(self, width_rad: float, depth: float) -> None:
+        self.width, self.depth = width_rad, depth
+
+    def eval(self, wi, wo):
+        half = wi + wo
+        angle = np.arccos(np.clip(half[..., 2] / np.linalg.norm(half, axis=-1), -1.0, 1.0))
+        groove = 1.0 - self.depth * np.exp(-0.5 * (angle / 0.03) ** 2)
+        return (0.05 + np.exp(-0.5 * (angle / self.width) ** 2) * groove)[..., None]
+
+    def select_bands(self, bands):
+        return self
+
+
+def test_a_materials_own_groove_does_not_move_it_onto_another():
+    """Blends with it have a groove wherever it lies: only what they have beyond it speaks against a layout."""
+    widths = np.linspace(0.2, 0.35, 5)
+    smooth, grooved = ([Grooved(width, depth) for width in widths] for depth in (0.0, 0.6))
+    looks = appearance_distances([*smooth[:2], grooved[2], *smooth[3:]])
+    assert looks.allowed[2] > 0.4
+    assert looks.valley.max() < 0.02  # half of a groove is hardly less deep than the mean of one and none
+    places = looks.layout(1).X[:, 0]
+    assert np.all(np.diff(places) > 0.0) or np.all(np.diff(places) < 0.0)
+
+
 def test_a_blend_of_a_highlight_and_a_rise_to_grazing_has_a_valley():
     highlight, rise = np.array([1.0, 2.0, 1.0, 1.0, 1.0]), np.array([1.0, 1.0, 1.0, 1.5, 2.0])
     roots = np.cbrt(np.stack([highlight, rise]))[:, None, :, None]
-    alone = valley_excess(np.eye(2), roots, 0.05)[0]
-    blend = valley_excess(np.array([[0.5, 0.5]]), roots, 0.05)[0]
+    limits = np.full(2, 0.05)
+    alone = valley_excess(np.eye(2), roots, limits)[0]
+    blend = valley_excess(np.array([[0.5, 0.5]]), roots, limits)[0]
     np.testing.assert_allclose(alone, 0.0, atol=1e-12)  # rounding
     assert blend[0] == pytest.approx(valley_depth(roots.mean(axis=0)[0, :, 0] ** 3) - 0.05, rel=1e-12)
     assert blend[0] > 0.2
@@ -141,9 +176,10 @@ def test_a_blend_of_a_highlight_and_a_rise_to_grazing_has_a_valley():
 
 def test_gradient_of_valleys_of_blends_agrees_with_central_differences(rng):
     profiles, u = rng.uniform(0.5, 1.5, size=(5, 2, 9, 3)), rng.dirichlet(0.5 * np.ones(5), size=6)
-    excess, gradient = valley_excess(u, profiles, 0.01)
+    limits = rng.uniform(0.01, 0.1, size=5)
+    excess, gradient = valley_excess(u, profiles, limits)
     assert np.count_nonzero(excess) >= 3
-    found = reference.central_differences(lambda x: valley_excess(x, profiles, 0.01)[0].sum(), u)
+    found = reference.central_differences(lambda x: valley_excess(x, profiles, limits)[0].sum(), u)
     np.testing.assert_allclose(gradient, found, rtol=1e-5, atol=1e-7)  # h = 1e-5
 
 

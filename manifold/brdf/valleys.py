@@ -15,6 +15,7 @@ JUDGED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
 """Others than those that maps are laid out by, so that predictions are judged by what nothing was made to meet."""
 REACH_DEG = 20.0
 """How far from the mirror direction profiles go."""
+_DARK = 1e-9  # 1/sr
 
 
 def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tuple[Array, Array]:
@@ -27,7 +28,10 @@ def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tu
 
 
 def valley_depth(f: Array) -> Array:
-    """How far profiles f (..., D) fall below the lower of the highest values on both sides, as a share of it, (...)."""
+    """How far profiles f (..., D) fall below the lower of the highest values on both sides, as a share of it, (...).
+
+    Where all is dark there is no valley.
+    """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
     _deepest(f.reshape(-1, f.shape[-1]), depth.reshape(-1))
@@ -46,17 +50,18 @@ def _deepest(f, depth):
         highest, deepest = f[k, -1], 0.0
         for d in range(f.shape[1] - 1, -1, -1):
             highest = np.maximum(highest, f[k, d])
-            deepest = np.maximum(deepest, 1.0 - f[k, d] / max(min(left[d], highest), 1e-9))
+            side = min(left[d], highest)
+            deepest = np.maximum(deepest, (side - f[k, d]) / max(side, _DARK))
         depth[k] = deepest
 
 
-def valley_excess(u: Array, profiles: Array, limit: float) -> tuple[Array, Array]:
-    """How much deeper than `limit` the valleys of blends are.
+def valley_excess(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
+    """How much deeper the valleys of blends are than the means of what is allowed to the materials.
 
     Args:
         u: weights of blends, shape (K, N).
         profiles: cube roots of the materials at `profile_pairs()` or some of them, shape (N, I, D, B).
-        limit: depth that any blend may have.
+        limits: depth that each material may have, shape (N,).
     Returns:
         Shape (K,), and its gradient by u, (K, N).
     """
@@ -64,13 +69,14 @@ def valley_excess(u: Array, profiles: Array, limit: float) -> tuple[Array, Array
     roots = (u @ profiles.reshape(N, -1)).reshape(len(u), n_incidences, D, B)
     cubes = roots**3
     f = sum(cubes[..., b] for b in range(B)) / B  # [K, I, D]; the mean is slow along a short axis
-    excess = np.maximum(valley_depth(f).max(axis=1) - limit, 0.0)
+    excess = np.maximum(valley_depth(f).max(axis=1) - u @ limits, 0.0)
     gradient = np.zeros_like(u)
     k = np.flatnonzero(excess)
     f, roots = f[k], roots[k]
     left = np.maximum.accumulate(f, axis=2)
     right = np.maximum.accumulate(f[..., ::-1], axis=2)[..., ::-1]
-    depth = 1.0 - f / np.maximum(np.minimum(left, right), 1e-9)
+    sides = np.minimum(left, right)
+    depth = (sides - f) / np.maximum(sides, _DARK)
     i, bottom = np.divmod(depth.reshape(len(k), n_incidences * D).argmax(axis=1), D)
     row = np.arange(len(k))
     at = np.arange(D)[None]
@@ -83,5 +89,5 @@ def valley_excess(u: Array, profiles: Array, limit: float) -> tuple[Array, Array
         return np.einsum("kb,nkb->kn", roots[row, i, d] ** 2, profiles[:, i, d]) * (3.0 / B)
 
     low, high = f[row, i, bottom][:, None], f[row, i, side][:, None]
-    gradient[k] = low / high**2 * slope(side) - slope(bottom) / high
+    gradient[k] = low / high**2 * slope(side) - slope(bottom) / high - limits
     return excess, gradient

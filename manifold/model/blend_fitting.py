@@ -21,7 +21,7 @@ from manifold.system.stages import with_progress
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: below, nothing is seen
 _UNIT = 20.0  # CIEDE2000 of the ball that lie a unit apart, before the map has its own unit
-_MEASURED_VALLEY = 0.08  # measured materials have no deeper one
+_MEASURED_VALLEY = 0.08  # hardly any measured material has a deeper one; where one has, blends with it may
 _VALLEY_APART = 300.0  # CIEDE2000 for which a valley of depth 1 in the blend of two counts
 _VALLEY_COST = 10.0
 _SQUARED_VALLEY_COST = 20000.0  # in blends of several, against stress
@@ -37,33 +37,35 @@ class AppearanceDistances:
     Attributes:
         ball: mean CIEDE2000 between their balls, shape (N, N).
         shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
-        valley: depth of the deepest in-plane minimum near the mirror direction in blends of two, shape (N, N).
+        valley: how much deeper in-plane minima near the mirror direction are in blends of two than `allowed`, shape
+            (N, N).
+        allowed: the depth of such minima that a material may have: its own if that is large, shape (N,).
         profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D, B).
     """
 
     ball: Array
     shape: Array
     valley: Array
+    allowed: Array
     profiles: Array
 
     def subset(self, materials: Array) -> AppearanceDistances:
         """Those of some materials."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(
-            self.ball[rows], self.shape[rows], self.valley[rows], self.profiles[materials]
-        )
+            self.ball[rows], self.shape[rows], self.valley[rows], self.allowed[materials],
+            self.profiles[materials],
+        )  # fmt: skip
 
     def layout(self, latent_dim: int) -> Layout:
         """Places of the materials in Q dimensions, in units of the kernel's length scale."""
-        excess = np.maximum(self.valley - _MEASURED_VALLEY, 0.0)
-        excess = excess * (1.0 - np.eye(len(excess)))
-        distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * excess) / _UNIT
+        distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * self.valley) / _UNIT
 
         def cost(u: Array) -> tuple[Array, Array]:
-            deeper, slope = valley_excess(u, self.profiles, _MEASURED_VALLEY)
+            deeper, slope = valley_excess(u, self.profiles, self.allowed)
             return _SQUARED_VALLEY_COST * deeper**2, 2.0 * _SQUARED_VALLEY_COST * deeper[:, None] * slope
 
-        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * excess, latent_dim, cost)
+        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * self.valley, latent_dim, cost)
 
 
 def appearance_distances(
@@ -90,21 +92,24 @@ def appearance_distances(
         shape *= np.median(difference[upper]) / median
     stacked = np.stack(profiles)
     some = evenly_spaced(stacked.shape[3], _PROFILE_BANDS)
+    allowed = np.maximum(valley_depth((stacked**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
     seen = (
-        0.5 * (difference + difference.T), shape, _valleys(stacked), stacked[:, :, ::_PROFILE_STRIDE][..., some],
+        0.5 * (difference + difference.T), shape, _valleys(stacked, allowed), allowed,
+        stacked[:, :, ::_PROFILE_STRIDE][..., some],
     )  # fmt: skip
     # The last bits of look-ups depend on what compiled them, and a layout magnifies them: it is to be the same again.
     return AppearanceDistances(*(array.astype(np.float32).astype(np.float64) for array in seen))
 
 
-def _valleys(profiles: Array) -> Array:
-    """Deepest valley in blends of every two materials with cube roots (N, I, D, B), shape (N, N)."""
+def _valleys(profiles: Array, allowed: Array) -> Array:
+    """How much deeper valleys in blends of every two materials, cube roots (N, I, D, B), are than allowed, (N, N)."""
     N = len(profiles)
     deepest = np.zeros((N, N))
-    for i in range(N):
+    for i in range(1, N):
         for t in _SHARES:
-            f = (((1.0 - t) * profiles[i] + t * profiles[: i + 1]) ** 3).mean(axis=3)  # [i + 1, I, D]
-            deepest[i, : i + 1] = np.maximum(deepest[i, : i + 1], valley_depth(f).max(axis=1))
+            f = (((1.0 - t) * profiles[i] + t * profiles[:i]) ** 3).mean(axis=3)  # [i, I, D]
+            excess = valley_depth(f).max(axis=1) - (1.0 - t) * allowed[i] - t * allowed[:i]
+            deepest[i, :i] = np.maximum(deepest[i, :i], excess)
     return np.maximum(deepest, deepest.T)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reference
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from small_library import NAMES, measured, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
@@ -245,6 +248,16 @@ def test_new_materials_are_located_where_the_data_support_blends(model, rng):
         brdf = model.predict(model.X.mean(axis=0) + rng.normal(size=2) * 3.0 * np.ptp(model.X))  # far outside
         found = model.embed(brdf).latent
         assert np.linalg.norm(model.X - found, axis=1).min() <= reach
+
+
+def test_a_material_measured_again_is_located_at_itself_in_its_own_colours(model, rng):
+    """Path coordinates of its bands may lie nearer to each other than those that are tried anywhere else."""
+    for name in NAMES[:3]:
+        file = measured(name)
+        again = replace(file, spectra=1.05 * file.spectra * rng.normal(1.0, 0.003, file.spectra.shape))
+        found = model.embed(MeasuredBRDF(fill_unmeasured(again)))
+        np.testing.assert_array_equal(found.latent, model.latent(name))
+        assert found.relative_error < 0.01  # three times the noise
 
 
 def test_the_widest_gap_is_that_of_the_loneliest_sample():

@@ -38,6 +38,7 @@ _TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's pl
 _EVALUATIONS = 150  # of each refinement
 _COORDINATES = 33  # of a path, tried in that search
 _FIRST_COORDINATE = 0.05
+_LEAST_NORM = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +189,7 @@ class BlendSpace(LatentSpace):
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
         samples = roots[:, at].reshape(N * B, -1)
-        search = PlaceSearch(self, samples, appearance_pairs().weight(samples))
+        search = PlaceSearch(self, samples, appearance_pairs().weight(samples), table.bands)
 
         def find(i: int) -> tuple[Array, Combination]:
             x, colours = search.find(roots[i], at, without=i)
@@ -209,14 +210,22 @@ class BlendSpace(LatentSpace):
 class PlaceSearch:
     """Finds the place, and per band the path coordinate and gain, at which a blend is nearest to a material.
 
+    Path coordinates are tried on a grid, and at the materials also those of their own colours.
+
     Args:
         space: the map.
         samples: cube roots of its samples, shape (n, P).
         weight: of each direction pair in what is minimised, before squaring, shape (P,).
+        target_bands: which bands targets have; by default all of the space.
     """
 
-    def __init__(self, space: BlendSpace, samples: Array, weight: Array) -> None:
+    def __init__(
+        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Array | None = None
+    ) -> None:
         self._X, self._l, self._weight = space.X, space.kernel.length_scale, weight
+        self._paths, self._samples = space.paths, samples
+        own = space.own_colours
+        self._own_colours = own if target_bands is None else own[:, target_bands]
         self._grid = np.linspace(_FIRST_COORDINATE, space.paths.last, _COORDINATES)
         vertices = np.stack([space.paths.weights(unit, self._grid) for unit in np.eye(len(space.X))])
         self._decoded = vertices @ (samples * weight)  # [N, K, P]
@@ -227,7 +236,7 @@ class PlaceSearch:
 
         Args:
             target: cube roots of the material in all bands, shape (B, P).
-            bands: of these, which serve to find the place.
+            bands: of these, those of the samples, which serve to find the place.
             without: a material of the map that is left out.
         """
         used = np.arange(len(self._X))
@@ -236,9 +245,29 @@ class PlaceSearch:
         weighted = target * self._weight
         cross = np.einsum("nkp,bp->nkb", self._decoded, weighted, optimize=True)[used]
         found = _BestPlace(self._X[used], self._l, cross, self._gram[:, used][:, :, used])
-        x = found.place(bands, float(np.sum(weighted[bands] ** 2)))
+        norm = float(np.sum(weighted[bands] ** 2))
+        x, residual = found.place(bands, norm)
+        inner, squared = self._own_products(weighted[bands], used)
+        own = norm - np.sum(inner**2 / squared, axis=1)
+        nearest = int(np.argmin(own))
+        if own[nearest] < residual:
+            return self._X[used[nearest]], self._in_own_colours(int(used[nearest]), weighted)
         k, gains = found.coordinates(x)
         return x, np.stack([self._grid[k], gains])
+
+    def _own_products(self, weighted: Array, used: Array) -> tuple[Array, Array]:
+        """Products of materials with a target in the bands of the samples, at least 0, and squared norms, (M, B_s)."""
+        own = self._samples.reshape(len(self._X), *weighted.shape)[used] * self._weight
+        inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted), 0.0)
+        return inner, np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
+
+    def _in_own_colours(self, k: int, weighted: Array) -> Array:
+        """Path coordinates of material k in its own colours, and the best gains, (2, B)."""
+        coordinates = self._own_colours[k]
+        unit = np.eye(len(self._X))[k]
+        own = (self._paths.weights(unit, coordinates) @ self._samples) * self._weight
+        inner = np.maximum(np.einsum("bp,bp->b", own, weighted), 0.0)
+        return np.stack([coordinates, inner / np.maximum(np.einsum("bp,bp->b", own, own), _LEAST_NORM)])
 
 
 class _BestPlace:
@@ -248,8 +277,8 @@ class _BestPlace:
         self._X, self._l, self._cross = X, length_scale, cross
         self._rows = gram.reshape(-1, len(X))  # [K N, N]
 
-    def place(self, bands: Array, norm: float) -> Array:
-        """The place (Q,) with the least squared residual in some bands, whose squared norm is given."""
+    def place(self, bands: Array, norm: float) -> tuple[Array, float]:
+        """The place (Q,) with the least squared residual in some bands, whose squared norm is given, and that."""
         X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
         def residuals(x: Array) -> Array:
@@ -271,7 +300,8 @@ class _BestPlace:
             )
             for x in places[order]
         ]  # fmt: skip
-        return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
+        best = min(ends, key=lambda end: float(end.fun))
+        return np.asarray(best.x), float(best.fun)
 
     def coordinates(self, x: Array) -> tuple[Array, Array]:
         """Which coordinate is best at a place x (Q,), per band, and the gain there, (B,) each."""
@@ -284,4 +314,4 @@ class _BestPlace:
         u = blend_weights(x, self._X, self._l)
         inner = np.maximum(u @ cross.reshape(len(cross), -1), 0.0).reshape(len(u), *cross.shape[1:])
         squared = (u @ self._rows.T).reshape(len(u), -1, u.shape[1]) @ u[:, :, None]
-        return inner, np.maximum(squared, 1e-12)
+        return inner, np.maximum(squared, _LEAST_NORM)

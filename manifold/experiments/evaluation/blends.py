@@ -28,6 +28,7 @@ class _Tables:
         bands: which bands are samples, among all.
         sphere, albedo: samples inside integrating spheres, with their measures; see `fit_paths`.
         roots: samples at the appearance pairs, shape (N B_s, P).
+        reflectances: of the materials in all bands, shape (N, B).
     """
 
     looks: AppearanceDistances
@@ -35,6 +36,7 @@ class _Tables:
     sphere: tuple[Array, Array]
     albedo: list[tuple[Array, Array]]
     roots: Array
+    reflectances: Array
 
     @classmethod
     def of(cls, data: Data, sample_bands: int) -> _Tables:
@@ -42,9 +44,10 @@ class _Tables:
         bands = data.available_bands(sample_bands)
         samples = [material.select_bands(bands.tolist()) for material in data.materials]
         pairs, measure = integrating_sphere()
+        reflectances = np.stack([measure @ material.eval(pairs.wi, pairs.wo) for material in data.materials])
         return cls(
             appearance_distances(data.materials), bands, (roots_at(samples, pairs), measure), albedo_samples(samples),
-            roots_at(samples, appearance_pairs().pairs),
+            roots_at(samples, appearance_pairs().pairs), reflectances,
         )  # fmt: skip
 
 
@@ -66,8 +69,7 @@ def fit_blend(latent_dim: int, sample_bands: int = 5) -> Fit:
             [(values[rows], measure) for values, measure in tables.albedo],
         )  # fmt: skip
         X = tables.looks.subset(training).layout(min(latent_dim, len(training) - 1)).X
-        unused = np.zeros((len(training), data.n_bands))
-        space = BlendSpace(X, paths, tables.bands, unused, SquaredExponential())
+        space = BlendSpace(X, paths, tables.bands, tables.reflectances[training], SquaredExponential())
         search = PlaceSearch(space, roots, appearance.weight(roots))
 
         def encode(i: int) -> Combination:

@@ -45,9 +45,7 @@ def budget(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Folder for the files and a scene that uses them.", metavar="DIR"
-        ),
+        options.output_option("Folder for the files and a scene that uses them.", "DIR"),
     ] = None,
     size: Annotated[
         int, typer.Option(help="Pixels of the longer side, in the analysis.", metavar="N", min=16, max=2048)

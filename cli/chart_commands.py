@@ -49,9 +49,7 @@ def chart(
         str | None,
         typer.Option(help="Also show published neural fits, in a folder or zip file.", metavar="PATH"),
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="A picture: .png, .pdf or .svg.", metavar="FILE")
-    ] = None,
+    output: Annotated[Path | None, options.output_option("A picture: .png, .pdf or .svg.")] = None,
     readings: Annotated[
         bool,
         typer.Option(

@@ -39,13 +39,9 @@ def complete(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="The file to write. [default: the sample's name, .bsdf]", metavar="FILE"
-        ),
+        options.output_option("The file to write. [default: the sample's name, .bsdf]"),
     ] = None,
-    sample: Annotated[
-        str | None, typer.Option("--sample", help="Which sample of files with several.", metavar="NAME")
-    ] = None,
+    sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
@@ -145,9 +141,9 @@ def calibrate(
             metavar="REF OTHER ...",
         ),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The correction to write, as JSON.", metavar="FILE")
-    ] = Path("correction.json"),
+    output: Annotated[Path, options.output_option("The correction to write, as JSON.")] = Path(
+        "correction.json"
+    ),
 ) -> None:
     """Fit the colour correction of a camera-based instrument to a spectrophotometer, over several samples.
 

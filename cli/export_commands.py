@@ -53,10 +53,7 @@ def export(
     srgb: options.SrgbOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="The file: .glb, .mtlx, .usda, .py, .json; for many materials, a folder.",
-            metavar="FILE",
-        ),
+        options.output_option("The file: .glb, .mtlx, .usda, .py, .json; for many materials, a folder."),
     ] = None,
     target: Annotated[
         TargetName | None,
@@ -137,8 +134,7 @@ def _show(results: terminal.Results, outcome: ExportOutcome) -> None:
     )
     if content["principled_ciede2000"] is not None:
         rows["of principled"] = f"{content['principled_ciede2000']:.2f}"
-    for k, note in enumerate(outcome.notes):
-        rows["note" if k == 0 else f"note {k + 1}"] = note
+    rows |= terminal.numbered("note", outcome.notes)
     results.rows(f"Exported {outcome.path} ({content['target']})", rows)
     results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
 

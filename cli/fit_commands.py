@@ -40,9 +40,7 @@ def fit(
     library: options.MovedLibraryOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="The JSON file to write; for several materials, the folder.", metavar="FILE"
-        ),
+        options.output_option("The JSON file to write; for several materials, the folder."),
     ] = None,
     method: Annotated[
         Method, typer.Option(help="gauss-newton: from many starts; adam and swarm: earlier methods, for "
@@ -63,9 +61,7 @@ def fit(
         bool,
         typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines accept 0 to 1."),
     ] = False,
-    sample: Annotated[
-        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
-    ] = None,
+    sample: options.SampleOption = None,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
@@ -142,13 +138,11 @@ def _failures(outcomes: list[FitOutcome]) -> str:
             failed = names.setdefault(outcome.failure, [])
             is_named = outcome.file and outcome.failure.startswith((str(outcome.file), outcome.file.name))
             failed += [] if is_named else [outcome.name]
-    said = [f"{_first_three(failed)}: {failure}" if failed else failure for failure, failed in names.items()]
-    return _first_three(said, "; ")
-
-
-def _first_three(words: list[str], between: str = ", ") -> str:
-    more = f"{between}and {len(words) - 3} more (--json lists them)" if words[3:] else ""
-    return between.join(words[:3]) + more
+    said = [
+        f"{terminal.first_three(failed, ', ')}: {failure}" if failed else failure
+        for failure, failed in names.items()
+    ]
+    return terminal.first_three(said)
 
 
 def _draw(
@@ -221,7 +215,6 @@ def _rows(content: dict[str, Any]) -> dict[str, object]:
         f"{minimum['residual']:.3f}" + " (as good)" * minimum["as_good"] for minimum in content["minima"][1:]
     ]
     rows["other minima"] = others or "none found"
-    for k, note in enumerate(content["notes"]):
-        rows["note" if k == 0 else f"note {k + 1}"] = note
+    rows |= terminal.numbered("note", content["notes"])
     rows["time"] = f"{content['seconds']:.2f} s, {content['n_pairs']} direction pairs"
     return rows

@@ -23,11 +23,8 @@ def convert(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="OUT",
-            help="What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .astm, or .csv.",
+        options.output_option(
+            "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .astm, or .csv.", "OUT"
         ),
     ],
     to: Annotated[
@@ -39,9 +36,7 @@ def convert(
             help="rgl, merl, utia, lighttools, zemax, astm or csv, where the suffix of OUT is ambiguous.",
         ),
     ] = None,
-    sample: Annotated[
-        str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
-    ] = None,
+    sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
     resolution: Annotated[
         int,

@@ -233,6 +233,5 @@ def info(
 
 
 def _shortened(messages: list[str], what: str) -> str:
-    """The first three messages, and how many more."""
-    shown = messages[:3] + ([f"and {len(messages) - 3} more (--json lists them)"] if messages[3:] else [])
-    return (f"{len(messages)} {what}: " if messages[1:] else "") + "; ".join(shown)
+    """The first three messages, behind how many there are."""
+    return (f"{len(messages)} {what}: " if messages[1:] else "") + terminal.first_three(messages)

@@ -204,11 +204,8 @@ def predict(
     force: ForceAlbedoOption = False,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="The .bsdf file to write, or the folder. [default: predicted.bsdf, or predictions]",
-            metavar="FILE",
+        options.output_option(
+            "The .bsdf file to write, or the folder. [default: predicted.bsdf, or predictions]"
         ),
     ] = None,
     resolution: Annotated[
@@ -293,11 +290,8 @@ def locate(
     library: options.MovedLibraryOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Also write the reconstruction: the prediction at the latent, in the colours of the file.",
-            metavar="FILE",
+        options.output_option(
+            "Also write the reconstruction: the prediction at the latent, in the colours of the file."
         ),
     ] = None,
     physical: options.PhysicalOption = False,
@@ -333,9 +327,7 @@ def reconstruct(
     without: WithoutOption = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="The file to write. [default: reconstructed.bsdf]", metavar="FILE"
-        ),
+        options.output_option("The file to write. [default: reconstructed.bsdf]"),
     ] = None,
     physical: options.PhysicalOption = False,
     force: ForceAlbedoOption = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -64,6 +64,16 @@ PhysicalOption = Annotated[
         "grids.",
     ),
 ]
+
+
+SampleOption = Annotated[
+    str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
+]
+
+
+def output_option(help: str, metavar: str = "FILE") -> Any:
+    """The option `--output`, to stand in an annotation."""
+    return typer.Option("--output", "-o", help=help, metavar=metavar)
 
 
 def parse_latent(text: str, option: str = "--latent") -> list[float] | str:

@@ -12,9 +12,7 @@ from manifold.errors import UsageError
 from . import options, terminal
 from .application import app
 
-PictureOption = Annotated[
-    Path, typer.Option("--output", "-o", help="The picture: .png, .pdf or .svg.", metavar="FILE")
-]
+PictureOption = Annotated[Path, options.output_option("The picture: .png, .pdf or .svg.")]
 
 
 SliceKind = Literal["angles", "image", "spectra"]

@@ -83,8 +83,7 @@ def count_words(count: int, what: str, folder: Path, kept: int) -> str:
 def raise_failed(failed: list[str]) -> None:
     """Raise FileFormatError for the first few of what failed."""
     if failed:
-        more = f"; and {len(failed) - 3} more (--json lists them)" if failed[3:] else ""
-        raise FileFormatError("; ".join(failed[:3]) + more)
+        raise FileFormatError(terminal.first_three(failed))
 
 
 def _place(outcome: PointOutcome) -> str:

@@ -64,11 +64,8 @@ def render(
     ] = False,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Picture: .png tone-mapped, .exr linear; or the folder. [default: render.png, or renders]",
-            metavar="FILE",
+        options.output_option(
+            "Picture: .png tone-mapped, .exr linear; or the folder. [default: render.png, or renders]"
         ),
     ] = None,
     illuminant: IlluminantOption = "D65",
@@ -159,9 +156,9 @@ def _show(results: terminal.Results, made: Rendered) -> None:
 def compare(
     a: Annotated[Path, typer.Argument(help="A picture, a .bsdf file, or the JSON of a fit.", metavar="A")],
     b: Annotated[Path, typer.Argument(help="Another of the same kind.", metavar="B")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The figure: .png, .pdf or .svg.", metavar="FILE")
-    ] = Path("comparison.png"),
+    output: Annotated[Path, options.output_option("The figure: .png, .pdf or .svg.")] = Path(
+        "comparison.png"
+    ),
     illuminant: IlluminantOption = "D65",
     environment: EnvironmentOption = None,
     size: SizeOption = 256,

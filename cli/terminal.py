@@ -176,6 +176,17 @@ def is_number(text: str) -> bool:
     return True
 
 
+def first_three(words: Sequence[str], between: str = "; ") -> str:
+    """The first three of what may be many, and how many more."""
+    more = [f"and {len(words) - 3} more (--json lists them)"] if words[3:] else []
+    return between.join([*words[:3], *more])
+
+
+def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
+    """Rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
+    return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}
+
+
 def megabytes(size: int) -> str:
     """A size in bytes for people."""
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

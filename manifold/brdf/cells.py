@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical
-from manifold.records import Array
+from manifold.records import Array, BsdfFile
 
 HORIZON = np.deg2rad(89.9)
 """Where the limit at the horizon is read off."""
@@ -60,3 +61,14 @@ class Cells:
         cos_im = m @ wi
         wo = 2.0 * cos_im[..., None] * m - wi
         return cls(points, wi, wo, (cos_im > 0.0) & (wo[..., 2] > 0.0))
+
+
+def cells_of(
+    file: BsdfFile, slices: Iterable[Sequence[int]] | None = None
+) -> Iterator[tuple[int, int, Cells]]:
+    """The cells of a file's slices with their indices p of azimuth and t of elevation; of all slices by default."""
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    shape = file.spectra.shape
+    for p, t in np.ndindex(shape[:2]) if slices is None else slices:
+        phi_i, theta_i = float(file.phi_i_rad[p]), float(file.theta_i_rad[t])
+        yield p, t, Cells.seen_from(warp, phi_i, theta_i, shape[3:], is_isotropic=file.is_isotropic)

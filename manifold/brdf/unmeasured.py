@@ -7,14 +7,12 @@ a prediction would show those of all its materials as dark spots, magnified wher
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import convolve
 
-from manifold.brdf.cells import Cells
-from manifold.brdf.warp import Warp
+from manifold.brdf.cells import cells_of
 from manifold.records import Array, BsdfFile
 
 _LEAST_COSINE = np.sin(
@@ -30,8 +28,8 @@ def unmeasured_cells(file: BsdfFile) -> Array:
     suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
         return np.zeros_like(unmeasured)
-    for p, t, cosines in _outgoing_cosines(file, np.argwhere(suspects)):
-        unmeasured[p, t] &= cosines > _LEAST_COSINE
+    for p, t, cells in cells_of(file, np.argwhere(suspects)):
+        unmeasured[p, t] &= cells.is_above & (cells.wo[..., 2] > _LEAST_COSINE)
     unmeasured[~suspects] = False
     return unmeasured
 
@@ -39,20 +37,9 @@ def unmeasured_cells(file: BsdfFile) -> Array:
 def find_rim(file: BsdfFile) -> Array:
     """Cells whose outgoing direction is above the horizon but too near to be measured, bool, shape (P, T, H, W)."""
     rim = np.zeros_like(file.measured_mask)
-    for p, t, cosines in _outgoing_cosines(file, np.argwhere(np.ones(rim.shape[:2]))):
-        rim[p, t] = (cosines > 0) & (cosines <= _LEAST_COSINE)
+    for p, t, cells in cells_of(file):
+        rim[p, t] = cells.is_above & (cells.wo[..., 2] <= _LEAST_COSINE)
     return rim
-
-
-def _outgoing_cosines(file: BsdfFile, slices: Array) -> Iterator[tuple[int, int, Array]]:
-    """Of slices (n, 2) of azimuth and elevation: their indices, and cos(theta_o) of their cells (H, W); -1 below."""
-    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
-    for p, t in slices:
-        cells = Cells.seen_from(
-            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), file.spectra.shape[3:],
-            is_isotropic=file.is_isotropic,
-        )  # fmt: skip
-        yield int(p), int(t), np.where(cells.is_above, cells.wo[..., 2], -1.0)
 
 
 def unmeasured_share(file: BsdfFile, cells: Array) -> float:

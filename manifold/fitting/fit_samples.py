@@ -7,10 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from manifold.brdf.cells import Cells
+from manifold.brdf.cells import cells_of
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import unmeasured_cells
-from manifold.brdf.warp import Warp
 from manifold.colour.conversion import to_srgb
 from manifold.directions import normalize, require_directions
 from manifold.errors import ShapeError, UsageError
@@ -141,14 +140,9 @@ def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
     Raises:
         UsageError: nothing is left.
     """
-    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     mask = file.measured_mask & ~unmeasured_cells(file)
     all_wi, all_wo = [], []
-    for p, t in np.ndindex(mask.shape[:2]):
-        cells = Cells.seen_from(
-            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), mask.shape[2:],
-            is_isotropic=file.is_isotropic,
-        )  # fmt: skip
+    for p, t, cells in cells_of(file):
         far = (cells.wo[..., 2] >= _GRAZING_COS) & (cells.wi[2] >= _GRAZING_COS)
         wo = cells.wo[mask[p, t] & cells.is_above & far]
         all_wo.append(normalize(wo))

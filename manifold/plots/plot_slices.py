@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +12,10 @@ from matplotlib.figure import Figure, SubFigure
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
+from manifold.fitting.fit_samples import EvaluableBRDF
 from manifold.model.diagnostics import Diagnosis
 from manifold.plots.figures import new_figure, shortened
-from manifold.records import Array, Bands
+from manifold.records import Array
 
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
@@ -30,17 +30,6 @@ _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
 
-class Evaluable(Protocol):
-    """The part of a BRDF that slices need."""
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., B)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Source:
     """One BRDF of a picture.
@@ -52,7 +41,7 @@ class Source:
     """
 
     label: str
-    brdf: Evaluable
+    brdf: EvaluableBRDF
     diagnosis: Diagnosis | None = None
 
 
@@ -169,7 +158,7 @@ def _in_plane(theta_deg: Array) -> Array:
     return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
 
 
-def _channels(brdf: Evaluable, f: Array, wavelengths_nm: Sequence[float]) -> Array:
+def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) -> Array:
     """Values to draw, shape (P, rows)."""
     if not wavelengths_nm:
         return to_srgb(f, brdf.bands)

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.cells import Cells
+from manifold.brdf.cells import cells_of
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
-from manifold.brdf.warp import Warp
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour.conversion import to_srgb
 from manifold.errors import UsageError
@@ -131,13 +130,8 @@ def _in_srgb(source: Source) -> Source:
 
 def _of_rgl(file: BsdfFile) -> Source:
     brdf = MeasuredBRDF(fill_unmeasured(file))
-    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
     wi, wo = [], []
-    for p, t in np.ndindex(*file.luminance.shape[:2]):
-        cells = Cells.seen_from(
-            warp, float(file.phi_i_rad[p]), float(file.theta_i_rad[t]), file.spectra.shape[3:],
-            is_isotropic=file.is_isotropic,
-        )  # fmt: skip
+    for p, t, cells in cells_of(file):
         keep = cells.is_above & file.measured_mask[p, t] & (cells.wo[..., 2] > LEAST_COSINE)
         keep &= cells.wi[2] > LEAST_COSINE
         wo.append(cells.wo[keep])

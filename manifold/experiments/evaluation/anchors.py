@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from manifold.errors import UsageError
 from manifold.experiments.evaluation.method import Encode, Method
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.fitting import fit_json
+from manifold.fitting.fit_samples import EvaluableBRDF
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.mapping import Identity
@@ -21,10 +21,6 @@ from manifold.records import Array, Bands
 
 PRINCIPLED = "principled"
 NEURAL_NUMBERS = 675  # weights and biases of the published networks
-
-
-class _Evaluable(Protocol):
-    def eval(self, wi: Array, wo: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +32,11 @@ class FittedPrediction(Combination):
         bands: which of its bands, shape (B,).
     """
 
-    brdf: _Evaluable | None = field(kw_only=True)
+    brdf: EvaluableBRDF | None = field(kw_only=True)
     bands: Array = field(kw_only=True)
 
     @classmethod
-    def of(cls, brdf: _Evaluable | None, n_bands: int) -> FittedPrediction:
+    def of(cls, brdf: EvaluableBRDF | None, n_bands: int) -> FittedPrediction:
         """All bands of a BRDF."""
         bands = np.arange(n_bands)
         return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)

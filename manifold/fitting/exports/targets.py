@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from manifold.errors import UsageError
@@ -26,6 +27,7 @@ from manifold.fitting.exports.principled_values import Principled
 from manifold.records import Array
 
 Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
+Content = Callable[[Export, Principled], bytes]
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,15 @@ class Target:
     defaults: Mapping[str, Any]
     parameters: Callable[[Principled], dict[str, Any]]
     brdf: Brdf
-    content: Callable[[Export, Principled], bytes]
+    content: Content
     title: str
-    free: tuple[str, ...] = ()
-    coat: tuple[str, ...] = ()
-    sheen: tuple[str, ...] = ()
-    film: tuple[str, ...] = ()
+    free: tuple[str, ...]
+    coat: tuple[str, ...]
+    sheen: tuple[str, ...]
+    film: tuple[str, ...]
 
 
-def _json(conventions: Mapping[str, str]) -> Callable[[Export, Principled], bytes]:
+def _json(conventions: Mapping[str, str]) -> Content:
     def content(export: Export, material: Principled) -> bytes:
         made = export.to_json() | {"about": export.sentence(), "conventions": dict(conventions)}
         if export.target == "unreal":
@@ -74,53 +76,38 @@ _BLENDER = {
     "IOR": "of the surface; Specular IOR Level 0.5 leaves its reflectance as it is",
 }
 
+
+def _target(name: str, suffix: str, model: ModuleType, content: Content, title: str) -> Target:
+    """A target whose parameters and shading model are those of a module."""
+    sheen, film = (getattr(model, name, ()) for name in ("SHEEN", "FILM"))
+    return Target(
+        name, suffix, model.DEFAULTS, model.parameters, model.brdf, content, title,
+        model.FREE, model.COAT, sheen, film,
+    )  # fmt: skip
+
+
 _ALL = (
-    Target(
-        "gltf", ".glb", gltf.DEFAULTS, gltf.parameters, gltf.brdf,
-        lambda export, material: glb.glb(export), "glTF 2.0, metallic-roughness and extensions",
-        gltf.FREE, gltf.COAT, gltf.SHEEN, gltf.FILM,
+    _target("gltf", ".glb", gltf, lambda export, _: glb.glb(export), "glTF 2.0, metallic-roughness and extensions"),
+    _target("openpbr", ".mtlx", openpbr, lambda export, _: materialx.mtlx(export), "MaterialX, open_pbr_surface"),
+    _target(
+        "standard-surface", ".mtlx", standard_surface, lambda export, _: materialx.mtlx(export),
+        "MaterialX, standard_surface",
     ),
-    Target(
-        "openpbr", ".mtlx", openpbr.DEFAULTS, openpbr.parameters, openpbr.brdf,
-        lambda export, material: materialx.mtlx(export), "MaterialX, open_pbr_surface",
-        openpbr.FREE, openpbr.COAT, openpbr.SHEEN,
+    _target(
+        "usd", ".usda", preview_surface, lambda export, _: usd.usda(export).encode(), "USD, UsdPreviewSurface"
     ),
-    Target(
-        "standard-surface", ".mtlx", standard_surface.DEFAULTS, standard_surface.parameters, standard_surface.brdf,
-        lambda export, material: materialx.mtlx(export), "MaterialX, standard_surface",
-        standard_surface.FREE, standard_surface.COAT, standard_surface.SHEEN, standard_surface.FILM,
-    ),
-    Target(
-        "usd", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
-        lambda export, material: usd.usda(export).encode(), "USD, UsdPreviewSurface",
-        preview_surface.FREE, preview_surface.COAT,
-    ),
-    Target(
-        "usd-materialx", ".usda", preview_surface.DEFAULTS, preview_surface.parameters, preview_surface.brdf,
+    _target(
+        "usd-materialx", ".usda", preview_surface,
         lambda export, material: usd.usda(export, openpbr.parameters(material)).encode(),
         "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
-        preview_surface.FREE, preview_surface.COAT,
     ),
-    Target(
-        "blender", ".py", blender.DEFAULTS, blender.parameters, blender.brdf,
-        lambda export, material: blender.script(export).encode(), "Blender 4 and later, Principled BSDF, a script",
-        blender.FREE, blender.COAT, blender.SHEEN,
+    _target(
+        "blender", ".py", blender, lambda export, _: blender.script(export).encode(),
+        "Blender 4 and later, Principled BSDF, a script",
     ),
-    Target(
-        "blender-json", ".json", blender.DEFAULTS, blender.parameters, blender.brdf, _json(_BLENDER),
-        "Blender 4 and later, Principled BSDF, values",
-        blender.FREE, blender.COAT, blender.SHEEN,
-    ),
-    Target(
-        "unreal", ".json", unreal.DEFAULTS, unreal.parameters, unreal.brdf, _json(unreal.CONVENTIONS),
-        "Unreal Engine 5, Default Lit or Clear Coat",
-        unreal.FREE, unreal.COAT,
-    ),
-    Target(
-        "unity", ".json", unity.DEFAULTS, unity.parameters, unity.brdf, _json(unity.CONVENTIONS),
-        "Unity, High Definition pipeline, Lit",
-        unity.FREE, unity.COAT,
-    ),
+    _target("blender-json", ".json", blender, _json(_BLENDER), "Blender 4 and later, Principled BSDF, values"),
+    _target("unreal", ".json", unreal, _json(unreal.CONVENTIONS), "Unreal Engine 5, Default Lit or Clear Coat"),
+    _target("unity", ".json", unity, _json(unity.CONVENTIONS), "Unity, High Definition pipeline, Lit"),
 )  # fmt: skip
 
 TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
 
@@ -67,9 +69,19 @@ def test_an_integrating_sphere_of_the_page_measures_a_white_diffuser():
     assert np.sum(pairs.sphere_measure) / np.pi == pytest.approx(1.0, abs=0.01)  # 20 x 20 nodes
 
 
+def unpacked(document, shape):
+    """Components (N, R, P) as a page decodes them."""
+    N, R, P = shape
+    first, steps = (gzip.decompress(base64.b64decode(document[key])) for key in ("first", "ratios"))
+    first = np.frombuffer(first, "<f2").reshape(N, 1, P).astype(np.float32)
+    steps = np.frombuffer(steps, np.int8).reshape(N, R - 1, P)
+    scale = np.array(document["scales"], np.float32).reshape(N, R - 1, 1)
+    return np.concatenate([first, first * steps * (scale / 127.0)], axis=1)
+
+
 def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulated, rng):
     packed = json.loads(json.dumps(tables.packed(tabulated)))
-    components = tables.unpacked(packed, tabulated.components.shape)[..., : tabulated.pairs.n_grid]
+    components = unpacked(packed, tabulated.components.shape)[..., : tabulated.pairs.n_grid]
     ball = ball_colours.ball()
     cosines = np.cbrt(ball.wi[:, 2] * ball.wo[:, 2])[:, None]
     errors = []

@@ -6,6 +6,7 @@ import json
 import shutil
 
 import pytest
+from exported_files import gltf_parameters, read_glb
 from small_library import NAMES, measured, small_library
 from typer.testing import CliRunner
 
@@ -13,7 +14,7 @@ from manifold.cli.main import app
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.bsdf_parameters import principled
-from manifold.fitting.exports import TARGETS, Principled, glb, gltf
+from manifold.fitting.exports import TARGETS, Principled, gltf
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
 from manifold.model.manifold import Manifold
@@ -44,9 +45,9 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     assert made["against"] == "fit"
     assert made["principled_ciede2000"] is None
     assert made["ciede2000"] < 1.0  # a copper of principled is one of glTF
-    document, _ = glb.read(tmp_path / "x.glb")
+    document, _ = read_glb(tmp_path / "x.glb")
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
-    found = gltf.from_json(document["materials"][0])
+    found = gltf_parameters(document["materials"][0])
     assert found["baseColorFactor"] == pytest.approx(values["base_color"], abs=1e-4)  # ends are snapped
     assert found["roughnessFactor"] == pytest.approx(values["roughness"], abs=1e-6)
     assert document["materials"][0]["extras"]["ciede2000"] == made["ciede2000"]
@@ -121,7 +122,7 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
     again = export_folders.export_all(source, TARGETS["gltf"], tmp_path / "out")
     assert [(o.name, o.was_there) for o in again] == [("copper", True), ("other", False)]
     assert (tmp_path / "out" / "copper.glb").stat().st_mtime_ns == before
-    assert glb.read(tmp_path / "out" / "other.glb")[0]["materials"][0]["name"] == "copper"
+    assert read_glb(tmp_path / "out" / "other.glb")[0]["materials"][0]["name"] == "copper"
     other = export_folders.export_all(source, TARGETS["openpbr"], tmp_path / "out")
     assert not any(o.was_there for o in other)
 

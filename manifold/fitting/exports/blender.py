@@ -108,16 +108,6 @@ def script(export: Export) -> str:
     return _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
 
 
-def read_script(text: str) -> dict[str, Any]:
-    """The values that a script of `script` sets."""
-    import ast
-
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "VALUES":
-            return ast.literal_eval(node.value)
-    return {}
-
-
 def document(export: Export) -> str:
     """The same as JSON."""
     return json.dumps(export.to_json(), indent=2, allow_nan=False) + "\n"

@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import json
 import struct
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from manifold import __version__
-from manifold.errors import FileFormatError
 from manifold.fitting.exports import gltf, meshes
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.meshes import Mesh
@@ -89,41 +85,3 @@ def _add(
         accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
     document["accessors"].append(accessor)
     return len(document["accessors"]) - 1
-
-
-def read(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON and the binary chunk of a `.glb`.
-
-    Raises:
-        FileFormatError: it is no binary glTF 2.0, or is cut off.
-    """
-    content = path.read_bytes()
-    wanted = "expected a binary glTF 2.0"
-    if len(content) < 20:
-        raise FileFormatError(f"{path}: {len(content)} bytes, {wanted}")
-    magic, version, length = struct.unpack_from("<III", content)
-    if (magic, version) != (_MAGIC, _VERSION) or length != len(content):
-        raise FileFormatError(
-            f"{path}: header {magic:#x}, version {version}, {length} of {len(content)} bytes, {wanted}"
-        )
-    chunks: dict[int, bytes] = {}
-    at = 12
-    while at + 8 <= length:
-        size, kind = struct.unpack_from("<II", content, at)
-        chunks.setdefault(kind, content[at + 8 : at + 8 + size])
-        at += 8 + size
-    try:
-        return json.loads(chunks[_JSON]), chunks.get(_BIN, b"")
-    except (KeyError, ValueError) as error:
-        raise FileFormatError(f"{path}: no JSON chunk ({error}), {wanted}") from error
-
-
-def accessor_values(document: dict[str, Any], content: bytes, index: int) -> Array:
-    """The values of an accessor, shape (count, components)."""
-    accessor = document["accessors"][index]
-    view = document["bufferViews"][accessor["bufferView"]]
-    kind = {_FLOAT: "<f4", _UINT16: "<u2"}[accessor["componentType"]]
-    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-    offset = view["byteOffset"] + accessor.get("byteOffset", 0)
-    values = np.frombuffer(content, kind, accessor["count"] * width, offset)
-    return values.reshape(-1, width)

@@ -105,15 +105,6 @@ def to_json(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     return material
 
 
-def from_json(material: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters of a material of glTF: the inverse of `to_json`."""
-    made = dict(DEFAULTS) | dict(material.get("pbrMetallicRoughness", {}))
-    made["baseColorFactor"] = list(made["baseColorFactor"])[:3]
-    for entries in material.get("extensions", {}).values():
-        made |= entries
-    return made
-
-
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     """The material's BRDF, f in 1/sr, shape (P, 3).
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from manifold.errors import FileFormatError
 from manifold.fitting.exports import openpbr, standard_surface
 from manifold.fitting.exports.document import Export
 
@@ -45,23 +43,3 @@ def mtlx(export: Export) -> bytes:
 
 def _number(value: float) -> str:
     return f"{value:.9g}"
-
-
-def read(path: Path, target: str) -> dict[str, Any]:
-    """The parameters of a document of `mtlx`.
-
-    Raises:
-        FileFormatError: it holds no such shader.
-    """
-    category, defaults = NODES[target]
-    try:
-        shader = ET.parse(path).getroot().find(category)
-    except ET.ParseError as error:
-        raise FileFormatError(f"{path}: {error}, expected a MaterialX document") from error
-    if shader is None:
-        raise FileFormatError(f"{path}: no {category}, expected a MaterialX document with one")
-    made = dict(defaults)
-    for entry in shader.findall("input"):
-        values = [float(v) for v in entry.get("value", "").split(",")]
-        made[entry.get("name", "")] = values if entry.get("type") == "color3" else values[0]
-    return made

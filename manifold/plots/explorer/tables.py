@@ -100,15 +100,6 @@ def packed(tables: Tables) -> dict[str, Any]:
     return {"first": _text(first.astype("<f2")), "ratios": _text(steps), "scales": scale.tolist()}
 
 
-def unpacked(document: dict[str, Any], shape: tuple[int, ...]) -> Array:
-    """Components (N, R, P) as a page decodes them."""
-    N, R, P = shape
-    first = np.frombuffer(_bytes(document["first"]), "<f2").reshape(N, 1, P).astype(np.float32)
-    steps = np.frombuffer(_bytes(document["ratios"]), np.int8).reshape(N, R - 1, P)
-    scale = np.array(document["scales"], np.float32).reshape(N, R - 1, 1)
-    return np.concatenate([first, first * steps * (scale / 127.0)], axis=1)
-
-
 def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     """Everything that a page shows, as JSON."""
     space = model.space.require_blends()
@@ -209,7 +200,3 @@ def _rounded(values: Array) -> list[float]:
 
 def _text(values: Array) -> str:
     return base64.b64encode(gzip.compress(values.tobytes(), 9, mtime=0)).decode()
-
-
-def _bytes(text: str) -> bytes:
-    return gzip.decompress(base64.b64decode(text))

@@ -160,13 +160,7 @@ def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tupl
         raise place.error(
             f"{width} cells, expected {len(columns.names)} as VARS says", f"line {numbered[0][0]}"
         )
-    table = np.empty((len(numbered), width))
-    for row, (line_number, line) in zip(table, numbered, strict=True):
-        cells = split_cells(line, separator)
-        if len(cells) != width:
-            raise place.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
-        row[:] = place.numbers(cells, line_number)
-    return table, notes, columns
+    return place.table(numbered, separator, width), notes, columns
 
 
 def _readings(

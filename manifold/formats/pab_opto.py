@@ -120,12 +120,7 @@ def _rows(lines: list[str], place: Place) -> Array:
     width = len(split_cells(rows[0][1], separator))
     if width < 3:
         raise place.error(f"{width} cells, expected theta, phi and a value", f"line {rows[0][0]}")
-    table = np.empty((len(rows), width))
-    for row, (line_number, line) in zip(table, rows, strict=True):
-        cells = split_cells(line, separator)
-        if len(cells) != width:
-            raise place.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
-        row[:] = place.numbers(cells, line_number)
+    table = place.table(rows, separator, width)
     if np.any(table[:, 0] < 0.0) or np.any(table[:, 0] > 180.0):
         raise place.error("a theta outside 0 to 180 degrees, expected degrees from the normal")
     return table

@@ -6,10 +6,14 @@ import codecs
 import os
 import re
 import stat
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.tensor_file import printable
+from manifold.records import Array
 
 LARGEST_TEXT = 150_000_000
 """Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
@@ -97,6 +101,16 @@ class Place:
         if not all(abs(value) < 1e300 for value in values):
             return [self.number(cell, f"line {line}, cell {k}") for k, cell in enumerate(cells, start=1)]
         return values
+
+    def table(self, lines: Sequence[tuple[int, str]], separator: str | None, width: int) -> Array:
+        """The numbers of lines of `width` cells, each line with its number in the file; shape (lines, cells)."""
+        table = np.empty((len(lines), width))
+        for row, (line_number, line) in zip(table, lines, strict=True):
+            cells = split_cells(line, separator)
+            if len(cells) != width:
+                raise self.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
+            row[:] = self.numbers(cells, line_number)
+        return table
 
     def count(self, text: str, where: str, largest: int) -> int:
         """A whole number from 1 to `largest`."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.mathtext import MathTextParser
@@ -12,6 +14,7 @@ from matplotlib.text import Text
 
 from manifold.errors import UsageError
 from manifold.plots.glyphs import drawable
+from manifold.records import Array
 from manifold.system import atomic
 
 Box = tuple[float, float, float, float]
@@ -23,6 +26,37 @@ _SUFFIXES = (".png", ".pdf", ".svg")
 def overlap(a: Box, b: Box) -> float:
     """Common area of two boxes."""
     return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)
+
+
+def cheapest_place(
+    point: Array, width: float, height: float, gaps: Iterable[float], n_angles: int,
+    cost: Callable[[float, Box], float],
+) -> tuple[tuple[float, float], Box]:  # fmt: skip
+    """Where around its point a label stands at the least cost: offset of its centre, and its box, in pixels.
+
+    Args:
+        point: (2,).
+        width, height: of the label.
+        gaps: between the point and the label, one ring of places each.
+        n_angles: places on a ring.
+        cost: of a gap and the label's box.
+    """
+    best: tuple[float, tuple[float, float], Box] | None = None
+    for gap in gaps:
+        for angle in np.linspace(0.0, 2.0 * np.pi, n_angles, endpoint=False):
+            dx, dy = np.cos(angle) * (gap + 0.5 * width), np.sin(angle) * (gap + 0.5 * height)
+            x, y = point[0] + dx, point[1] + dy
+            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
+            total = cost(gap, box)
+            if best is None or total < best[0]:
+                best = (total, (dx, dy), box)
+    assert best is not None
+    return best[1], best[2]
+
+
+def outside(box: Box, frame: Box) -> float:
+    """How far a box reaches beyond a frame."""
+    return max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -16,7 +16,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of
 from manifold.experiments.chart.fits import FAMILY
 from manifold.experiments.chart.registry import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
-from manifold.plots.figures import Box, new_figure, overlap
+from manifold.plots.figures import Box, cheapest_place, new_figure, outside, overlap
 from manifold.records import Array
 
 _ERRORS = ("delta_e", "cube_root_error", "relative_error")
@@ -226,20 +226,14 @@ def _place(
 
     It should be no nearer to other points that have names, `rivals` (K, 2), than to its own.
     """
-    best: tuple[float, tuple[float, float], Box] | None = None
-    for gap in dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]):
-        for angle in np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False):
-            dx, dy = np.cos(angle) * (gap + 0.5 * width), np.sin(angle) * (gap + 0.5 * height)
-            x, y = point[0] + dx, point[1] + dy
-            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
-            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
-            cost = gap * height + 4.0 * sum(overlap(box, other) for other in taken) + 1e4 * outside
-            own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
-            cost += 4.0 * height * max(own - theirs, 0.0)
-            if best is None or cost < best[0]:
-                best = (cost, (dx, dy), box)
-    assert best is not None
-    return best[1], best[2]
+
+    def cost(gap: float, box: Box) -> float:
+        covered = sum(overlap(box, other) for other in taken)
+        own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
+        near = 4.0 * height * max(own - theirs, 0.0)
+        return gap * height + 4.0 * covered + 1e4 * outside(box, frame) + near
+
+    return cheapest_place(point, width, height, dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]), 24, cost)
 
 
 def _distances(box: Box, points: Array) -> Array:

@@ -12,7 +12,7 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import Box, make_drawable, new_figure, overlap, shortened
+from manifold.plots.figures import Box, cheapest_place, make_drawable, new_figure, outside, overlap, shortened
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
@@ -150,17 +150,10 @@ def _best_place(
     point: Array, width: float, height: float, dot: float, taken: list[Box], frame: Box
 ) -> tuple[tuple[float, float], Box]:
     """Offset of a label's centre from its point in pixels, and the box it fills: the cheapest of a few rings."""
-    best: tuple[float, tuple[float, float], Box] | None = None
-    for ring in range(6):
-        gap = dot * (1.2 + 1.5 * ring)
-        for angle in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
-            dx = np.cos(angle) * (gap + 0.5 * width)
-            dy = np.sin(angle) * (gap + 0.5 * height)
-            x, y = point[0] + dx, point[1] + dy
-            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
-            outside = max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
-            cost = sum(overlap(box, other) for other in taken) + 0.4 * height * gap + 1e3 * outside
-            if best is None or cost < best[0]:
-                best = (cost, (dx, dy), box)
-    assert best is not None
-    return best[1], best[2]
+
+    def cost(gap: float, box: Box) -> float:
+        covered = sum(overlap(box, other) for other in taken)
+        return covered + 0.4 * height * gap + 1e3 * outside(box, frame)
+
+    gaps = [dot * (1.2 + 1.5 * ring) for ring in range(6)]
+    return cheapest_place(point, width, height, gaps, 16, cost)

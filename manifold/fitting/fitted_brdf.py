@@ -41,10 +41,7 @@ class FittedBRDF:
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))
         flat_i, flat_o = wi.reshape(-1, 3), wo.reshape(-1, 3)
         made = evaluator(self._family, flat_i, flat_o, self._bands.count)
-        p = np.empty((1, made.layout.size))
-        for name, place in made.layout.slices.items():
-            p[0, place] = self._values[name]
-        f_cos = np.asarray(made.values(p)[0], dtype=np.float64)
+        f_cos = np.asarray(made.values(made.layout.join(self._values))[0], dtype=np.float64)
         f_cos[(flat_i[:, 2] <= 0) | (flat_o[:, 2] <= 0)] = 0.0
         return f_cos.reshape(*wi.shape[:-1], self._bands.count)
 

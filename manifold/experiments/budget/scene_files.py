@@ -141,7 +141,7 @@ def _parse(text: str, path: Path) -> ET.Element:
     try:
         tree = ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
-        raise _no_scene(path, error) from error
+        raise FileFormatError(f"{path}: {error}; expected a Mitsuba scene, XML or JSON") from error
     _require_shallow(tree, str(path))
     return tree
 
@@ -153,20 +153,12 @@ def _require_shallow(content: Any, origin: str) -> None:
         level = [child for node in level for child in _children(node)]
         if not level:
             return
-    raise _too_deep(origin)
+    raise FileFormatError(
+        f"{origin}: nested more than {_MOST_LEVELS} deep; expected a Mitsuba scene, XML or JSON"
+    )
 
 
 def _children(node: Any) -> Iterable[Any]:
     if isinstance(node, dict):
         return node.values()
     return node if isinstance(node, list | ET.Element) else ()
-
-
-def _too_deep(origin: str) -> FileFormatError:
-    return FileFormatError(
-        f"{origin}: nested more than {_MOST_LEVELS} deep; expected a Mitsuba scene, XML or JSON"
-    )
-
-
-def _no_scene(path: Path, error: Exception) -> FileFormatError:
-    return FileFormatError(f"{path}: {error}; expected a Mitsuba scene, XML or JSON")

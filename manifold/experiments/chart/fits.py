@@ -86,8 +86,5 @@ def measure_neural(source: str, files: Sequence[BsdfFile], target: Target, watch
 def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
     """What evaluates a fit in the bands of its samples, f in 1/sr (P, B)."""
     made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
-    p = np.empty((1, made.layout.size))
-    values = dict(result.values) | result.spectra
-    for name, place in made.layout.slices.items():
-        p[0, place] = values[name]
+    p = made.layout.join(result.values | result.spectra)
     return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

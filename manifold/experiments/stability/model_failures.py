@@ -47,13 +47,7 @@ def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
 
 def _of_kinds(trial: Callable[[TestBed, float, str], Measurement]) -> dict[str, Trial]:
     """A trial for each kind of manifold."""
-    return {kind: partial(_in_kind, trial, kind) for kind in KINDS}
-
-
-def _in_kind(
-    trial: Callable[[TestBed, float, str], Measurement], kind: str, bed: TestBed, severity: float
-) -> Measurement:
-    return trial(bed, severity, kind)
+    return {kind: partial(trial, kind=kind) for kind in KINDS}
 
 
 def _fitted(trial: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:

@@ -16,7 +16,7 @@ from manifold.errors import ShapeError
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
-from manifold.formats.tristimulus import xyz_to_linear_srgb
+from manifold.formats.tristimulus import converted, unnamed_band
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -24,7 +24,6 @@ _REMEDY = "export the table again"
 _MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
-_UNNAMED_NM = 550.0
 _LEAST_NM = 150.0
 _BAND = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>nm|um|µm|micron)?", re.IGNORECASE)
 _PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
@@ -227,15 +226,13 @@ def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> t
         if sorted(words) == sorted(space):
             values = values[:, [words.index(letter) for letter in space]]
             if space == "xyz":
-                notes.append("CIE XYZ, converted to linear sRGB")
-                values = xyz_to_linear_srgb(values)
+                values = converted(values, notes)
             return None, values
     nm = []
     for head in heads:
         wavelength = _wavelength(head)
         if wavelength is None and len(heads) == 1:
-            notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
-            return np.array([_UNNAMED_NM]), values
+            return unnamed_band(notes), values
         if wavelength is None:
             raise place.error(f"band '{head[:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z")
         nm.append(wavelength)

@@ -17,7 +17,7 @@ from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode
-from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
+from manifold.formats.tristimulus import linear_srgb_to_xyz, unnamed_band, xyz_to_linear_srgb
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -29,7 +29,6 @@ _TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of pai
 # Rough surfaces show no peak, but send more light ahead at steep incidence. At 50 to 70 degrees none of 222 materials
 # (RGL files, neural fits, the corpus) is more than 2.9 times as bright in another of four directions.
 _STEEP_FROM, _AHEAD = 50.0, 3.0
-_UNNAMED_NM = 550.0
 _MOST_BLOCKS = 100_000
 
 
@@ -191,8 +190,7 @@ def _stack(
             raise place.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
         return None, incidences, values
     if bands == [0.0]:
-        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
-        return np.array([_UNNAMED_NM]), incidences, values
+        return unnamed_band(notes), incidences, values
     nm = np.array(bands)
     if nm[0] <= 0:
         raise place.error(f"wavelength {nm[0]:g}, expected nanometres")

@@ -16,12 +16,11 @@ from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
-from manifold.formats.tristimulus import xyz_to_linear_srgb
+from manifold.formats.tristimulus import converted, unnamed_band
 from manifold.records import Array
 
 _REMEDY = "export the measurement again"
 _MOST_ROWS = 5_000_000
-_UNNAMED_NM = 550.0
 _LEAST_COSINE = 1e-3  # DSF / cos(theta_o) says nothing nearer to the horizon
 
 
@@ -67,10 +66,9 @@ def read(path: Path) -> list[Readings]:
         values = values / np.cos(theta)[:, None]
     nm: Array | None = None
     if values.shape[1] == 3 and "xyz" in header.get("colorimetry", "xyz").lower():
-        values = xyz_to_linear_srgb(values)
-        notes.append("CIE XYZ, converted to linear sRGB")
+        values = converted(values, notes)
     elif values.shape[1] == 1:
-        nm = np.array([_wavelength(header, notes)])
+        nm = _wavelength(header, notes)
     else:
         raise place.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
     wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
@@ -100,12 +98,9 @@ def _incidence(header: dict[str, str], place: Place) -> tuple[float, float]:
     return values[0], values[1]
 
 
-def _wavelength(header: dict[str, str], notes: list[str]) -> float:
+def _wavelength(header: dict[str, str], notes: list[str]) -> Array:
     nm = number(header.get("wavelength", "").lower().removesuffix("nm"))
-    if nm is None or nm <= 0:
-        notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
-        return _UNNAMED_NM
-    return nm
+    return unnamed_band(notes) if nm is None or nm <= 0 else np.array([nm])
 
 
 def _rows(lines: list[str], place: Place) -> Array:

@@ -16,11 +16,10 @@ from manifold.directions import from_spherical, rotate_z
 from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
-from manifold.formats.tristimulus import linear_srgb_to_xyz, xyz_to_linear_srgb
+from manifold.formats.tristimulus import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.records import Array
 from manifold.system import atomic
 
-_UNNAMED_NM = 550.0
 # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _PADDING_FROM = np.cos(np.deg2rad(75.0))
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
@@ -100,8 +99,7 @@ def _wavelength(comments: list[str], notes: list[str]) -> Array:
     if len(named) == 1:
         notes.append(f"one band, its wavelength is taken from a comment: {min(named):g} nm")
         return np.array(sorted(named))
-    notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
-    return np.array([_UNNAMED_NM])
+    return unnamed_band(notes)
 
 
 def _is_measured(wo: Array, values: Array) -> Array:
@@ -137,8 +135,7 @@ def _readings(
         notes.append(f"{padding} zeros near the horizon, beyond the last measured direction, are not data")
     table = np.concatenate(kept)
     if nm is None:
-        table = xyz_to_linear_srgb(table)
-        notes.append("CIE XYZ, converted to linear sRGB")
+        table = converted(table, notes)
     return Readings(name, "Zemax BSDF", np.concatenate(wi), np.concatenate(wo), nm, table, notes=tuple(notes))
 
 

@@ -78,5 +78,16 @@ def refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a number of JSON")
 
 
+def begins_with(path: Path, *magic: bytes) -> bool:
+    """Whether a path is a regular file that begins with one of these; not where it cannot be read."""
+    if not path.is_file():  # reading a pipe or a device may never end
+        return False
+    try:
+        with path.open("rb") as stream:
+            return stream.read(max(map(len, magic))).startswith(magic)
+    except OSError:
+        return False  # whoever reads it next says why
+
+
 def _cannot_read(path: Path, reason: str, advice: str) -> UsageError:
     return UsageError(f"{path}: cannot be read ({reason}); {advice}")

@@ -22,6 +22,7 @@ from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
 from manifold.model.completion.hybrid import InstrumentCorrection, corrected
 from manifold.records import Array, Bands, BsdfFile
+from manifold.system.small_files import begins_with
 
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
@@ -85,13 +86,13 @@ def open_source(
         UsageError, FileFormatError: as `registry.read` and `read_bsdf`; or what is to be corrected is no readings.
         BandMismatchError: the correction was learned in other bands.
     """
-    if len(paths) == 1 and _is_tensor_file(paths[0]):
+    if len(paths) == 1 and begins_with(paths[0], MAGIC):
         if correction is not None:
             raise _not_corrected(paths[0])
         file = read_bsdf(paths[0])
         return _of_rgl(_file_in_srgb(file) if rgb else file)
     for path in paths:
-        if _is_tensor_file(path):
+        if begins_with(path, MAGIC):
             raise UsageError(f"{path}: an RGL file among {len(paths)} files; convert it alone")
     record = registry.merge([registry.read(path, sample) for path in paths])
     if correction is not None:
@@ -106,13 +107,6 @@ def _not_corrected(path: Path) -> UsageError:
     return UsageError(
         f"{path}: a table of a BRDF, expected an instrument's readings to correct; leave --correction out"
     )
-
-
-def _is_tensor_file(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        return stream.read(len(MAGIC)) == MAGIC
 
 
 def _file_in_srgb(file: BsdfFile) -> BsdfFile:

@@ -16,6 +16,7 @@ from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend, libllvm
+from manifold.system.small_files import begins_with
 from manifold.workflows.inspection_record import Inspection, Table
 from manifold.workflows.instrument_inspection import inspect_instrument_file
 
@@ -42,11 +43,11 @@ def inspect(
         return _inspect_library(path, verify, on_progress)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
-    if path.suffix in (".h5", ".hdf5") or _begins_with(path, MAGIC, HDF5_MAGIC):
+    if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC, HDF5_MAGIC):
         return _inspect_model(path, library)
     if path.is_file() and (known := registry.identify(path)) is not None:
         return inspect_instrument_file(path, known.name)
-    if path.is_file() and path.suffix.lower() != ".bsdf" and not _begins_with(path, tensor_file.MAGIC):
+    if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
         raise registry.unknown(path)
     return _inspect_file(read_bsdf(path), path)
 
@@ -69,16 +70,6 @@ def inspect_renderer() -> Inspection:
     table = Table(("library", "outcome"), tuple((str(library), outcome) for library, outcome in outcomes))
     document = chosen.to_json() | {"libraries": {str(library): outcome for library, outcome in outcomes}}
     return Inspection("Renderer", rows, document, (table,) if libraries else ())
-
-
-def _begins_with(path: Path, *magic: bytes) -> bool:
-    if not path.is_file():  # reading a pipe or a device may never end
-        return False
-    try:
-        with path.open("rb") as stream:
-            return stream.read(max(map(len, magic))).startswith(magic)
-    except OSError:
-        return False  # whoever reads it next says why
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:

@@ -14,7 +14,7 @@ from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
 from manifold.rendering.plugin.mixture import Mixture
 from manifold.rendering.plugin.packed_tables import META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
 from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
-from manifold.rendering.plugin.warp import Family, PackedWarps
+from manifold.rendering.plugin.warp import Family, PackedWarps, bisect
 
 _DENSE_NM = 5.0  # between bands, up to which the nearest one stands for a wavelength
 _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
@@ -118,13 +118,10 @@ class Evaluation:
         """The two elevations of incidence around theta, and the weight of the second."""
         mi, dr = self._mi, self._dr
         first = i * self._n_theta
-        low, high = mi.UInt32(0), mi.UInt32(n_theta - 1)
-        for _ in range(max(1, (self._n_theta - 1).bit_length())):
-            middle = (low + high) >> 1
-            is_open = high - low > 1
-            is_below = dr.gather(mi.Float, self._nodes, first + middle, active) <= theta
-            low = dr.select(is_open & is_below, middle, low)
-            high = dr.select(is_open & ~is_below, middle, high)
+        low, high = bisect(
+            mi, dr, n_theta, max(1, (self._n_theta - 1).bit_length()),
+            lambda m: dr.gather(mi.Float, self._nodes, first + m, active) <= theta,
+        )  # fmt: skip
         a = dr.gather(mi.Float, self._nodes, first + low, active)
         b = dr.gather(mi.Float, self._nodes, first + high, active)
         t = dr.select(b > a, dr.clip((theta - a) / (b - a), 0.0, 1.0), 0.0)

@@ -24,6 +24,18 @@ class Family:
     columns: Any
 
 
+def bisect(mi: Any, dr: Any, n: Any, n_steps: int, is_below: Any) -> tuple[Any, Any]:
+    """The last of n indices but one up to which `is_below` holds, or 0, and the next one."""
+    low, high = mi.UInt32(0), mi.UInt32(n - 1)
+    for _ in range(n_steps):
+        middle = (low + high) >> 1
+        is_open = high - low > 1
+        holds = is_below(middle)
+        low = dr.select(is_open & holds, middle, low)
+        high = dr.select(is_open & ~holds, middle, high)
+    return low, high
+
+
 class PackedWarps:
     """Warps in packed tables; see `packed_tables.Tables`."""
 
@@ -88,7 +100,7 @@ class PackedWarps:
         """The point (x, y) of uniform variates (u, v)."""
         dr, mi = self._dr, self._mi
         u, v = dr.clip(u, 1e-7, 1.0 - 1e-7), dr.clip(v, 1e-7, 1.0 - 1e-7)
-        i = self._bisect(family.rows, v, lambda m: self._marginal(family, slices, t, m, active))
+        i = self._below(family.rows, v, lambda m: self._marginal(family, slices, t, m, active))
         first = self._blended(family, slices, t, i, mi.UInt32(0), active)
         r0, r1 = first[6], first[7]
         ty = self._invert_linear(r0, r1, v - self._marginal(family, slices, t, i, active))
@@ -98,7 +110,7 @@ class PackedWarps:
             packet = self._blended(family, slices, t, i, m, active)
             return dr.lerp(packet[4], packet[5], ty)
 
-        j = self._bisect(family.columns, target, reached)
+        j = self._below(family.columns, target, reached)
         d00, d01, d10, d11, b0, b1, _r0, _r1 = self._blended(family, slices, t, i, j, active)
         c0, c1 = dr.lerp(d00, d10, ty), dr.lerp(d01, d11, ty)
         tx = self._invert_linear(c0, c1, target - dr.lerp(b0, b1, ty))
@@ -106,17 +118,9 @@ class PackedWarps:
         y = (mi.Float(i) + ty) / mi.Float(family.rows - 1)
         return x, y
 
-    def _bisect(self, n: Any, value: Any, at: Any) -> Any:
+    def _below(self, n: Any, value: Any, at: Any) -> Any:
         """The last index below n - 1 at which an increasing function is still below a value."""
-        mi, dr = self._mi, self._dr
-        low, high = mi.UInt32(0), mi.UInt32(n - 1)
-        for _ in range(self._n_steps):
-            middle = (low + high) >> 1
-            is_open = high - low > 1
-            is_below = at(middle) < value
-            low = dr.select(is_open & is_below, middle, low)
-            high = dr.select(is_open & ~is_below, middle, high)
-        return low
+        return bisect(self._mi, self._dr, n, self._n_steps, lambda m: at(m) < value)[0]
 
     def _invert_linear(self, f0: Any, f1: Any, area: Any) -> Any:
         """Position t in [0, 1] where the integral of the line from f0 to f1 over [0, t] is `area`."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -47,7 +46,11 @@ def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
 
 def _of_kinds(trial: Callable[[TestBed, float, str], Measurement]) -> dict[str, Trial]:
     """A trial for each kind of manifold."""
-    return {kind: partial(trial, kind=kind) for kind in KINDS}
+
+    def of(kind: str) -> Trial:
+        return lambda bed, severity: trial(bed, severity, kind)
+
+    return {kind: of(kind) for kind in KINDS}
 
 
 def _fitted(trial: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:

@@ -9,12 +9,12 @@ from functools import cache, cached_property
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
-from manifold.metrics import RusinkiewiczGrid
+from manifold.model.appearance import roots_at
 from manifold.model.combination import Combination
+from manifold.model.decoding import encoding_pairs
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
@@ -30,7 +30,7 @@ LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 ball_pairs = cache(ball_colours.ball)
 """The pairs that light a ball; the same for every material."""
 
-grid_pairs = cache(lambda: EncodingPairs.of_grid(RusinkiewiczGrid.named("default")))
+grid_pairs = cache(encoding_pairs)
 """All directions, in which materials are compared; the same for every material."""
 
 ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))
@@ -80,10 +80,7 @@ class LibrarySamples:
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
         materials = cache.in_bands(chosen.tolist(), on_progress)
         grid, ball = grid_pairs(), ball_pairs()
-        on_grid, on_ball = (
-            with_lambertian(roots_at(materials, wi, wo), wi, wo)
-            for wi, wo in ((grid.wi, grid.wo), (ball.wi, ball.wo))
-        )
+        on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
         some = slice(None, None, _BALL_STRIDE)
         on_grid_weights = grid.cosines ** (2.0 / 3.0)
         on_ball_weights = ball.light[some] ** (2.0 / 3.0)
@@ -134,7 +131,7 @@ class LibrarySamples:
 
     def at(self, wi: Array, wo: Array) -> Array:
         """Cube roots of samples and Lambertian at direction pairs (P, 3), shape (n + 1, P)."""
-        return with_lambertian(roots_at(self.materials, wi, wo), wi, wo)
+        return _roots_at(self.materials, wi, wo)
 
     def predicted(self, weights: Array) -> PredictedBRDF:
         """The BRDF that weights (B, n + 1) of samples make in the bands of the library."""
@@ -142,15 +139,7 @@ class LibrarySamples:
         return PredictedBRDF(self.materials, combination, self.bands)
 
 
-def roots_at(materials: Sequence[MeasuredBRDF], wi: Array, wo: Array) -> Array:
-    """Cube roots of f, 0 where it is negative, of N materials in B_s bands: shape (N * B_s, P)."""
-    pairs = DirectionPairs(wi, wo)
-    f = np.empty((len(materials), len(pairs), materials[0].bands.count))
-    for k, material in enumerate(materials):
-        material.eval_into(pairs, f[k])
-    return np.cbrt(np.maximum(np.moveaxis(f, 2, 1), 0.0)).reshape(-1, len(pairs))
-
-
-def with_lambertian(roots: Array, wi: Array, wo: Array) -> Array:
-    """One more row: the Lambertian of albedo 1."""
+def _roots_at(materials: Sequence[MeasuredBRDF], wi: Array, wo: Array) -> Array:
+    """Cube roots of samples and, last, of the Lambertian of albedo 1 at direction pairs (P, 3), shape (n + 1, P)."""
+    roots = np.ascontiguousarray(roots_at(materials, EncodingPairs(wi, wo)))
     return np.vstack([roots, LAMBERTIAN.lobes.cube_roots(wi, wo)])

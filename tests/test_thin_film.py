@@ -6,7 +6,7 @@ import colour
 import numpy as np
 import pytest
 
-from manifold.fitting.exports import lobes
+from manifold.brdf.synthetic.fresnel import fresnel_conductor
 from manifold.fitting.exports.thin_film import _FROM_XYZ_MATERIALX, film_over_f0, film_over_index
 
 COSINES = np.linspace(0.2, 1.0, 9)
@@ -62,7 +62,7 @@ def test_schlick_s_form_is_near_fresnel_s_on_a_dielectric():
 
 def test_a_film_of_the_index_of_air_is_none():
     found = film_over_index(1.0, 400.0, METAL_N, METAL_K, COSINES)
-    np.testing.assert_allclose(found, lobes.fresnel_conductor(METAL_N, METAL_K, COSINES), atol=1e-9)
+    np.testing.assert_allclose(found, fresnel_conductor(COSINES, METAL_N, METAL_K), atol=1e-9)
     f0 = np.array([0.04, 0.3, 0.9])
     np.testing.assert_allclose(film_over_f0(1.0, 400.0, f0, np.ones(1))[0], f0, atol=0.01)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from manifold.brdf.synthetic.fresnel import fresnel_dielectric
 from manifold.fitting.exports import lobes, openpbr
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.layers import zeltner_layer
@@ -155,7 +156,7 @@ def _interface(
     def between(share: Array | float) -> Array:
         return f0 + (1.0 - f0) * share
 
-    fresnel = between((lobes.fresnel_dielectric(ior, pairs.cos_d) - real) / (1.0 - real))
+    fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
     mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
     scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
     share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from manifold.brdf.synthetic.fresnel import fresnel_dielectric
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import ior_to_f0
@@ -21,7 +22,7 @@ def dielectric_layer(
     if not weight:
         return below
     if fresnel is None:
-        fresnel = lobes.fresnel_dielectric(ior, pairs.cos_d)
+        fresnel = fresnel_dielectric(pairs.cos_d, np.array([ior]))
     a, b = lobes.split_sum(np.sqrt(alpha_x * alpha_y), pairs.cos_v)
     single = (a * ior_to_f0(ior) + b)[:, None]
     albedo = single * _compensation(pairs, fresnel, alpha_x, alpha_y)

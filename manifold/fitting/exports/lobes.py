@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from manifold.brdf.synthetic.fresnel import fresnel_dielectric
 from manifold.directions import normalize
 from manifold.records import Array
 
@@ -106,27 +107,6 @@ def f82_dip(f0: Array, edge: Array) -> Array:
     return (f0 + (1.0 - f0) * (1.0 - at) ** 5) * (1.0 - edge) / (at * (1.0 - at) ** 6)
 
 
-def fresnel_dielectric(ior: float, cosine: Array) -> Array:
-    """Unpolarised reflectance of a dielectric of index `ior` relative to outside, (P, 1)."""
-    squared = ior * ior - 1.0 + cosine * cosine
-    t = np.sqrt(np.maximum(squared, 0.0))
-    s = (cosine - t) / (cosine + t)
-    p = (t - ior * ior * cosine) / (t + ior * ior * cosine)
-    return np.where(squared > 0, 0.5 * (s * s + p * p), 1.0)[:, None]
-
-
-def fresnel_conductor(n: Array, k: Array, cosine: Array) -> Array:
-    """Unpolarised reflectance of conductors of indices n + i k (3,), shape (P, 3)."""
-    c = cosine[:, None]
-    c2, s2 = c * c, 1.0 - c * c
-    d = n * n - k * k - s2
-    a2b2 = np.sqrt(d * d + 4.0 * n * n * k * k)
-    a = np.sqrt(np.maximum(0.5 * (a2b2 + d), 0.0))
-    rs = (a2b2 + c2 - 2.0 * a * c) / (a2b2 + c2 + 2.0 * a * c)
-    rp = rs * (c2 * a2b2 + s2 * s2 - 2.0 * a * c * s2) / (c2 * a2b2 + s2 * s2 + 2.0 * a * c * s2)
-    return 0.5 * (rs + rp)
-
-
 def split_sum(alpha: float, cosine: Array) -> tuple[Array, Array]:
     """A and B of the directional albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
 
@@ -158,7 +138,7 @@ def dielectric_share(alpha: float, ior: float, cosine: Array) -> Array:
 @lru_cache(maxsize=256)
 def _dielectric_table(alpha: float, ior: float) -> tuple[Array, Array]:
     nodes, weight, cos_d = _visible_reflections(alpha)
-    f = fresnel_dielectric(ior, cos_d.ravel()).reshape(cos_d.shape)
+    f = fresnel_dielectric(cos_d.ravel(), np.array([ior])).reshape(cos_d.shape)
     f0 = ((ior - 1.0) / (ior + 1.0)) ** 2
     return nodes, (weight * (f - f0)).mean(axis=1) / (weight.mean(axis=1) * (1.0 - f0))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.fitting.exports import lobes
+from manifold.brdf.synthetic.fresnel import fresnel_conductor, fresnel_dielectric
 from manifold.fitting.exports.layers import dielectric_layer, imageworks_layer, metal
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import Principled
@@ -93,7 +93,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         pairs, f, values["sheen"], np.asarray(values["sheen_color"]), values["sheen_roughness"]
     )
     ior, thickness_nm, film_ior = (values[name] for name in ("specular_IOR", *FILM))
-    fresnel = lobes.fresnel_dielectric(ior, pairs.cos_d)
+    fresnel = fresnel_dielectric(pairs.cos_d, np.array([ior]))
     if thickness_nm:
         fresnel = film_over_index(film_ior, thickness_nm, np.full(3, ior), np.zeros(3), pairs.cos_d)
     f = dielectric_layer(
@@ -102,7 +102,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     m = values["metalness"]
     if m:
         n, k = artistic_index(base, tint * values["specular"])
-        fresnel = lobes.fresnel_conductor(n, k, pairs.cos_d)
+        fresnel = fresnel_conductor(pairs.cos_d, n, k)
         if thickness_nm:
             fresnel = film_over_index(film_ior, thickness_nm, n, k, pairs.cos_d)
         f = (1.0 - m) * f + m * metal(pairs, fresnel, alpha_x, alpha_y)

@@ -12,6 +12,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.records import Array
+from manifold.rendering.plugin_names import holds_none
 
 TRANSFORMS = ("identity", "log", "square", "gloss")
 """How the optimiser sees a parameter p: as p, log p, the square root of its distance from the minimum, or the logarithm
@@ -142,7 +143,7 @@ class BsdfFamily:
     def __post_init__(self) -> None:
         if not _is_word(self.type):
             raise UsageError(f"BSDF {self.type!r}: expected the name of a Mitsuba plugin as its type")
-        if _holds_none(self.fixed):  # which ends Mitsuba's process
+        if holds_none(self.fixed):
             raise UsageError(f"BSDF {self.type}: fixed contains null, expected a value; remove that entry")
         names = [parameter.name for parameter in self.parameters]
         if not names or len(set(names)) != len(names) or set(names) & set(self.fixed):
@@ -186,17 +187,6 @@ class BsdfFamily:
                 f"description of a BSDF: {error}; expected type, parameters (name, minimum, maximum, default, "
                 "transform, per_band, affine, tolerance) and fixed"
             ) from error
-
-
-def _holds_none(entries: Mapping[str, Any]) -> bool:
-    waiting = [entries]
-    while waiting:
-        for value in waiting.pop().values():
-            if value is None:
-                return True
-            if isinstance(value, Mapping):
-                waiting.append(value)
-    return False
 
 
 class Layout:

@@ -8,7 +8,7 @@ folder included. So types must be plain words that mean Mitsuba's own plugins, w
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from manifold.errors import FileFormatError
@@ -38,15 +38,22 @@ def require_plugins(types: Iterable[object], origin: str) -> None:
 
 def types_of(content: Any) -> Iterator[object]:
     """The types in a dictionary of Mitsuba, at any depth."""
+    return (node["type"] for node in nodes_of(content) if isinstance(node, dict) and "type" in node)
+
+
+def holds_none(content: Any) -> bool:
+    """Whether None is among plain values, at any depth: it ends Mitsuba's process."""
+    return any(node is None for node in nodes_of(content))
+
+
+def nodes_of(content: Any) -> Iterator[Any]:
+    """Plain values and all that dictionaries and lists among them hold, at any depth."""
     waiting = [content]
     while waiting:
         node = waiting.pop()
-        if isinstance(node, dict):
-            if "type" in node:
-                yield node["type"]
-            waiting.extend(node.values())
-        elif isinstance(node, list):
-            waiting.extend(node)
+        yield node
+        if isinstance(node, Mapping | list):
+            waiting.extend(node.values() if isinstance(node, Mapping) else node)
 
 
 def _shown(value: object) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.errors import FileFormatError
+from manifold.rendering.plugin_names import holds_none
 from manifold.system import small_files
 
 _MOST_LEVELS = 100  # elements within elements; scenes of people have ten
@@ -44,7 +45,7 @@ def require_scene(content: Any, origin: str) -> dict[str, Any]:
         raise FileFormatError(
             f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
         )
-    if _holds_none(content):  # which ends Mitsuba's process
+    if holds_none(content):
         raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")
     return content
 
@@ -125,16 +126,6 @@ def exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):  # a name that is too long, or no name
         return False
-
-
-def _holds_none(content: Any) -> bool:
-    waiting = [content]
-    while waiting:
-        node = waiting.pop()
-        if node is None:
-            return True
-        waiting.extend(_children(node))
-    return False
 
 
 def _parse(text: str, path: Path) -> ET.Element:

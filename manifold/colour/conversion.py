@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from manifold.colour.illuminants import Illuminant, illuminant_key
 from manifold.colour.tables import frozen, standard_tables
 from manifold.errors import ShapeError, UsageError
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, BsdfFile
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -46,6 +47,12 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
     if bands.is_rgb:
         return values.copy()
     return values @ xyz_to_srgb(weights, weights.sum(axis=0) if adapt else None)
+
+
+def file_to_srgb(file: BsdfFile) -> BsdfFile:
+    """A file with its values in linear sRGB under D65."""
+    rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
+    return replace(file, wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))
 
 
 def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:

@@ -104,6 +104,13 @@ def _load(mi: Any, content: dict[str, Any]) -> Any:
     return loaded
 
 
+def _load_at_defaults(mi: Any, family: BsdfFamily) -> Any:
+    defaults = {
+        o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default for o in family.parameters
+    }
+    return _load(mi, bsdf_dict(family, defaults))
+
+
 def _refusal(kind: str, error: RuntimeError) -> UsageError:
     reason = " ".join(str(error).split())
     return UsageError(f"BSDF {kind}: Mitsuba says {reason[:200]}; check its type and parameters")
@@ -115,10 +122,7 @@ def bsdf_keys(mi: Any, family: BsdfFamily) -> dict[str, str]:
     Raises:
         UsageError: Mitsuba has no such plugin, the plugin no such parameter, or it only mirrors and transmits.
     """
-    defaults = {
-        o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default for o in family.parameters
-    }
-    bsdf = _load(mi, bsdf_dict(family, defaults))
+    bsdf = _load_at_defaults(mi, family)
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
         raise UsageError(
             f"BSDF {family.type} reflects into discrete directions only (delta lobe), which cannot be fitted; use "
@@ -312,11 +316,7 @@ class ScalarEvaluator:
         self.layout = Layout(family, n_bands)
         self._mi = mi
         self._slots = bsdf_keys(mi, family)
-        defaults = {
-            o.name: [min(max(o.default, 0.0), 1.0)] * 3 if o.per_band else o.default
-            for o in family.parameters
-        }
-        self._bsdf = _load(mi, bsdf_dict(family, defaults))
+        self._bsdf = _load_at_defaults(mi, family)
         self._parameters = mi.traverse(self._bsdf)
         self._wi = [mi.Vector3f(*map(float, w)) for w in wi]
         self._wo = [mi.Vector3f(*map(float, w)) for w in wo]

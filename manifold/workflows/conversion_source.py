@@ -13,7 +13,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.wrapped import WrappedBRDF
-from manifold.colour.conversion import to_srgb
+from manifold.colour.conversion import file_to_srgb, to_srgb
 from manifold.errors import UsageError
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
@@ -90,7 +90,7 @@ def open_source(
         if correction is not None:
             raise _not_corrected(paths[0])
         file = read_bsdf(paths[0])
-        return _of_rgl(_file_in_srgb(file) if rgb else file)
+        return _of_rgl(file_to_srgb(file) if rgb else file)
     for path in paths:
         if begins_with(path, MAGIC):
             raise UsageError(f"{path}: an RGL file among {len(paths)} files; convert it alone")
@@ -107,11 +107,6 @@ def _not_corrected(path: Path) -> UsageError:
     return UsageError(
         f"{path}: a table of a BRDF, expected an instrument's readings to correct; leave --correction out"
     )
-
-
-def _file_in_srgb(file: BsdfFile) -> BsdfFile:
-    rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
-    return replace(file, wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))
 
 
 def _in_srgb(source: Source) -> Source:

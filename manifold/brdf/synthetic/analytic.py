@@ -198,6 +198,11 @@ def choose_lobe(probabilities: Array, u: Array) -> tuple[Array, Array]:
     return lobe, np.stack([np.clip(rest, 0.0, 1.0), u[:, 1]], axis=-1)
 
 
+def even_points(n: int) -> Array:
+    """Points (n, 2), even in the unit square as along each axis, which picks lobes. Source: Roberts 2018, "R2"."""
+    return (0.5 + np.arange(n)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
+
+
 def cosine_hemisphere(u: Array) -> Array:
     """Directions (n, 3) of density cos(theta) / pi."""
     r, phi = np.sqrt(u[:, 1]), 2.0 * np.pi * u[:, 0]

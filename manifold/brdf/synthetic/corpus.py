@@ -18,7 +18,7 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.synthetic.recipes import anisotropic_recipes, isotropic_recipes
 from manifold.brdf.unmeasured import find_rim
-from manifold.colour.conversion import luminance, to_srgb
+from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
@@ -110,7 +110,8 @@ def measure(material: Material, *, seed: int = 0, rgb: bool = False) -> BsdfFile
         version=version,
     )
     file = _imperfect(_energy_conserving(file), rng, _SPECKLE.get(material.family, _LEAST_SPECKLE))
-    return _to_rgb(file) if rgb else file
+    # As the database derives its RGB files, which say version 1.0.
+    return replace(file_to_srgb(file), version=(1, 0)) if rgb else file
 
 
 def write(
@@ -225,9 +226,3 @@ def _noisy(values: Array, incidence: Array, rng: np.random.Generator, speckle: f
     offset *= dark
     detector += offset
     return np.maximum(detector, 0.0, out=detector)
-
-
-def _to_rgb(file: BsdfFile) -> BsdfFile:
-    """The file in linear sRGB, as the database derives its RGB files; they say version 1.0."""
-    rgb = to_srgb(np.moveaxis(file.spectra, 2, -1), file.bands).astype(np.float32)
-    return replace(file, version=(1, 0), wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.brdf.synthetic.analytic import AnalyticBRDF, choose_lobe, set_field
+from manifold.brdf.synthetic.analytic import AnalyticBRDF, choose_lobe, even_points, set_field
 from manifold.directions import hemisphere_quadrature
 from manifold.errors import UsageError
 from manifold.records import Array
@@ -139,10 +139,9 @@ class Layered(_Compound):
         return f
 
     def _albedo(self, wi: Array) -> Array:
-        # By the base's own sampling, one direction at a time to bound memory. The numbers are an additive
-        # recurrence (Roberts 2018, "R2"): even in the square as in each axis, which picks lobes.
+        # By the base's own sampling, one direction at a time to bound memory.
         n = 4096
-        u = (0.5 + np.arange(n)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
+        u = even_points(n)
         through = np.empty((wi.shape[0], self.bands.count))
         for i, w in enumerate(wi):
             wo, pdf = self.base.sample(w, u)

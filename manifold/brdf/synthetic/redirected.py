@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from manifold.brdf.measured import BRDF
-from manifold.brdf.synthetic.analytic import AnalyticBRDF, per_band, set_field
+from manifold.brdf.synthetic.analytic import AnalyticBRDF, even_points, per_band, set_field
 from manifold.errors import UsageError
 from manifold.records import Array
 
@@ -72,11 +72,9 @@ class Immersed(AnalyticBRDF):
         return self.brdf.pdf(self._inside(wi), inner) * wo[:, 2] / (self.eta**2 * inner[:, 2])
 
     def _albedo(self, wi: Array) -> Array:
-        # One direction at a time to bound memory, by the numbers of Roberts 2018 ("R2"), even in the square as in each
-        # axis, which picks lobes.
-        u = (0.5 + np.arange(_ALBEDO_SAMPLES)[:, None] * (0.7548776662466927, 0.5698402909980532)) % 1.0
+        u = even_points(_ALBEDO_SAMPLES)
         albedo = np.empty((len(wi), self.bands.count))
-        for i, w in enumerate(wi):
+        for i, w in enumerate(wi):  # one direction at a time to bound memory
             wo, pdf = self.sample(w, u)
             kept = pdf > 0.0
             albedo[i] = (1.0 / pdf[kept]) @ self.eval_cos(w, wo[kept]) / len(u)

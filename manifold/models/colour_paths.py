@@ -134,7 +134,7 @@ def fit_paths(
         sphere: samples (n, P') inside an integrating sphere, and its measure (P',).
         albedo: the same at several incidences; no path ends above an albedo of 1.
     """
-    reflectances = samples_reflectance(*sphere)
+    reflectances = sphere[0] ** 3 @ sphere[1]
     n = len(samples)
     weighted = samples * cosines
     gram = weighted @ weighted.T
@@ -160,11 +160,6 @@ def fit_paths(
             bright[i] = w * min(1.0, np.cbrt(1.0 / max(most, 1e-9)))
     ends = [np.cbrt(np.maximum((w @ sphere[0]) ** 3 @ sphere[1], 0.0)) for w in (dark, bright)]
     return ColourPaths(dark, bright, ends[0], ends[1], reflectances)
-
-
-def samples_reflectance(samples: Array, measure: Array) -> Array:
-    """Reflectances (n,) of samples, cube roots (n, P), under a measure (P,)."""
-    return samples**3 @ measure
 
 
 def _body(f: Array, cosines: Array) -> float:

@@ -6,7 +6,7 @@ neighbouring readings agree on. It is a factor of the cube roots, so that what i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,10 +43,6 @@ class NearbyFactors:
             rows = slice(start, start + _BLOCK)
             found[:, rows] = self.strength @ covariance(self.readings, where[rows])
         return np.clip(1.0 + found, 0.5, 2.0)
-
-    def with_strength(self, strength: Array) -> NearbyFactors:
-        """The same readings with other strengths, shape (B', C)."""
-        return replace(self, strength=strength)
 
 
 def places(wi: Array, wo: Array) -> Array:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from manifold.experiments.stability.advice_page import FALSE_ALARM
+from manifold.experiments.stability.advice_page import FALSE_ALARM, short
 from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 from manifold.plots.figures import new_figure
 
@@ -68,7 +68,7 @@ def _panel(axes: Axes, mode: Mode, rows: Sequence[Row]) -> None:
     axes.set_xticks(places, [f"{s:.3g}" for s in mode.severities], fontsize=8)
     axes.tick_params(axis="y", labelsize=8)
     axes.set_title(f"{mode.key}\nlimit {mode.limit.value:g}", fontsize=9.5)
-    axes.set_xlabel(_broken(mode.severity), fontsize=8.5)
+    axes.set_xlabel(short(mode.severity, 46), fontsize=8.5)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.legend(
         fontsize=7, loc="upper left", framealpha=0.7, handlelength=2.6, borderpad=0.3, labelspacing=0.2
@@ -82,11 +82,6 @@ def _height(error: float | None, limit: float) -> float:
     if limit == 0.0:
         return _LEAST if error == 0.0 else 1.0 / _LEAST
     return float(np.clip(error / limit, _LEAST, 1.0 / _LEAST)) if np.isfinite(error) else 1.0 / _LEAST
-
-
-def _broken(text: str) -> str:
-    """A label on one line of a panel's width."""
-    return text if len(text) <= 46 else text[:44] + ".."
 
 
 def _key(made: Stability) -> list[Line2D]:

@@ -23,8 +23,8 @@ def table(made: Stability) -> list[list[str]]:
     for row in made.rows:
         rows.append(
             [
-                _short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
-                _short(row.method, _METHOD_WIDTH),
+                short(row.mode, _MODE_WIDTH) if row.mode != previous else "",
+                short(row.method, _METHOD_WIDTH),
                 _number(row.undetected_error),
                 f"{row.limit:g}",
                 outcomes(row),
@@ -121,7 +121,8 @@ def _cell(text: str) -> str:
     return re.sub(folder, "", " ".join(text.split())).replace("|", "\\|")
 
 
-def _short(text: str, width: int) -> str:
+def short(text: str, width: int) -> str:
+    """A text cut to a width."""
     return text if len(text) <= width else text[: width - 2] + ".."
 
 

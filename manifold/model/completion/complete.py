@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -201,7 +201,7 @@ def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array)
     made = completion_weights(at_readings, targets, weights, gram, found.mean)
     mixed = made @ at_readings
     nearby = nearby_factors(targets, mixed, where, readings.weights)
-    whole = nearby.with_strength(in_all_bands(nearby.strength, readings, samples.bands))
+    whole = replace(nearby, strength=in_all_bands(nearby.strength, readings, samples.bands))
     return Completion(
         samples, readings, at_readings, found, in_all_bands(made, readings, samples.bands), whole,
         (mixed * nearby.at(where)).T ** 3,

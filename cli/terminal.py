@@ -40,7 +40,7 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
     """A progress bar on stderr, or None where stderr is no terminal; or lines for the program that asked for them."""
     listening = os.environ.get(PROGRESS_VARIABLE, "")
     if listening.isdecimal():
-        yield _told_to(int(listening))
+        yield _json_lines_to(int(listening))
         return
     if not sys.stderr.isatty():
         yield None
@@ -61,7 +61,7 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
         yield step
 
 
-def _told_to(descriptor: int) -> Step:
+def _json_lines_to(descriptor: int) -> Step:
     """Steps as JSON lines into an open file; nothing once the reader is gone."""
 
     def step(done: int, total: int, what: str) -> None:

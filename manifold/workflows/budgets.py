@@ -119,7 +119,9 @@ class Budget:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        materials = [asdict(one) | {"asset": _text(one.asset), "bsdf": dict(one.bsdf)} for one in self.chosen]
+        materials = [
+            asdict(one) | {"asset": _path_text(one.asset), "bsdf": dict(one.bsdf)} for one in self.chosen
+        ]
         return {
             "scene": self.scene,
             "tolerance": asdict(self.tolerance),
@@ -130,11 +132,11 @@ class Budget:
             "materials": materials,
             "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
             "notes": list(self.notes),
-            "output": _text(self.output),
+            "output": _path_text(self.output),
         }
 
 
-def _text(path: Path | None) -> str | None:
+def _path_text(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 

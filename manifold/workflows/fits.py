@@ -68,7 +68,7 @@ class FitSettings:
         """Of the material that is fitted."""
         return self.sample or material_name(path)
 
-    def made(self, content: dict[str, Any]) -> bool:
+    def matches(self, content: dict[str, Any]) -> bool:
         """Whether a written fit was asked for in the same way, of the same version of this program."""
         wanted = asdict(METHODS[self.method]()) | {"noise": self.noise}
         wide = self.wide_colours
@@ -345,7 +345,7 @@ def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, A
     except ManifoldError:
         return None  # not a fit, or of another version: it is written anew
     known = content["source"]
-    is_same = known["sha256"] == source.sha256 and settings.made(content)
+    is_same = known["sha256"] == source.sha256 and settings.matches(content)
     if settings.sample is not None:
         is_same &= known["name"] == source.name
     return content if is_same and fit_json.is_untouched(content) else None

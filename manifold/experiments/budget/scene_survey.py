@@ -163,7 +163,9 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
         hits = _primary_hits(mi, scene, width, height, {name: key for key, name in names.items()})
         bands = Bands(None) if is_rgb else Bands.from_array(_WAVELENGTHS_NM)
         lighting = {
-            key: _ask(mi, scene, [(x, y, si) for k, x, y, si in hits if k == key], (height, width), bands)
+            key: _lighting_at(
+                mi, scene, [(x, y, si) for k, x, y, si in hits if k == key], (height, width), bands
+            )
             for key in files
             if any(k == key for k, *_ in hits)
         }
@@ -207,7 +209,7 @@ def _side(description: str, is_front: bool) -> str:
     return rest if back and not is_front else front
 
 
-def _ask(
+def _lighting_at(
     mi: Any, scene: Any, hits: Sequence[tuple[int, int, Any]], shape: tuple[int, int], bands: Bands
 ) -> MaterialLighting:
     """Light at the hits of one material."""

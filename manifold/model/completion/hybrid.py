@@ -131,7 +131,7 @@ def combine(reference: Readings, other: Readings) -> Hybrid:
         return Hybrid(_joined(reference, other), None, 0)
     x, y = shared_values(reference, other)
     correction = learn_correction(x, y)
-    taken = corrected(_thinned(other), InstrumentCorrection(correction, other.bands, reference.bands))
+    taken = corrected(_evenly_chosen(other), InstrumentCorrection(correction, other.bands, reference.bands))
     error = correction.errors[correction.form]
     note = f"{other.instrument} corrected by {reference.instrument} at {len(x)} directions that both read"
     if np.isfinite(error):
@@ -164,7 +164,7 @@ def _coordinates(wi: Array, wo: Array) -> Array:
     return np.column_stack([np.sqrt(theta_h), theta_d * np.cos(folded), theta_d * np.sin(folded)])
 
 
-def _thinned(readings: Readings) -> Readings:
+def _evenly_chosen(readings: Readings) -> Readings:
     """At most `_MOST` readings, evenly taken."""
     step = -(-len(readings) // _MOST)
     return readings.select_pairs(np.arange(0, len(readings), step)) if step > 1 else readings

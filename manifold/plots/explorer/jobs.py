@@ -172,8 +172,8 @@ class Queue:
             path = folder / "reflectance.txt"
             path.write_text(job.action.spectrum, encoding="utf-8")
             arguments[arguments.index(SPECTRUM)] = f"--reflectance={path}"
-        told, tells = os.pipe()
-        with open(told, encoding="utf-8", errors="replace") as lines:
+        read_end, write_end = os.pipe()
+        with open(read_end, encoding="utf-8", errors="replace") as lines:
             try:
                 with self._changed:
                     if job.state == "cancelled":
@@ -181,10 +181,11 @@ class Queue:
                     job.process = subprocess.Popen(
                         [*self._command, *arguments], cwd=self._folder, stdin=subprocess.DEVNULL,
                         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace",
-                        start_new_session=True, pass_fds=[tells], env=os.environ | {PROGRESS_VARIABLE: str(tells)},
+                        start_new_session=True, pass_fds=[write_end],
+                        env=os.environ | {PROGRESS_VARIABLE: str(write_end)},
                     )  # fmt: skip
             finally:
-                os.close(tells)
+                os.close(write_end)
             listener = threading.Thread(target=_listen, args=(job, lines), daemon=True)
             listener.start()
             self._wait(job, arguments)
@@ -192,14 +193,14 @@ class Queue:
 
     def _wait(self, job: Job, arguments: Sequence[str]) -> None:
         assert job.process is not None
-        said, complained = job.process.communicate()
+        stdout, stderr = job.process.communicate()
         if job.state == "cancelled":
             return
         job.state = "done" if job.process.returncode == 0 else "failed"
-        job.words = (said if job.state == "done" else complained).strip()[-_MOST_WORDS:]
+        job.words = (stdout if job.state == "done" else stderr).strip()[-_MOST_WORDS:]
         if "--json=-" in arguments and job.state == "done":
             with suppress(ValueError):
-                job.result, job.words = json.loads(said), complained.strip()[-_MOST_WORDS:]
+                job.result, job.words = json.loads(stdout), stderr.strip()[-_MOST_WORDS:]
 
     def _end(self, job: Job) -> None:
         job.ended = time.monotonic()

@@ -163,7 +163,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self) -> None:
         self._require_here(self.headers.get("X-Token", ""))
-        if self._only("Origin") != f"http://{self._only('Host')}":
+        if self._single_header("Origin") != f"http://{self._single_header('Host')}":
             raise _Refused(HTTPStatus.FORBIDDEN, "the request comes from another page")
         path = self._address().path
         if path == "/do/locate":
@@ -195,7 +195,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_taken(self, path: Path) -> bool:
         return os.path.lexists(path) or self._explorer.queue.is_writing(path)
 
-    def _only(self, name: str) -> str | None:
+    def _single_header(self, name: str) -> str | None:
         """A header that is there once."""
         values = self.headers.get_all(name, [])
         return values[0] if len(values) == 1 else None
@@ -212,7 +212,9 @@ class _Handler(BaseHTTPRequestHandler):
     def _require_here(self, token: str) -> None:
         port = self._explorer.server_port
         ports = [f":{port}", *[""] * (port == 80)]  # that of HTTP is not said
-        if self._only("Host") not in [f"{host}{p}" for host in (LOOPBACK, "localhost") for p in ports]:
+        if self._single_header("Host") not in [
+            f"{host}{p}" for host in (LOOPBACK, "localhost") for p in ports
+        ]:
             raise _Refused(HTTPStatus.FORBIDDEN, "the request names another host")
         if not hmac.compare_digest(token.encode(), self._explorer.token.encode()):
             raise _Refused(

@@ -121,3 +121,9 @@ def run(script: str, argument: Any) -> Any:
     )
     assert made.returncode == 0, made.stdout[-2000:] + made.stderr[-2000:]
     return json.loads(made.stdout.strip().splitlines()[-1])
+
+
+def version() -> tuple[int, int]:
+    """Major and minor version."""
+    major, minor = run("import bpy, json, sys; print(json.dumps(bpy.app.version[:2]))", None)
+    return major, minor

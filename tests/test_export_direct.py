@@ -9,7 +9,7 @@ import pytest
 
 from manifold.colour import ball_colours
 from manifold.fitting import fit_samples
-from manifold.fitting.exports import TARGETS, Principled, gltf, loss, standard_surface
+from manifold.fitting.exports import TARGETS, Principled, blender, gltf, loss, standard_surface
 from manifold.fitting.exports.direct import fit_target
 from manifold.records import Bands
 
@@ -83,6 +83,7 @@ def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
     [
         ("gltf", dict(zip(gltf.FILM, (0.8, 420.0, 1.5), strict=True))),
         ("standard-surface", dict(zip(standard_surface.FILM, (420.0, 1.5), strict=True))),
+        ("blender", dict(zip(blender.FILM, (420.0, 1.5), strict=True))),
     ],
 )
 def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):

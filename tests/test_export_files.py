@@ -53,6 +53,7 @@ MATERIALS = {
 FILMS = {
     "gltf": dict(zip(gltf.FILM, (0.7, 380.0, 1.6), strict=True)),
     "standard-surface": dict(zip(standard_surface.FILM, (380.0, 1.6), strict=True)),
+    "blender": dict(zip(blender.FILM, (380.0, 1.6), strict=True)),
 }  # of the material `film`: direct fits alone have one
 
 

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from manifold.brdf.synthetic.fresnel import fresnel_conductor
-from manifold.fitting.exports.thin_film import _FROM_XYZ_MATERIALX, film_over_f0, film_over_index
+from manifold.colour.conversion import xyz_to_srgb
+from manifold.fitting.exports import lobes
+from manifold.fitting.exports.thin_film import (
+    _FROM_XYZ_MATERIALX,
+    film_over_f0,
+    film_over_f82,
+    film_over_index,
+    film_over_index_cycles,
+)
 
 COSINES = np.linspace(0.2, 1.0, 9)
 WAVELENGTHS_NM = np.arange(380.0, 781.0, 2.0)
@@ -49,6 +57,26 @@ def test_a_film_reflects_what_airy_s_formula_gives(n, k, most, thickness_nm):
     found = film_over_index(1.8, thickness_nm, n, k, COSINES)
     expected = np.clip(reference(1.8, thickness_nm, n, k, COSINES), 0.0, 1.0)
     np.testing.assert_allclose(found, expected, atol=most)
+
+
+def test_cycles_film_is_airy_s_formula_with_the_observer(rng):
+    # Three orders of interference: what is left is less than that of two.
+    index = 1.5
+    matching = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    weight = np.stack(
+        [np.interp(WAVELENGTHS_NM, matching.wavelengths, matching.values[:, i]) for i in range(3)], axis=1
+    )
+    rgb = xyz_to_srgb(weight)
+    for thickness_nm in (100.0, 250.0, 400.0, 700.0):
+        expected = airy(1.8, thickness_nm, index, COSINES) @ (rgb / rgb.sum(axis=0))
+        found = film_over_index_cycles(1.8, thickness_nm, index, COSINES)
+        np.testing.assert_allclose(found, np.clip(expected, 0.0, 1.0), atol=0.01)
+
+
+def test_a_film_of_the_index_of_air_leaves_cycles_metal():
+    f0, edge = np.array([0.9, 0.6, 0.3]), np.array([0.8, 0.9, 1.0])
+    found = film_over_f82(1.0, 400.0, f0, edge, COSINES)
+    np.testing.assert_allclose(found, lobes.fresnel_f82(f0, edge, COSINES), atol=1e-6)
 
 
 def test_schlick_s_form_is_near_fresnel_s_on_a_dielectric():

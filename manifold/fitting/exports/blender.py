@@ -14,6 +14,7 @@ from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.layers import zeltner_layer
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.fitting.exports.thin_film import film_over_f82, film_over_index_cycles
 from manifold.records import Array
 
 DEFAULTS: dict[str, Any] = {
@@ -30,11 +31,14 @@ DEFAULTS: dict[str, Any] = {
     "Sheen Weight": 0.0,
     "Sheen Roughness": 0.5,
     "Sheen Tint": [1.0, 1.0, 1.0],
+    "Thin Film Thickness": 0.0,
+    "Thin Film IOR": 1.33,
 }
 """Every socket that exports may set, with its default; colours without alpha."""
 
 COAT = ("Coat Weight", "Coat Roughness")
 SHEEN = ("Sheen Weight", "Sheen Tint", "Sheen Roughness")
+FILM = ("Thin Film Thickness", "Thin Film IOR")
 FREE = (
     "Base Color",
     "Metallic",
@@ -60,6 +64,8 @@ if bpy.app.version < (4, 0, 0):  # its Principled BSDF has other sockets
 
 NAME = {name}
 VALUES = {values}
+if VALUES["Thin Film Thickness"] and bpy.app.version < (5, 0, 0):  # its metals have no film
+    raise RuntimeError("the thin film of this material needs Blender 5.0 or later, found " + bpy.app.version_string)
 
 material = bpy.data.materials.get(NAME) or bpy.data.materials.new(NAME)
 material.use_fake_user = True
@@ -73,6 +79,8 @@ if shader is None:
     material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
 shader.distribution = "MULTI_GGX"
 for key, value in VALUES.items():
+    if key.startswith("Thin Film") and key not in shader.inputs:  # Blender 4.0 and 4.1
+        continue
     for link in shader.inputs[key].links:  # of a texture, whose value would be taken
         material.node_tree.links.remove(link)
     shader.inputs[key].default_value = (*value, 1.0) if isinstance(value, list) else value
@@ -129,11 +137,15 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
     f0 = min(2.0 * values["Specular IOR Level"] * ior_to_f0(values["IOR"]), 0.99)
     f = np.broadcast_to(base / np.pi, (len(view), 3))
-    if f0 > 0.0:
+    thickness_nm, film_ior = (values[name] for name in FILM)
+    film = (film_ior, thickness_nm) if thickness_nm else None
+    if f0 > 0.0 or film is not None:
         ior = 2.0 / (1.0 - float(np.sqrt(f0))) - 1.0
-        f = _interface(pairs, f, ior, alpha_x, alpha_y, tint=tint)
+        f = _interface(pairs, f, ior, alpha_x, alpha_y, tint=tint, film=film)
     if m:
         fresnel = lobes.fresnel_f82(base, np.minimum(tint, 1.0), pairs.cos_d)
+        if film is not None:
+            fresnel = film_over_f82(*film, base, np.minimum(tint, 1.0), pairs.cos_d)
         mean = base + (1.0 - base) / 21.0 - lobes.f82_dip(base, np.minimum(tint, 1.0)) / 126.0
         scattered, _ = _scattered(pairs, mean, alpha_x, alpha_y)
         f = (1.0 - m) * f + m * lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
@@ -147,9 +159,9 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
 
 def _interface(
     pairs: Pairs, below: Array, ior: float, alpha_x: float, alpha_y: float, *, weight: float = 1.0,
-    tint: Array | float = 1.0,
+    tint: Array | float = 1.0, film: tuple[float, float] | None = None,
 ) -> Array:  # fmt: skip
-    """A rough dielectric over a BRDF `below` (P, 3), its reflectance along the normal tinted."""
+    """A rough dielectric over a BRDF `below` (P, 3), tinted along the normal; `film`: its index and thickness in nm."""
     real = ior_to_f0(ior)
     f0 = np.clip(real * np.broadcast_to(tint, 3), 0.0, 1.0)
 
@@ -160,7 +172,16 @@ def _interface(
     mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
     scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
     share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
-    albedo = (between(share) * scattered * single).max(axis=1, keepdims=True)
+    albedo = between(share) * scattered * single
+    if film is not None:  # whose albedo is taken as a mirror's
+
+        def filmed(cosine: Array) -> Array:
+            found = film_over_index_cycles(*film, ior, cosine)
+            tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
+            return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
+
+        fresnel, albedo = filmed(pairs.cos_d), filmed(pairs.cos_v)
+    albedo = albedo.max(axis=1, keepdims=True)
     lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
     return weight * lobe + (1.0 - weight * albedo) * below
 

@@ -44,6 +44,8 @@ _FILM_RANGES = {
     "iridescenceIor": (1.0, 2.5),
     "thin_film_thickness": (50.0, 1200.0),
     "thin_film_IOR": (1.0, 2.5),
+    "Thin Film Thickness": (50.0, 1200.0),
+    "Thin Film IOR": (1.0, 2.5),
 }  # nm, and indices
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 _NOTICEABLE = 2.3  # CIEDE2000 of the ball without a thin film, from which one is tried: Mahy et al. 1994

@@ -1,17 +1,24 @@
 """Reflectance of a thin film on a surface in linear sRGB, interference integrated over wavelengths in Fourier space.
 
-Source: Belcour & Barla 2017, section 4, with two orders of interference, as KHR_materials_iridescence and MaterialX
-1.39 simplify it; the colour matching functions are the Gaussians of the paper.
+Source: Belcour & Barla 2017, section 4, as KHR_materials_iridescence, MaterialX 1.39 and Cycles 5.0 have it. The first
+two take two orders of interference and Gaussians for the colour matching functions, Cycles three and the functions.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+
 import numpy as np
 
-from manifold.fitting.exports.lobes import schlick
+from manifold.colour.conversion import sensor_responses, xyz_to_srgb
+from manifold.colour.illuminants import Illuminant
+from manifold.fitting.exports.lobes import fresnel_f82, schlick
 from manifold.records import Array
 
-_ORDERS = 2
+Sensitivity = Callable[[Array, Array], Array]
+"""Mean RGB (P, 3) of the cosine of a phase, by the difference of path in nm (P,) and a shift (3,) or (P, 3)."""
+
 _HEIGHT = np.array([5.4856e-13, 4.4201e-13, 5.2481e-13, 9.7470e-14])  # of Gaussians for X, Y, Z, and X again
 _WAVE_NUMBER = np.array([1.6810e6, 1.7953e6, 2.2084e6, 2.2399e6])  # 1/m
 _VARIANCE = np.array([4.3278e9, 9.3046e9, 6.6121e9, 4.5282e9])
@@ -49,9 +56,9 @@ def film_over_f0(ior: float, thickness_nm: float, f0: Array, cosine: Array) -> A
     first = schlick(((ior - 1.0) / (ior + 1.0)) ** 2, 1.0, cosine)
     second = schlick(((below - ior) / (below + ior)) ** 2, 1.0, inside)
     shift = np.pi + np.where(below < ior, np.pi, 0.0)
-    path_m = 2e-9 * ior * thickness_nm * inside
+    path_nm = 2.0 * ior * thickness_nm * inside
     product = np.clip(first * second, 1e-5, 0.9999)
-    return np.maximum(_interference(first, second, product, path_m, shift, _FROM_XYZ_GLTF), 0.0)
+    return np.maximum(_interference(first, second, product, path_nm, shift, _gltf), 0.0)
 
 
 def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine: Array) -> Array:
@@ -63,26 +70,56 @@ def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine:
     Source: MaterialX 1.39, mx_fresnel_airy: Fresnel's equations and phases of both polarisations.
     """
     inside = _refracted(cosine, ior)
-    path_m = 2e-9 * ior * thickness_nm * inside
-    is_beyond_brewster = cosine < np.cos(np.arctan(ior))
-    outer = (np.where(is_beyond_brewster, 0.0, np.pi), np.full(len(cosine), np.pi))
+    return _airy(ior, thickness_nm, _polarised(inside, n / ior, k / ior), n, k, cosine, _materialx)
+
+
+def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Array) -> Array:
+    """Reflectance of a film on a dielectric of index n, shape (P, 3), in [0, 1].
+
+    Args:
+        ior, thickness_nm, cosine: as in `film_over_f0`.
+        n: of the dielectric, relative to the outside.
+    Source: Cycles 5.0, bsdf_util.h.
+    """
+    index, none = np.full(3, n), np.zeros(3)
+    below = _polarised(_refracted(cosine, ior), index / ior, none)
+    return _airy(ior, thickness_nm, below, index, none, cosine, _cycles, orders=3)
+
+
+def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosine: Array) -> Array:
+    """Reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
+
+    Args:
+        ior, thickness_nm, cosine: as in `film_over_f0`.
+        f0, edge: of the metal without the film, shape (3,).
+    Source: Cycles 5.0: the reflectance of the metal below the film by F82, the phases by indices (Gulbrandsen 2014).
+    """
+    at = np.full(1, 1.0 / 7.0)
+    r, g = np.clip(f0, 0.0, 0.999), np.clip(fresnel_f82(f0, edge, at)[0], 0.0, 1.0)
+    root = np.sqrt(r)
+    n = (1.0 - g) * (1.0 + root) / (1.0 - root) + g * (1.0 - r) / (1.0 + r)
+    k2 = np.maximum((r * (n + 1.0) ** 2 - (n - 1.0) ** 2) / (1.0 - r), 0.0)
+    inner = ((n / ior - 1.0) ** 2 + k2 / ior**2) / ((n / ior + 1.0) ** 2 + k2 / ior**2)
+    below = np.clip(fresnel_f82(inner, g / schlick(inner, 1.0, at)[0], _refracted(cosine, ior)), 0.0, 1.0)
+    return _airy(ior, thickness_nm, (below, below), n, np.sqrt(k2), cosine, _cycles, orders=3)
+
+
+def _airy(
+    ior: float, thickness_nm: float, below: tuple[Array, Array], n: Array, k: Array, cosine: Array,
+    sensitivity: Sensitivity, orders: int = 2,
+) -> Array:  # fmt: skip
+    """Mean of both polarisations, (P, 3), of reflectances `below` the film, parallel and perpendicular, (P, 3) each."""
+    inside = _refracted(cosine, ior)
+    path_nm = 2.0 * ior * thickness_nm * inside
+    outer = (np.where(cosine < np.cos(np.arctan(ior)), 0.0, np.pi), np.full(len(cosine), np.pi))
+    above = _polarised(cosine, np.array([ior]), np.zeros(1))
     total = sum(
         _interference(
-            first,
-            second,
-            np.maximum(first * second, 0.0),
-            path_m,
-            inner + shift[:, None],
-            _FROM_XYZ_MATERIALX,
+            first, second, np.clip(first * second, 0.0, 1.0 - 1e-9), path_nm, inner + shift[:, None],
+            sensitivity, orders,
         )
-        for first, second, inner, shift in zip(
-            _polarised(cosine, np.array([ior]), np.zeros(1)),
-            _polarised(inside, n / ior, k / ior),
-            _phases(inside, ior, n, k),
-            outer,
-            strict=True,
-        )
-    )
+        for first, second, inner, shift in zip(above, below, _phases(inside, ior, n, k), outer, strict=True)
+    )  # fmt: skip
     return np.clip(0.5 * total, 0.0, 1.0)
 
 
@@ -92,33 +129,60 @@ def _refracted(cosine: Array, ior: float) -> Array:
 
 
 def _interference(
-    first: Array, second: Array, product: Array, path_m: Array, shift: Array, from_xyz: Array
-) -> Array:
+    first: Array, second: Array, product: Array, path_nm: Array, shift: Array, sensitivity: Sensitivity,
+    orders: int = 2,
+) -> Array:  # fmt: skip
     """Reflectance (P, 3) of two interfaces.
 
     Args:
         first, second, product: reflectances (P, 1) and (P, 3), and their product.
-        path_m: difference of path, shape (P,).
+        path_nm: difference of path, shape (P,).
         shift: of the phase, shape (3,) or (P, 3).
-        from_xyz: matrix to RGB.
+        sensitivity: of the RGB space.
+        orders: of interference.
     """
     passed = 1.0 - first
     inner = passed**2 * second / (1.0 - product)
     total, term = first + inner, inner - passed
-    for order in range(1, _ORDERS + 1):
+    for order in range(1, orders + 1):
         term = term * np.sqrt(product)
-        total = total + 2.0 * term * (_sensitivity(order * path_m, order * shift) @ from_xyz.T)
+        total = total + 2.0 * term * sensitivity(order * path_nm, order * shift)
     return total
 
 
-def _sensitivity(path_m: Array, shift: Array) -> Array:
-    """The colour matching functions' response (P, 3) to a cosine of the wave number."""
-    phase = 2.0 * np.pi * path_m[:, None]
+def _gltf(path_nm: Array, shift: Array) -> Array:
+    return _gaussians(path_nm, shift) @ _FROM_XYZ_GLTF.T
+
+
+def _materialx(path_nm: Array, shift: Array) -> Array:
+    return _gaussians(path_nm, shift) @ _FROM_XYZ_MATERIALX.T
+
+
+def _gaussians(path_nm: Array, shift: Array) -> Array:
+    phase = 2e-9 * np.pi * path_nm[:, None]
     shifts = np.concatenate([shift, shift[..., :1]], axis=-1)
     waves = _HEIGHT * np.sqrt(2.0 * np.pi * _VARIANCE) * np.cos(_WAVE_NUMBER * phase + shifts)
     waves = waves * np.exp(-_VARIANCE * phase**2) / _NORM
     waves[:, 0] += waves[:, 3]
     return waves[:, :3]
+
+
+def _cycles(path_nm: Array, shift: Array) -> Array:
+    nodes, response = _observer_table()
+    at = np.stack([np.interp(path_nm, nodes, channel) for channel in response], axis=1)
+    return np.real(at * np.exp(1j * shift))
+
+
+@lru_cache(maxsize=1)
+def _observer_table() -> tuple[Array, Array]:
+    """Mean of `exp(2 pi i path / wavelength)` over the channels of linear sRGB, (3, K), and the paths in nm (K,)."""
+    wavelengths, responses = sensor_responses(Illuminant.named("E"))
+    weight = xyz_to_srgb(responses)
+    nodes = np.arange(
+        0.0, 20000.0, 60000.0 / (2.0 * np.pi * 511.0)
+    )  # as those of Cycles, between which it interpolates
+    waves = np.exp(2j * np.pi * nodes[:, None] / wavelengths)
+    return nodes, ((waves @ weight) / weight.sum(axis=0)).T
 
 
 def _polarised(cosine: Array, n: Array, k: Array) -> tuple[Array, Array]:

@@ -16,6 +16,8 @@ from .outputs import or_default, require_replaceable
 if TYPE_CHECKING:
     from manifold.model.completion.suggest import Suggested
 
+_SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
+
 InstrumentOption = Annotated[
     str | None,
     typer.Option(help="Suggest among the directions of ma-t12 or mini-diff.", metavar="NAME"),
@@ -111,7 +113,7 @@ def complete(
             **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
         },
     )
-    results.text("\nAlternatives that agree with the readings about as well:\n")
+    results.text("\nMixtures of materials that explain the readings, before the completion is adjusted to them:\n")
     results.table(
         ("materials", "probability", "residual", "difference of the ball"),
         [
@@ -120,6 +122,7 @@ def complete(
                 f"{100 * a.misfit:.1f} %", f"{100 * a.difference:.0f} %",
             )
             for a in found.alternatives
+            if a.probability >= _SHOWN_PROBABILITY
         ],
     )  # fmt: skip
     if made.suggested is not None:

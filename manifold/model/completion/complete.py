@@ -27,12 +27,12 @@ _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one a
 
 @dataclass(frozen=True)
 class Alternative:
-    """A material that meets the readings as well, or nearly.
+    """A mixture of materials that may have the readings.
 
     Attributes:
         like: names of the materials that it is a mixture of, and their weights.
         probability: of it and of what looks alike.
-        misfit: relative error of its mean over bands at the readings.
+        misfit: relative error of its mean over bands at the readings, which the completion is then adjusted to.
         difference: from the completion, in cube roots on the ball, relative.
     """
 

@@ -73,6 +73,8 @@ def budget(
     if (scene is None) == (example is None):
         found = "neither a scene nor --example" if scene is None else "a scene and --example"
         raise UsageError(f"found {found}; give one of them")
+    if output is not None and output.suffix.lower() in (".png", ".xml", ".json") and not output.is_dir():
+        raise UsageError(f"{output}: named like a file, expected a folder; --picture FILE draws the renders")
     tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
     settings = budgets.BudgetSettings(size, samples, seed)
     with terminal.progress("Budget") as step:

@@ -113,7 +113,7 @@ def complete(
             **{f"note {k}": note for k, note in enumerate(made.diagnostics, start=1)},
         },
     )
-    results.text("\nMixtures of materials that explain the readings, before the completion is adjusted to them:\n")
+    results.text("\nMixtures of materials that explain the readings, before they are adjusted to these:\n")
     results.table(
         ("materials", "probability", "residual", "difference of the ball"),
         [

@@ -133,6 +133,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["report", "-M", "x.txt"], 1, "unknown or damaged header"),
         (["report", "-M", "."], 1, "a folder, expected a model"),
         (["demo", "x.txt"], 1, "x.txt"),
+        (["budget", "--example", "felt", "-o", "felt.png"], 2, "expected a folder; --picture FILE"),
         (["corpus", "x.txt/sub"], 2, "cannot make this folder"),
         (["fetch", "satin_gold", "--base-url", "ftp://x"], 2, "http"),
     ],

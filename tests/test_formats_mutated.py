@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import re
+import warnings
 import zipfile
 
 import numpy as np
@@ -125,6 +127,17 @@ def test_damaged_tables_of_other_layouts_end_in_one_line_or_a_whole_record(layou
 @pytest.mark.parametrize("name", SUFFIXES)
 def test_a_thousand_damaged_files_of_each_format(contents, name, tmp_path):
     run(name, contents[name], 1000, tmp_path)
+
+
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_reading_closes_the_file(contents, name, tmp_path):
+    path = tmp_path / f"whole{SUFFIXES[name]}"
+    path.write_bytes(contents[name])
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always", ResourceWarning)
+        registry.read_all(path)
+        gc.collect()
+    assert not [w for w in seen if w.category is ResourceWarning]
 
 
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):

@@ -7,16 +7,20 @@ import pytest
 from conftest import real_rgl_files
 from small_library import NAMES, measured, small_library
 
+from manifold.brdf import goniometer
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
 from manifold.brdf.synthetic.analytic import Lambert
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import RoughConductor
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, UsageError
-from manifold.io_rgl import read_bsdf
+from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
+from manifold.model.reconstructed import read_filled
 from manifold.model.reconstruction import reconstruct
 from manifold.records import Bands
 
@@ -74,6 +78,14 @@ def test_errors_of_reports_between_any_two_brdfs(model):
 def test_a_black_material_is_refused_in_words(model):
     with pytest.raises(UsageError, match="the material to reconstruct is black"):
         model.reconstruct(Lambert(np.zeros(3), model.bands))
+
+
+def test_an_anisotropic_file_is_said_to_be_compared_at_one_azimuth(tmp_path):
+    brushed = RoughConductor(GGX.anisotropic(0.2, 0.5), np.array(1.5), np.array(3.0), Bands.from_array(None))
+    for brdf, told in ((brushed, 1), (Lambert(np.array(0.5), Bands.from_array(None)), 0)):
+        write_bsdf(tmp_path / "x_rgb.bsdf", goniometer.measure(brdf, "x", resolution=8))
+        _, notes = read_filled(tmp_path / "x_rgb.bsdf")
+        assert sum(note.startswith("anisotropic: ") for note in notes) == told
 
 
 def test_other_bands_are_refused(model):

@@ -312,6 +312,17 @@ def test_reports_of_many_bands_fit_80_columns_too(made):
     assert "in 3 bands" in text
 
 
+def test_errors_of_a_black_material_are_powers_of_ten(made):
+    """Anything over nothing is a very large number, of 300 digits if written out."""
+    black = [
+        replace(m, relative_error=(1e300, *m.relative_error[1:]), p90_relative_error=1e300)
+        for m in made.methods
+    ]
+    text = format_report(replace(made, methods=tuple(black)))
+    assert "1e+300" in text
+    assert max(len(line) for line in text.splitlines()) <= 80
+
+
 def test_the_report_is_plain_json(made):
     document = json.loads(json.dumps(made.to_json(), allow_nan=False))
     assert document["names"] == list(made.names)

@@ -117,7 +117,8 @@ def _blocks(words: Words) -> tuple[Array, Array, list[_Block], str]:
     azimuths = radials = np.zeros(0)
     blocks: list[_Block] = []
     block = _Block()
-    heading = " ".join(decode(words.place.path.open("rb").read(4000)).split("\n")[:20])
+    with words.place.path.open("rb") as file:
+        heading = " ".join(decode(file.read(4000)).split("\n")[:20])
     while (word := words.next()) is not None:
         key = plain(word)
         if key == "scatterazimuth":

@@ -187,6 +187,15 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
     )
 
 
+def of_anisotropy(is_isotropic: bool) -> tuple[str, ...]:
+    """Of a material that the grid of direction pairs, which is that of isotropic ones, finds in others."""
+    if is_isotropic:
+        return ()
+    return (
+        "anisotropic: found by, and errors of, values at half vectors of azimuth 0; the error of the ball is of all",
+    )
+
+
 def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:
     """Of a material that was given a latent, by its reconstruction there.
 

@@ -68,16 +68,15 @@ class Reconstruction:
 
 
 def read_filled(path: Path) -> tuple[MeasuredBRDF, tuple[str, ...]]:
-    """A measured file with its unmeasured cells filled, and diagnostics of these.
+    """A measured file with its unmeasured cells filled, and diagnostics of these and of anisotropy.
 
     Raises:
         FileFormatError: it is no RGL file.
     """
     file = read_bsdf(path)
     cells = unmeasured_cells(file)
-    return MeasuredBRDF(fill_unmeasured(file, cells)), diagnostics.of_unmeasured(
-        unmeasured_share(file, cells)
-    )
+    brdf, share = MeasuredBRDF(fill_unmeasured(file, cells)), unmeasured_share(file, cells)
+    return brdf, diagnostics.of_unmeasured(share) + diagnostics.of_anisotropy(brdf.is_isotropic)
 
 
 def judge(

@@ -20,6 +20,7 @@ _MATERIAL_COLUMNS = {
 }
 _SHOWN_METHODS = 4
 _LOWEST_RMS, _HIGHEST_RMS = 0.5, 2.0  # of standardised errors, within which a method counts as calibrated
+_MANY_DIGITS = 1e5
 
 
 _KINDS = {
@@ -80,10 +81,10 @@ def _errors(methods: Sequence[MethodResult]) -> list[str]:
     rows = [
         (
             m.title,
-            f"{m.median_relative_error:.3f}",
-            f"{m.p90_relative_error:.3f}",
-            f"{m.median_cube_root_error:.3f}",
-            f"{m.p90_cube_root_error:.3f}",
+            _fixed(m.median_relative_error),
+            _fixed(m.p90_relative_error),
+            _fixed(m.median_cube_root_error),
+            _fixed(m.p90_cube_root_error),
             f"{m.median_ball_delta_e:.2f}",
             f"{m.p90_ball_delta_e:.2f}",
         )
@@ -100,6 +101,11 @@ def _errors(methods: Sequence[MethodResult]) -> list[str]:
         "dominated by highlights; cube root: the same of cube roots, closer to perceived",
         "differences; ball dE: mean CIEDE2000 of a ball in a studio, D65.",
     ]
+
+
+def _fixed(error: float) -> str:
+    """A relative error with three decimals; that of a black material, over nothing, as a power of ten."""
+    return f"{error:.3f}" if error < _MANY_DIGITS else f"{error:.0e}"
 
 
 def _plausibility(methods: Sequence[MethodResult]) -> list[str]:
@@ -193,7 +199,7 @@ def _calibration(methods: Sequence[MethodResult]) -> list[str]:
 def _expected_errors(report: Report) -> list[str]:
     """How well the model knows what errors its predictions have."""
     if report.expected_errors is None:
-        return ["No expected errors: the model is not calibrated; embed again."]
+        return ["No expected errors: not calibrated; embed again, with four materials or more."]
     digits = {"ball": 2, "cube_root": 3}
     rows = [
         (
@@ -224,7 +230,7 @@ def _materials(report: Report) -> list[str]:
             name,
             _latent(report.latents[k]),
             f"{reconstruction.rmse[k]:.3g}",
-            *(f"{by_key[key].relative_error[k]:.3f}" for key in shown),
+            *(_fixed(by_key[key].relative_error[k]) for key in shown),
         )
         for k, name in enumerate(report.names)
     ]

@@ -129,6 +129,12 @@ def test_a_thousand_damaged_files_of_each_format(contents, name, tmp_path):
     run(name, contents[name], 1000, tmp_path)
 
 
+def test_line_ends_within_a_cell_do_not_break_the_message(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text('sample,Geometry,400,500\nA,"45as15,0.1\nA,4",0.1,0.2\nA,45as25,0.1,0.2\n')
+    assert not require_whole_or_one_line(path)
+
+
 @pytest.mark.parametrize("name", SUFFIXES)
 def test_reading_closes_the_file(contents, name, tmp_path):
     path = tmp_path / f"whole{SUFFIXES[name]}"

@@ -15,6 +15,7 @@ from manifold.errors import FileFormatError, UsageError
 from manifold.formats.tensor_file import printable
 from manifold.records import Array
 
+_LONGEST_FINDING = 400  # letters
 LARGEST_TEXT = 150_000_000
 """Bytes of the longest text file that is read: a goniometer's are a hundred times shorter."""
 
@@ -86,7 +87,7 @@ class Place:
     def error(self, found: str, where: str | None = None) -> FileFormatError:
         """An error of one line: `FILE, WHERE: FOUND; REMEDY`."""
         place = printable(self.path.name or str(self.path), 255) + (f", {where}" if where else "")
-        return FileFormatError(f"{place}: {found}; {self.remedy}")
+        return FileFormatError(f"{place}: {printable(found, _LONGEST_FINDING)}; {self.remedy}")
 
     def number(self, text: str, where: str) -> float:
         """A finite number, with a decimal point or comma, or an error that names its place."""

@@ -126,15 +126,11 @@ def _show(results: terminal.Results, outcome: ExportOutcome) -> None:
         key: ", ".join(f"{v:.4g}" for v in value) if isinstance(value, list) else f"{value:.4g}"
         for key, value in content["parameters"].items()
     }
-    lost = content["ciede2000"]
-    rows["CIEDE2000 on the ball"] = (
-        "the model of this target is not evaluated"
-        if lost is None
-        else f"{lost:.2f}, against the {content['against']}"
-    )
+    rows["CIEDE2000 on the ball"] = f"{content['ciede2000']:.2f}, against the {content['against']}"
     if content["principled_ciede2000"] is not None:
         rows["of principled"] = f"{content['principled_ciede2000']:.2f}"
-    rows |= terminal.numbered("note", outcome.notes)
+    label = "note on principled" if content["method"] == "direct" else "note"
+    rows |= terminal.numbered(label, outcome.notes)
     results.rows(f"Exported {outcome.path} ({content['target']})", rows)
     results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
 

@@ -77,10 +77,10 @@ def test_a_direct_fit_starts_from_the_mapped_parameters_and_is_said(folder, tmp_
     assert made["parameters"]["roughnessFactor"] == 0.9
     values = fit_json.read(folder / "copper_rgb.fit.json")["values"]
     assert calls == [(pytest.approx(values["roughness"]), True)]
-    (folder / "noted.fit.json").write_text(
+    (tmp_path / "noted.fit.json").write_text(
         (folder / "copper_rgb.fit.json").read_text().replace('"notes": []', '"notes": ["x"]')
     )
-    words[1] = folder / "noted.fit.json"
+    words[1] = tmp_path / "noted.fit.json"
     assert "note on principled" in run(*words, "--force").stdout
 
 

@@ -61,6 +61,16 @@ def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_
     assert abs(made["ciede2000"] - made["principled_ciede2000"]) < 1.0
 
 
+def test_a_mapped_export_that_differs_visibly_names_the_direct_fit(folder, tmp_path):
+    write_bsdf(tmp_path / "felt_rgb.bsdf", measured("syn_felt_green"))
+    found = [
+        exports.export(exports.subject_of(folder / "copper_rgb.fit.json", against), TARGETS["gltf"], tmp_path / "x.glb")
+        for against in (folder / "copper_rgb.bsdf", tmp_path / "felt_rgb.bsdf")
+    ]  # fmt: skip
+    said = [any("--direct" in note for note in one.notes) for one in found]
+    assert [one.export["ciede2000"] > 2.3 for one in found] == said == [False, True]
+
+
 def test_a_direct_fit_starts_from_the_mapped_parameters_and_is_said(folder, tmp_path, monkeypatch):
     calls = []
 

@@ -11,7 +11,7 @@ from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.exports import loss
-from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.direct import NOTICEABLE, fit_target
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.principled_values import Principled
 from manifold.fitting.exports.targets import Target
@@ -161,4 +161,7 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
         loss_against=subject.against,
     )
     atomic.write_bytes(path, target.content(made, principled))
-    return ExportOutcome(subject.name, path, made.to_json(), notes=tuple(subject.fit["notes"]))
+    notes = tuple(subject.fit["notes"])
+    if made.loss > NOTICEABLE and not is_direct:
+        notes += (f"visibly different from the {made.loss_against}: --direct fits the target's own model",)
+    return ExportOutcome(subject.name, path, made.to_json(), notes=notes)

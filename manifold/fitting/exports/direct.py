@@ -48,7 +48,7 @@ _FILM_RANGES = {
     "Thin Film IOR": (1.0, 2.5),
 }  # nm, and indices
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
-_NOTICEABLE = 2.3  # CIEDE2000 of the ball without a thin film, from which one is tried: Mahy et al. 1994
+NOTICEABLE = 2.3  # CIEDE2000 of the ball, just noticeable (Mahy et al. 1994): above it a thin film is tried
 _FILM_GAIN = (
     0.8  # of the squared residual and of the ball's difference: a film that is kept lowers both below it
 )
@@ -78,7 +78,7 @@ def fit_target(
         x, cost = problem.nearest(problem.starts())
         found = problem.settled(x)
         seen = problem.seen_difference(x)
-        if target.film and seen > _NOTICEABLE:
+        if target.film and seen > NOTICEABLE:
             filmed = _Problem(target, start, target.free + target.film, few, material)
             x, with_film = filmed.nearest(filmed.film_starts(found))
             if with_film < _FILM_GAIN * cost and filmed.seen_difference(x) < _FILM_GAIN * seen:

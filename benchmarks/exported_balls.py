@@ -1,0 +1,71 @@
+"""Balls of materials: measured, and as a target of exports draws them, mapped from `principled` and fitted directly.
+
+    python benchmarks/exported_balls.py balls.png FILE ... [--target gltf]
+
+A file with a fit beside it (`NAME.fit.json`) is not fitted again. Shown in docs/exports.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+import manifold as mf
+from manifold.fitting import fit_samples
+from manifold.fitting.exports import TARGETS, Principled
+from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.targets import Target
+from manifold.records import Array, Bands
+from manifold.rendering import images
+from manifold.workflows import exports
+
+
+@dataclass(frozen=True)
+class TargetBRDF:
+    """A target's shading model with its parameters, as any other BRDF."""
+
+    target: Target
+    parameters: Mapping[str, Any]
+    bands: ClassVar[Bands] = Bands(None)
+    is_isotropic: ClassVar[bool] = True
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., 3)."""
+        wi, wo = np.broadcast_arrays(wi, wo)
+        f = self.target.brdf(self.parameters, wi.reshape(-1, 3), wo.reshape(-1, 3)).reshape(wi.shape)
+        return np.where((wi[..., 2:] > 0.0) & (wo[..., 2:] > 0.0), f, 0.0)
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., 3)."""
+        return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2:], 0.0)
+
+
+def main() -> None:
+    """Render the balls: a column for each file."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("output", type=Path)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument("--target", choices=TARGETS, default="gltf")
+    given = parser.parse_args()
+    target = TARGETS[given.target]
+    columns = []
+    for path in given.files:
+        fit = path.with_name(path.name.replace("_rgb.bsdf", ".fit.json"))
+        subject = exports.subject_of(fit, path) if fit.exists() else exports.subject_of(path, None)
+        assert subject.material is not None
+        mapped = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
+        direct = fit_target(target, mapped, fit_samples.from_brdf(subject.material), subject.material)
+        shown = (mf.read_bsdf(path), TargetBRDF(target, mapped), TargetBRDF(target, direct))
+        columns.append(np.vstack([mf.render_ball(one, size=160) for one in shown]))
+    images.write_image(given.output, np.hstack(columns))
+
+
+if __name__ == "__main__":
+    main()

@@ -66,8 +66,7 @@ def export(
     direct: Annotated[
         bool,
         typer.Option(
-            "--direct", help="Fit the target's own model to the material: more accurate; takes seconds, with a "
-            "thin film up to a minute."
+            "--direct", help="Fit the target's own model to the material: more accurate; takes seconds."
         ),
     ] = False,
     force: Force = False,

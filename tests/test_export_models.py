@@ -230,7 +230,7 @@ def test_sheens_have_mitsuba_s_albedo():
 
 
 def test_the_base_of_a_metal_is_its_reflectance_along_the_normal():
-    n, k = standard_surface.artistic_index(np.array([0.9, 0.5, 0.1]), np.ones(3))
+    n, k = lobes.artistic_index(np.array([0.9, 0.5, 0.1]), np.ones(3))
     along = fresnel_conductor(np.array([1.0]), n, k)
     np.testing.assert_allclose(along[0], [0.9, 0.5, 0.1], rtol=1e-9)
 

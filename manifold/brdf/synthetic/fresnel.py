@@ -1,7 +1,8 @@
 """Fresnel reflectance of smooth interfaces in air: dielectrics, conductors, and a thin film on either.
 
 All functions take the cosine of the angle to the facet's normal, shape (n,), and one index per band,
-shape (B,) or (1,) for all, and return the reflectance of unpolarised light, shape (n, B), in [0, 1].
+shape (B,) or (1,) for all, and return the reflectance, shape (n, B), in [0, 1], of unpolarised light
+unless they say otherwise.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ def fresnel_dielectric(cos_theta: Array, eta: Array) -> Array:
         cos_theta: cosines (n,) in [0, 1].
         eta: index of refraction relative to air, shape (B,).
     """
-    (eta,) = _same_shape(eta)
-    return _conductor(np.ascontiguousarray(cos_theta, float), eta, np.zeros_like(eta))
+    return fresnel_conductor(cos_theta, eta, np.zeros(1))
 
 
 def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
@@ -33,8 +33,17 @@ def fresnel_conductor(cos_theta: Array, eta: Array, k: Array) -> Array:
     Source: Born & Wolf, Principles of Optics, section 14.2, in the real form of Lagarde 2013, "Memo on
     Fresnel equations".
     """
+    parallel, perpendicular = fresnel_polarised(cos_theta, eta, k)
+    return 0.5 * (perpendicular + parallel)
+
+
+def fresnel_polarised(cos_theta: Array, eta: Array, k: Array) -> tuple[Array, Array]:
+    """The same of light polarised parallel and perpendicular to the plane of incidence, (n, B) each.
+
+    Args, source: as `fresnel_conductor`.
+    """
     eta, k = _same_shape(eta, k)
-    return _conductor(np.ascontiguousarray(cos_theta, float), eta, k)
+    return _polarised(np.ascontiguousarray(cos_theta, float), eta, k)
 
 
 def fresnel_thin_film(
@@ -66,8 +75,9 @@ def _same_shape(*values: Array) -> list[Array]:
 
 @serialised
 @njit(cache=True, parallel=True)
-def _conductor(cos_theta, eta, k):
-    out = np.empty((cos_theta.size, eta.size))
+def _polarised(cos_theta, eta, k):
+    parallel = np.empty((cos_theta.size, eta.size))
+    perpendicular = np.empty((cos_theta.size, eta.size))
     for i in prange(cos_theta.size):
         c = min(max(cos_theta[i], 0.0), 1.0)
         c2 = c * c
@@ -78,14 +88,14 @@ def _conductor(cos_theta, eta, k):
             t1 = a2b2 + c2
             t2 = 2.0 * c * np.sqrt(max(0.5 * (a2b2 + t0), 0.0))
             if t1 + t2 == 0.0:  # index 1 at grazing: the limit is an interface that is not there
-                out[i, b] = 1.0
+                parallel[i, b] = perpendicular[i, b] = 1.0
                 continue
             rs = (t1 - t2) / (t1 + t2)
             t3 = c2 * a2b2 + s2 * s2
             t4 = t2 * s2
-            rp = rs * (t3 - t4) / (t3 + t4) if t3 + t4 > 0.0 else rs
-            out[i, b] = 0.5 * (rs + rp)
-    return out
+            perpendicular[i, b] = rs
+            parallel[i, b] = rs * (t3 - t4) / (t3 + t4) if t3 + t4 > 0.0 else rs
+    return parallel, perpendicular
 
 
 @serialised

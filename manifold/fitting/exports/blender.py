@@ -168,19 +168,19 @@ def _interface(
     def between(share: Array | float) -> Array:
         return f0 + (1.0 - f0) * share
 
-    fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
+    def filmed(cosine: Array, film: tuple[float, float]) -> Array:
+        found = film_over_index_cycles(*film, ior, cosine)
+        tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
+        return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
+
     mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
     scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
-    share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
-    albedo = between(share) * scattered * single
-    if film is not None:  # whose albedo is taken as a mirror's
-
-        def filmed(cosine: Array) -> Array:
-            found = film_over_index_cycles(*film, ior, cosine)
-            tinted = np.clip((1.0 - found) / (1.0 - real), 0.0, 1.0)  # less towards grazing
-            return found * (1.0 + tinted * (f0 / real - 1.0)) if real > 1e-5 else found
-
-        fresnel, albedo = filmed(pairs.cos_d), filmed(pairs.cos_v)
+    if film is None:
+        fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
+        share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
+        albedo = between(share) * scattered * single
+    else:  # its albedo is taken as a mirror's
+        fresnel, albedo = filmed(pairs.cos_d, film), filmed(pairs.cos_v, film)
     albedo = albedo.max(axis=1, keepdims=True)
     lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
     return weight * lobe + (1.0 - weight * albedo) * below

@@ -18,7 +18,7 @@ from manifold.colour import ball_colours
 from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import to_lab
-from manifold.fitting.exports import gltf, openpbr, standard_surface
+from manifold.fitting.exports import blender, gltf, openpbr, standard_surface
 from manifold.fitting.exports.principled_values import snapped
 from manifold.fitting.exports.targets import Target
 from manifold.fitting.fit_metrics import Metric
@@ -40,18 +40,13 @@ _LEAST = {
     "Sheen Roughness": openpbr.FUZZ_ROUGHNESS,
 }  # that of principled: a narrower sheen is a coloured line at the rim, where hardly any value determines it
 _FILM_RANGES = {
-    "iridescenceThicknessMaximum": (50.0, 1200.0),
-    "iridescenceIor": (1.0, 2.5),
-    "thin_film_thickness": (50.0, 1200.0),
-    "thin_film_IOR": (1.0, 2.5),
-    "Thin Film Thickness": (50.0, 1200.0),
-    "Thin Film IOR": (1.0, 2.5),
-}  # nm, and indices
+    name: limits
+    for model in (gltf, standard_surface, blender)
+    for name, limits in zip(model.FILM[-2:], ((50.0, 1200.0), (1.0, 2.5)), strict=True)
+}  # of thicknesses in nm, and of indices
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 NOTICEABLE = 2.3  # CIEDE2000 of the ball, just noticeable (Mahy et al. 1994): above it a thin film is tried
-_FILM_GAIN = (
-    0.8  # of the squared residual and of the ball's difference: a film that is kept lowers both below it
-)
+_FILM_GAIN = 0.8  # a film that is kept lowers the squared residual and the ball's difference below this share
 _FILM_WEIGHT, _FILM_IORS, _FILM_THICKNESSES = 0.5, (1.3, 1.8), range(150, 1001, 50)  # nm, of its starts
 _FILM_STARTS = 3  # that are refined
 

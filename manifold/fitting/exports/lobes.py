@@ -107,6 +107,20 @@ def f82_dip(f0: Array, edge: Array) -> Array:
     return (f0 + (1.0 - f0) * (1.0 - at) ** 5) * (1.0 - edge) / (at * (1.0 - at) ** 6)
 
 
+def artistic_index(reflectivity: Array, edge: Array, most: float = 0.99) -> tuple[Array, Array]:
+    """Indices n and k, (3,) each, of a metal by its colours, (3,). Source: Gulbrandsen 2014, as in MaterialX.
+
+    Args:
+        reflectivity, edge: along the normal and towards grazing.
+        most: to which reflectivity is limited.
+    """
+    r = np.clip(reflectivity, 0.0, most)
+    root = np.sqrt(r)
+    n = (1.0 - edge) * (1.0 + root) / (1.0 - root) + edge * (1.0 - r) / (1.0 + r)
+    k2 = ((n + 1.0) ** 2 * r - (n - 1.0) ** 2) / (1.0 - r)
+    return n, np.sqrt(np.maximum(k2, 0.0))
+
+
 def split_sum(alpha: float, cosine: Array) -> tuple[Array, Array]:
     """A and B of the directional albedo `f0 A + f90 B` of a correlated GGX lobe with Schlick's Fresnel, each (P,).
 

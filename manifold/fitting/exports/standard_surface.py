@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_conductor, fresnel_dielectric
+from manifold.brdf.synthetic.fresnel import fresnel_conductor
+from manifold.fitting.exports import lobes
 from manifold.fitting.exports.layers import dielectric_layer, imageworks_layer, metal
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import Principled
@@ -93,7 +94,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         pairs, f, values["sheen"], np.asarray(values["sheen_color"]), values["sheen_roughness"]
     )
     ior, thickness_nm, film_ior = (values[name] for name in ("specular_IOR", *FILM))
-    fresnel = fresnel_dielectric(pairs.cos_d, np.array([ior]))
+    fresnel = None
     if thickness_nm:
         fresnel = film_over_index(film_ior, thickness_nm, np.full(3, ior), np.zeros(3), pairs.cos_d)
     f = dielectric_layer(
@@ -101,19 +102,11 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     )
     m = values["metalness"]
     if m:
-        n, k = artistic_index(base, tint * values["specular"])
-        fresnel = fresnel_conductor(pairs.cos_d, n, k)
+        n, k = lobes.artistic_index(base, tint * values["specular"])
         if thickness_nm:
             fresnel = film_over_index(film_ior, thickness_nm, n, k, pairs.cos_d)
+        else:
+            fresnel = fresnel_conductor(pairs.cos_d, n, k)
         f = (1.0 - m) * f + m * metal(pairs, fresnel, alpha_x, alpha_y)
     coat_alpha = values["coat_roughness"] ** 2
     return dielectric_layer(pairs, f, values["coat_IOR"], coat_alpha, coat_alpha, weight=values["coat"])
-
-
-def artistic_index(reflectivity: Array, edge: Array) -> tuple[Array, Array]:
-    """Indices n and k, (3,) each, of a metal by its colours. Source: Gulbrandsen 2014, as in MaterialX."""
-    r = np.clip(reflectivity, 0.0, 0.99)
-    root = np.sqrt(r)
-    n = (1.0 - edge) * (1.0 + root) / (1.0 - root) + edge * (1.0 - r) / (1.0 + r)
-    k2 = ((n + 1.0) ** 2 * r - (n - 1.0) ** 2) / (1.0 - r)
-    return n, np.sqrt(np.maximum(k2, 0.0))

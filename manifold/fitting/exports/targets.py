@@ -44,7 +44,7 @@ class Target:
         title: in words.
         free: parameters that a direct fit changes.
         coat, sheen: those of the coat and of the sheen, the weight first; empty where there is none.
-        film: those of the thin film, the index last; empty where there is none.
+        film: those of the thin film, the thickness in nm and the index last; empty where there is none.
     """
 
     name: str

@@ -11,9 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from manifold.brdf.synthetic.fresnel import fresnel_polarised
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
-from manifold.fitting.exports.lobes import fresnel_f82, schlick
+from manifold.fitting.exports.lobes import artistic_index, fresnel_f82, schlick
 from manifold.records import Array
 
 Sensitivity = Callable[[Array, Array], Array]
@@ -69,8 +70,8 @@ def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine:
         n, k: of the surface, relative to the outside.
     Source: MaterialX 1.39, mx_fresnel_airy: Fresnel's equations and phases of both polarisations.
     """
-    inside = _refracted(cosine, ior)
-    return _airy(ior, thickness_nm, _polarised(inside, n / ior, k / ior), n, k, cosine, _materialx)
+    below = fresnel_polarised(_refracted(cosine, ior), n / ior, k / ior)
+    return _airy(ior, thickness_nm, below, n, k, cosine, _materialx)
 
 
 def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Array) -> Array:
@@ -82,7 +83,7 @@ def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Ar
     Source: Cycles 5.0, bsdf_util.h.
     """
     index, none = np.full(3, n), np.zeros(3)
-    below = _polarised(_refracted(cosine, ior), index / ior, none)
+    below = fresnel_polarised(_refracted(cosine, ior), index / ior, none)
     return _airy(ior, thickness_nm, below, index, none, cosine, _cycles, orders=3)
 
 
@@ -95,13 +96,11 @@ def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosin
     Source: Cycles 5.0: the reflectance of the metal below the film by F82, the phases by indices (Gulbrandsen 2014).
     """
     at = np.full(1, 1.0 / 7.0)
-    r, g = np.clip(f0, 0.0, 0.999), np.clip(fresnel_f82(f0, edge, at)[0], 0.0, 1.0)
-    root = np.sqrt(r)
-    n = (1.0 - g) * (1.0 + root) / (1.0 - root) + g * (1.0 - r) / (1.0 + r)
-    k2 = np.maximum((r * (n + 1.0) ** 2 - (n - 1.0) ** 2) / (1.0 - r), 0.0)
-    inner = ((n / ior - 1.0) ** 2 + k2 / ior**2) / ((n / ior + 1.0) ** 2 + k2 / ior**2)
+    g = np.clip(fresnel_f82(f0, edge, at)[0], 0.0, 1.0)
+    n, k = artistic_index(f0, g, most=0.999)
+    inner = ((n - ior) ** 2 + k**2) / ((n + ior) ** 2 + k**2)
     below = np.clip(fresnel_f82(inner, g / schlick(inner, 1.0, at)[0], _refracted(cosine, ior)), 0.0, 1.0)
-    return _airy(ior, thickness_nm, (below, below), n, np.sqrt(k2), cosine, _cycles, orders=3)
+    return _airy(ior, thickness_nm, (below, below), n, k, cosine, _cycles, orders=3)
 
 
 def _airy(
@@ -112,7 +111,7 @@ def _airy(
     inside = _refracted(cosine, ior)
     path_nm = 2.0 * ior * thickness_nm * inside
     outer = (np.where(cosine < np.cos(np.arctan(ior)), 0.0, np.pi), np.full(len(cosine), np.pi))
-    above = _polarised(cosine, np.array([ior]), np.zeros(1))
+    above = fresnel_polarised(cosine, np.array([ior]), np.zeros(1))
     total = sum(
         _interference(
             first, second, np.clip(first * second, 0.0, 1.0 - 1e-9), path_nm, inner + shift[:, None],
@@ -178,24 +177,10 @@ def _observer_table() -> tuple[Array, Array]:
     """Mean of `exp(2 pi i path / wavelength)` over the channels of linear sRGB, (3, K), and the paths in nm (K,)."""
     wavelengths, responses = sensor_responses(Illuminant.named("E"))
     weight = xyz_to_srgb(responses)
-    nodes = np.arange(
-        0.0, 20000.0, 60000.0 / (2.0 * np.pi * 511.0)
-    )  # as those of Cycles, between which it interpolates
+    step = 60000.0 / (2.0 * np.pi * 511.0)  # of Cycles, which interpolates between these nodes
+    nodes = np.arange(0.0, 20000.0, step)
     waves = np.exp(2j * np.pi * nodes[:, None] / wavelengths)
     return nodes, ((waves @ weight) / weight.sum(axis=0)).T
-
-
-def _polarised(cosine: Array, n: Array, k: Array) -> tuple[Array, Array]:
-    """Reflectances of an interface, parallel and perpendicular, (P, C) each, of relative indices n + i k (C,)."""
-    c = cosine[:, None]
-    c2, s2 = c * c, 1.0 - c * c
-    t0 = n * n - k * k - s2
-    a2b2 = np.sqrt(t0 * t0 + 4.0 * n * n * k * k)
-    t1 = a2b2 + c2
-    t2 = 2.0 * c * np.sqrt(np.maximum(0.5 * (a2b2 + t0), 0.0))
-    perpendicular = (t1 - t2) / (t1 + t2)
-    t3, t4 = c2 * a2b2 + s2 * s2, t2 * s2
-    return perpendicular * (t3 - t4) / (t3 + t4), perpendicular
 
 
 def _phases(cosine: Array, outside: float, n: Array, k: Array) -> tuple[Array, Array]:

@@ -205,13 +205,14 @@ def test_materials_are_on_the_disk_before_they_appear(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda d: (events.append(os.readlink(f"/proc/self/fd/{d}")), fsync(d)))
     monkeypatch.setattr(os, "rename", lambda a, b: (events.append(("to", str(a), str(b))), rename(a, b)))
     path = tmp_path / "library.zarr"
-    import_files(path, write_samples(tmp_path, 1))
-    (at,) = [k for k, event in enumerate(events) if event[0] == "to" and event[2].endswith("materials/m00")]
-    material = path / "materials" / "m00"
-    expected = {str(Path(events[at][1]) / file.relative_to(material)) for file in material.rglob("*")}
-    assert len(expected) > 10
-    assert expected <= set(events[:at])
-    assert str(path / "materials") in events[at:]
+    import_files(path, write_samples(tmp_path, 7))
+    for name in Library.open(path).names:
+        material = path / "materials" / name
+        (at,) = [k for k, event in enumerate(events) if event[0] == "to" and event[2] == str(material)]
+        expected = {str(Path(events[at][1]) / file.relative_to(material)) for file in material.rglob("*")}
+        assert len(expected) > 10
+        assert expected <= set(events[:at])
+        assert str(path / "materials") in events[at:]
 
 
 def test_a_disk_that_keeps_nothing_leaves_no_material(library, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -202,14 +203,25 @@ def _store_all(
     spellings = {alike(name): name for name in library.names}
 
     def store(source: _Source) -> None:
+        def done(outcome: Outcome) -> None:
+            report.outcomes[source.name] = outcome
+            report.step(source.path)
+
         try:
-            report.outcomes[source.name] = _store(library, source, staged, replace, spellings)
+            outcome = _outcome(library, source, replace, spellings)
+            if outcome == "skipped":
+                done(outcome)
+                return
+            folder = staged / source.name
+            write_material(folder, source.read(), source.path.name, source.sha256)
+            publisher.add(folder, library.path / "materials" / source.name, partial(done, outcome))
         except ManifoldError as error:
             report.fail(source.path, str(error))
-        report.step(source.path)
+            report.step(source.path)
 
     try:
-        _in_threads(store, tasks)
+        with staging.Publisher(library.path) as publisher:
+            _in_threads(store, tasks)
     except OSError as error:
         raise LibraryError(
             f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
@@ -232,9 +244,8 @@ def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
     return list(chosen.values())
 
 
-def _store(
-    library: Library, source: _Source, staged: Path, replace: bool, spellings: Mapping[str, str]
-) -> Outcome:
+def _outcome(library: Library, source: _Source, replace: bool, spellings: Mapping[str, str]) -> Outcome:
+    """What is to become of a file. Raises: UsageError: its name belongs to another material."""
     name = source.name
     if spellings.get(alike(name), name) != name:
         raise UsageError(
@@ -249,14 +260,7 @@ def _store(
             f"{source.path.name}: '{name}' is in the library with SHA-256 {known.sha256[:12]}..., "
             f"this file has {source.sha256[:12]}...; replace it (replace=True, --replace), or rename the file"
         )
-    folder = staged / name
-    write_material(folder, source.read(), source.path.name, source.sha256)
-    target = library.path / "materials" / name
-    if known:
-        staging.replace(library.path, folder, target)
-        return "replaced"
-    staging.publish(folder, target)
-    return "imported"
+    return "replaced" if known else "imported"
 
 
 def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:

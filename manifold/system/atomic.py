@@ -9,7 +9,8 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,6 +23,7 @@ except ImportError:  # Windows: temporary files of killed processes stay there
 
 _TEMPORARY = re.compile(r"\.manifold-[0-9a-f]{16}\..*")
 _swept: set[Path] = set()
+_WAITING = 8  # threads that wait for the disk
 
 
 @contextmanager
@@ -98,20 +100,19 @@ def write_bytes(path: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
-def sync_tree(folder: Path) -> None:
-    """Wait until all files in a folder, at every depth, are on the disk.
+def sync_trees(folders: Iterable[Path]) -> None:
+    """Wait until all files in some folders, at every depth, are on the disk.
+
+    From several threads, since file systems with a journal write it once for all that wait at that moment.
 
     Raises:
         OSError: one cannot be: the disk is full, or broken.
     """
-    for root, _, names in os.walk(folder):
-        for name in names:
-            descriptor = os.open(os.path.join(root, name), os.O_RDONLY | os.O_CLOEXEC)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-        sync_folder(Path(root))
+    trees = [(root, names) for folder in folders for root, _, names in os.walk(folder)]
+    files = [os.path.join(root, name) for root, names in trees for name in names]
+    with ThreadPoolExecutor(_WAITING) as pool:
+        list(pool.map(_sync, files))
+        list(pool.map(sync_folder, (root for root, _ in trees)))
 
 
 def _is_stream(path: Path) -> bool:
@@ -181,14 +182,18 @@ def _sweep(folder: Path) -> None:
                     os.close(descriptor)
 
 
-def sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path | str) -> None:
     """Wait until the names in a folder are on the disk, where that is possible."""
     with suppress(OSError):  # not every file system can
-        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        _sync(folder)
+
+
+def _sync(path: Path | str) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _cannot_write(path: Path, reason: str) -> UsageError:

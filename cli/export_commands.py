@@ -121,10 +121,7 @@ def export(
 
 def _show(results: terminal.Results, outcome: ExportOutcome) -> None:
     content = outcome.export or {}
-    rows: dict[str, object] = {
-        key: ", ".join(f"{v:.4g}" for v in value) if isinstance(value, list) else f"{value:.4g}"
-        for key, value in content["parameters"].items()
-    }
+    rows = terminal.parameter_rows(content["parameters"])
     rows["CIEDE2000 on the ball"] = f"{content['ciede2000']:.2f}, against the {content['against']}"
     if content["principled_ciede2000"] is not None:
         rows["of principled"] = f"{content['principled_ciede2000']:.2f}"

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Method = Literal["gauss-newton", "adam", "swarm"]
 Metric = Literal["cube-root", "linear", "log"]
+TargetModel = Literal["gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity"]
 
 
 @app.command(
@@ -61,6 +62,10 @@ def fit(
         bool,
         typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines accept 0 to 1."),
     ] = False,
+    target: Annotated[
+        TargetModel | None,
+        typer.Option(help="Also fit an engine's own model, for `manifold export`; takes seconds."),
+    ] = None,
     sample: options.SampleOption = None,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
@@ -76,7 +81,8 @@ def fit(
     """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
     Writes one JSON per material: parameters, residuals, all minima found, and how well the samples
-    determine each parameter. Fits that are up to date are kept.
+    determine each parameter. Fits that are up to date are kept. With --target, the JSON also contains the
+    parameters of that engine's own model, and its error on the ball; `manifold export` writes them.
     """
     from manifold.formats import registry
     from manifold.model.colours import NEAREST, ColourChoice
@@ -89,6 +95,8 @@ def fit(
         raise UsageError("--sample is of a file of readings; leave it or --latent out")
     if sources and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
+    if picture and target is not None:
+        raise UsageError("--picture draws Mitsuba's BSDF, not a target's model; leave it or --target out")
     for path in sources or () if picture else ():
         if path.is_file() and (known := registry.identify(path)) is not None:
             raise UsageError(
@@ -98,7 +106,7 @@ def fit(
     results = terminal.Results(json)
     settings = fits.FitSettings(
         family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method, metric=metric,
-        noise=noise, wide_colours=wide_colours, sample=sample,
+        noise=noise, wide_colours=wide_colours, sample=sample, target=target,
     )  # fmt: skip
     if latent is not None:
         coordinates = options.parse_latent(latent)
@@ -111,7 +119,7 @@ def fit(
     else:
         with terminal.progress("Fitting") as step:
             outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
-    _show(results, outcomes)
+    _show(results, outcomes, target)
     for outcome in outcomes:
         if outcome.diagnosis is not None:
             results.rows("Fitted to a prediction", outcome.diagnosis.rows)
@@ -174,12 +182,20 @@ def _draw(
     results.table(["picture", "CIEDE2000", "FLIP"], rows)
 
 
-def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
-    """All of a single fit; one line each of several."""
+def _show(results: terminal.Results, outcomes: list[FitOutcome], target: str | None) -> None:
+    """All of a single fit; one line each of several; of a target's model where there is one."""
     fitted = [(outcome, outcome.content) for outcome in outcomes if outcome.content is not None]
     if len(fitted) == 1:
         outcome, content = fitted[0]
-        results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(content))
+        rows = _rows(content) if target is None else _target_rows(content["target"])
+        what = "" if target is None else f" (the model of {target})"
+        results.rows(f"Fitted {outcome.path}{what}" + " (up to date)" * outcome.was_there, rows)
+    elif fitted and target is not None:
+        table = [
+            [outcome.name, *_errors(content["target"], "ciede2000"), "kept" * outcome.was_there]
+            for outcome, content in fitted
+        ]
+        results.table(["material", "CIEDE2000", "mapped", "of principled", ""], table)
     elif fitted:
         rows = [
             [
@@ -197,6 +213,20 @@ def _show(results: terminal.Results, outcomes: list[FitOutcome]) -> None:
             results.text(
                 "The JSON of a fit contains its notes; they are printed when a single material is fitted.\n"
             )
+
+
+def _errors(entry: dict[str, Any], kind: str) -> list[str]:
+    """Of a target's model: fitted, mapped from the parameters of `principled`, and of that, if known."""
+    return [f"{entry[key]:.2f}" for key in (kind, f"mapped_{kind}", f"principled_{kind}") if key in entry]
+
+
+def _target_rows(entry: dict[str, Any]) -> dict[str, object]:
+    own, mapped, of_principled = _errors(entry, "ciede2000")
+    rows = terminal.parameter_rows(entry["parameters"])
+    rows["CIEDE2000 on the ball"] = f"{own}, against the {entry['against']}"
+    rows["of mapped parameters"], rows["of principled"] = mapped, of_principled
+    rows["relative residual"] = f"cube-root {entry['residual']:.3f}, mapped {entry['mapped_residual']:.3f}"
+    return rows
 
 
 def _rows(content: dict[str, Any]) -> dict[str, object]:

@@ -182,6 +182,14 @@ def first_three(words: Sequence[str], between: str = "; ") -> str:
     return between.join([*words[:3], *more])
 
 
+def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:
+    """Rows of `Results.rows` for parameters, which are numbers or colours."""
+    return {
+        key: ", ".join(f"{v:.4g}" for v in value) if isinstance(value, list) else f"{value:.4g}"
+        for key, value in parameters.items()
+    }
+
+
 def numbered(label: str, values: Sequence[object]) -> dict[str, object]:
     """Rows of `Results.rows` for several values of one label: the second is labelled `label 2`."""
     return {label if k == 1 else f"{label} {k}": value for k, value in enumerate(values, start=1)}

@@ -73,6 +73,11 @@ def document(result: FitResult, source: Source) -> dict[str, Any]:
         "variant": result.variant,
         "seconds": result.seconds,
     }
+    return signed(content)
+
+
+def signed(content: dict[str, Any]) -> dict[str, Any]:
+    """Plain values with the hash that tells later whether somebody changed them."""
     return content | {"sha256": _digest(content)}
 
 

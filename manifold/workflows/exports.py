@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.fitting import fit_json, fit_samples
-from manifold.fitting.exports import loss
+from manifold.fitting.exports import loss, target_fit
 from manifold.fitting.exports.direct import NOTICEABLE, fit_target
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.principled_values import Principled
@@ -23,7 +24,7 @@ from manifold.library.identity import file_sha256
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
-from manifold.records import BsdfFile, Progress
+from manifold.records import Array, BsdfFile, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
 
@@ -85,10 +86,17 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
         return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
     content = fit_json.read(path)
     source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}
-    measured = None if against is None else MeasuredBRDF(read_bsdf(against))
-    return Subject(
-        content["source"]["name"], source, content, measured, "fit" if against is None else "measured file"
-    )
+    measured, compared = None, "fit"
+    if against is not None:
+        measured, compared = MeasuredBRDF(read_bsdf(against)), "measured file"
+    elif (entry := content.get("target")) is not None:
+        compared = entry["against"]
+        if not fit_json.is_untouched(content):
+            raise UsageError(
+                f"{path}: changed since it was fitted, so that its errors are no longer known; name the measured file "
+                "with --against, or fit again"
+            )
+    return Subject(content["source"]["name"], source, content, measured, compared)
 
 
 def subject_of_prediction(
@@ -136,28 +144,30 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
         subject: the material.
         target: where to.
         path: the file.
-        is_direct: fit the target's own model to the material, from the mapped parameters on.
+        is_direct: fit the target's own model to the material, from the mapped parameters on; a fit of that model is
+            written as it is.
     Raises:
-        UsageError: the fit has no counterpart in engines, or the file cannot be written.
+        UsageError: the fit has no counterpart in engines, or is of another target's model; or the file cannot be
+            written.
+        FileFormatError: parameters in a fit of the target's model cannot be used.
     """
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"])
-    parameters = target.parameters(principled)
-    fitted = FittedBRDF(subject.fit)
-    material = fitted if subject.material is None else subject.material
-    if is_direct:
+    parameters, entry = target.parameters(principled), subject.fit.get("target")
+    if entry is not None:
+        is_direct = True
+        parameters = target_fit.parameters(entry, target, subject.source.get("fit", subject.name))
+    elif is_direct:
+        material = FittedBRDF(subject.fit) if subject.material is None else subject.material
         parameters = fit_target(target, parameters, fit_samples.from_brdf(material), material)
-    reference = loss.material_xyz(material)
-    own = loss.rgb_xyz(lambda view, light: target.brdf(parameters, view, light))
+    own, of_principled = _errors(subject, lambda view, light: target.brdf(parameters, view, light))
     made = Export(
         name=subject.name,
         target=target.name,
         parameters=parameters,
         source=subject.source,
         method="direct" if is_direct else "mapping",
-        loss=ball_colours.delta_e(own, reference),
-        principled_loss=None
-        if subject.material is None
-        else ball_colours.delta_e(loss.material_xyz(fitted), reference),
+        loss=own,
+        principled_loss=of_principled,
         loss_against=subject.against,
     )
     atomic.write_bytes(path, target.content(made, principled))
@@ -165,3 +175,15 @@ def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = Fa
     if made.loss > NOTICEABLE and not is_direct:
         notes += (f"visibly different from the {made.loss_against}: --direct fits the target's own model",)
     return ExportOutcome(subject.name, path, made.to_json(), notes=notes)
+
+
+def _errors(subject: Subject, model: Callable[[Array, Array], Array]) -> tuple[float, float | None]:
+    """Mean CIEDE2000 on the ball of a target's model, and of `principled`: None where that is the reference."""
+    entry = subject.fit.get("target")
+    if entry is not None and subject.material is None:
+        return entry["ciede2000"], entry["principled_ciede2000"]
+    fitted = loss.material_xyz(FittedBRDF(subject.fit))
+    if subject.material is None:
+        return ball_colours.delta_e(loss.rgb_xyz(model), fitted), None
+    reference = loss.material_xyz(subject.material)
+    return ball_colours.delta_e(loss.rgb_xyz(model), reference), ball_colours.delta_e(fitted, reference)

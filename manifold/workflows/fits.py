@@ -7,13 +7,16 @@ import os
 import unicodedata
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
+from manifold.fitting.exports import TARGETS
+from manifold.fitting.exports.target_fit import with_target
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_metrics import METRICS
 from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
@@ -44,6 +47,7 @@ class FitSettings:
     Attributes:
         family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
         sample: which of an instrument's file with several.
+        target: whose own model is fitted as well, by name; the other settings are then the default ones.
     """
 
     family: BsdfFamily | None = None
@@ -52,8 +56,11 @@ class FitSettings:
     noise: float = 0.01
     wide_colours: bool = False
     sample: str | None = None
+    target: str | None = None
 
     def __post_init__(self) -> None:
+        if self.target is not None:
+            self._require_target(self.target)
         if self.method not in METHODS or self.metric not in METRICS:
             raise UsageError(
                 f"method {self.method!r}, metric {self.metric!r}, expected one of {', '.join(METHODS)} and one of "
@@ -62,6 +69,17 @@ class FitSettings:
         if not 0 < self.noise < 1:
             raise UsageError(
                 f"noise {self.noise:g}, expected a share of the values between 0 and 1, such as 0.01"
+            )
+
+    def _require_target(self, target: str) -> None:
+        if target not in TARGETS:
+            raise UsageError(f"no target is called {target!r}, expected one of {', '.join(TARGETS)}")
+        options = {"family": "--free or --bsdf", "wide_colours": "--wide-colours"}
+        given = [f.name for f in fields(self) if f.name != "target" and getattr(self, f.name) != f.default]
+        if given:
+            raise UsageError(
+                f"{', '.join(options.get(name, f'--{name}') for name in given)}: not with --target, whose own model is "
+                "fitted, from the default fit of principled on; leave one of them out"
             )
 
     def name_of(self, path: Path) -> str:
@@ -80,6 +98,7 @@ class FitSettings:
             and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]
             and (content["method"], content["metric"]) == (self.method, self.metric)
             and content["hyperparameters"] == wanted
+            and (content.get("target") or {}).get("name") == self.target
         )
 
 
@@ -225,7 +244,10 @@ def fit_prediction(
     """
     path = Path("predicted.fit.json") if output is None else output
     atomic.require_writable(path)
-    stages = Stages(on_progress, {"reading materials": 3, "sampling": 1, "fitting": 6})
+    direct = "" if settings.target is None else f"fitting the model of {settings.target}"
+    stages = Stages(
+        on_progress, {"reading materials": 3, "sampling": 1, "fitting": 6, **({direct: 4} if direct else {})}
+    )
     loaded = Manifold.load(model, library)
     x = loaded.require_latent(latent)
     loaded.prepare(stages.begin("reading materials"))
@@ -241,6 +263,9 @@ def fit_prediction(
         colour=chosen.words,
     )
     content = fit_json.document(_fit(samples, settings, stages.begin("fitting")), source)
+    if settings.target is not None:
+        stages.begin(direct)
+        content = with_target(content, TARGETS[settings.target], brdf, "prediction")
     fit_json.write_document(path, content)
     diagnosis = diagnostics.of_brdf(loaded, x, brdf, chosen)
     return FitOutcome(source.name, path, content, diagnosis=diagnosis)
@@ -297,14 +322,28 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
         there = _earlier(target, source, settings)
         if there is not None:
             return FitOutcome(name, target, there, was_there=True, file=path)
+        material = None if settings.target is None else _measured(path)
         samples = _samples(path, settings.sample)
         content = fit_json.document(_fit(samples, settings), source)
+        if settings.target is not None and material is not None:
+            content = with_target(content, TARGETS[settings.target], material, "measured file")
         return FitOutcome(name, target, content, file=path)
     except ManifoldError as error:
         return FitOutcome(name, target, None, failure=str(error), file=path)
     except OSError as error:
         reason = f"{path} cannot be read ({error.strerror})"
         return FitOutcome(name, target, None, failure=reason, file=path)
+
+
+def _measured(path: Path) -> MeasuredBRDF:
+    """The BRDF of an RGL file, which covers the ball."""
+    known = registry.identify(path)
+    if known is not None:
+        raise UsageError(
+            f"{path}: {known.name}, expected a .bsdf for --target, which compares balls; write one with "
+            "`manifold complete` or `manifold convert`"
+        )
+    return MeasuredBRDF(read_bsdf(path))
 
 
 def _samples(path: Path, sample: str | None) -> fit_samples.FitSamples:

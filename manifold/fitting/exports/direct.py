@@ -96,7 +96,7 @@ class _Problem:
         self._y = y
         self._xyz = _ball().xyz(material.eval(_ball().wi, _ball().wo), material.bands)
         self._lab = _lab(self._xyz)
-        lower, upper = zip(*(_range(name) for name, _ in self._places()), strict=True)
+        lower, upper = zip(*(parameter_range(name) for name, _ in self._places()), strict=True)
         self._bounds = np.array(lower), np.array(upper)
         self._span = self._bounds[1] - self._bounds[0]
         self._mapped = self._vector(start)
@@ -171,7 +171,7 @@ class _Problem:
         """The parameters; a value at an end of 0 to 1 is that end, and a coat, sheen or film hardly there is none."""
         made, defaults = self.values(x), self._target.defaults
         for name in self._free:
-            if _range(name) == (0.0, 1.0):
+            if parameter_range(name) == (0.0, 1.0):
                 value = made[name]
                 made[name] = list(map(snapped, value)) if isinstance(value, list) else snapped(value)
         for names in (self._target.coat, self._target.sheen, self._target.film):
@@ -180,7 +180,8 @@ class _Problem:
         return made
 
 
-def _range(name: str) -> tuple[float, float]:
+def parameter_range(name: str) -> tuple[float, float]:
+    """Of a parameter that a direct fit changes, of any target: the least value and the greatest."""
     if name in _FILM_RANGES:
         return _FILM_RANGES[name]
     lowered = name.lower()

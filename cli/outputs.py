@@ -13,6 +13,8 @@ import typer
 
 from manifold.errors import UsageError
 
+from . import mistyped
+
 _NAMES = ("output", "picture", "markdown", "json")  # of parameters that are files to be written
 _HEAD = 1 << 16
 _PICTURES = {".png": b"\x89PNG", ".exr": b"\x76\x2f\x31\x01", ".pdf": b"%PDF", ".svg": b"<svg"}
@@ -25,7 +27,7 @@ class GuardedTyper(typer.Typer):
 
     def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         """As `typer.Typer.command`."""
-        register = super().command(*args, **kwargs)
+        register = super().command(*args, **{"cls": mistyped.Command} | kwargs)
         return lambda function: register(guarded(function))
 
 

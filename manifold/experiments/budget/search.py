@@ -57,7 +57,9 @@ class Tolerance:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if value is not None and not value > 0:
-                raise UsageError(f"{name.replace('_', ' ')} at most {value:g}, expected a number above 0")
+                raise UsageError(
+                    f"tolerance of {name.replace('_', ' ')}: found {value:g}, expected a number above 0"
+                )
 
     def admits(self, found: Difference, scale: float = 1.0) -> bool:
         """Whether a difference is within the tolerance times a scale."""

@@ -13,6 +13,7 @@ from manifold.experiments.chart import fits, instruments, pareto
 from manifold.experiments.chart.held_out import HeldOut
 from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measurement, RelativeTime
 from manifold.experiments.chart.registry import Setting, settings
+from manifold.experiments.evaluation.anchors import require_anchors
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import BsdfFile, Progress
 from manifold.system.names import names_like
@@ -102,13 +103,14 @@ def make_chart(
         fitted: how many materials the fits of `fits.METHODS` represent.
         neural: file, zip file or folder of published neural fits; also show those of these materials.
     Raises:
-        UsageError: a key is unknown, or there are fewer than four materials.
+        UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
     """
     if len(files) < 4:
         raise UsageError(f"{len(files)} materials, expected at least 4 to leave some out; import more files")
     known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
     known |= {f"fit_{method}": method for method in fits.METHODS}
     if neural is not None:
+        require_anchors([neural], [file.name for file in files], files[0].bands)
         known[fits.NEURAL] = fits.NEURAL
     unknown = [key for key in only if key not in known]
     if unknown:

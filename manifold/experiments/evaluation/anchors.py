@@ -91,6 +91,13 @@ def _neural(data: Data, source: str) -> Encode:
     return lambda i: FittedPrediction.of(fits.get(i), data.n_bands)
 
 
+def require_anchors(sources: Sequence[str], names: Sequence[str], bands: Bands) -> None:
+    """Raise, before any long work, as `neural_fits` will for one of the sources; `principled` is always there."""
+    for source in sources:
+        if source != PRINCIPLED:
+            neural_fits(source, names, bands)
+
+
 def neural_fits(source: str, names: Sequence[str], bands: Bands) -> dict[int, NeuralBRDF]:
     """Published neural fits of the materials that have one, by their index.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.experiments.evaluation.anchors import anchor
+from manifold.experiments.evaluation.anchors import anchor, require_anchors
 from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import (
     Encoded,
@@ -160,10 +160,11 @@ def make_report(
         all_bands: measure errors in all bands, not in about 20 of them.
         anchors: fits to the evaluated materials, for comparison; see `anchors.anchor`.
     Raises:
-        UsageError: the grid is unknown.
+        UsageError: the grid is unknown, or an anchor.
         LibraryError: a material cannot be read.
     """
     grid = RusinkiewiczGrid.named(grid_name)
+    require_anchors(anchors, model.names, model.bands)
     replaced = replaced_keys(model)
     own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
     others = [m for m in gplvm_methods() if m.key not in replaced]

@@ -1,0 +1,65 @@
+"""Values of options that are no number, out of range or no choice: one line that says what was expected."""
+
+from __future__ import annotations
+
+import inspect
+import types
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import typer
+from typer.core import TyperCommand
+
+from manifold.errors import UsageError
+
+
+class Command(TyperCommand):
+    """A command whose wrong values are told alike, whatever words the version of Typer has for them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As Typer's.
+
+        Raises:
+            UsageError: a value is not of its option's kind.
+        """
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            found = None if error.param is None else self._found(ctx, given, str(error.param.name))
+            if error.param is None or found is None:
+                raise  # an argument is missing, which Typer says well
+            expected = _expected(self._annotation(str(error.param.name)))
+            name = error.param.opts[0]
+            raise UsageError(
+                f"{name} {found!r}: expected {expected}; see `{ctx.command_path} --help`"
+            ) from None
+
+    def _found(self, ctx: Any, args: list[str], name: str) -> str | None:
+        """The first value that was given for a parameter, as it was typed."""
+        value = self.make_parser(ctx).parse_args(args)[0].get(name)
+        value = value[0] if isinstance(value, list) and value else value
+        return value if isinstance(value, str) else None
+
+    def _annotation(self, name: str) -> Any:
+        return inspect.signature(self.callback, eval_str=True).parameters[name].annotation  # type: ignore[arg-type]
+
+
+def _expected(annotation: Any) -> str:
+    """What a parameter of this annotation takes, in words."""
+    hints = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+    bounds = next((hint for hint in hints if hasattr(hint, "min")), None)
+    kind = kind_of(annotation)
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    words = {int: "a whole number", float: "a number"}.get(kind, "another value")
+    least, most = getattr(bounds, "min", None), getattr(bounds, "max", None)
+    if least is not None:
+        words += f" from {least}"
+    return words if most is None else f"{words} {'to' if least is not None else 'up to'} {most}"
+
+
+def kind_of(annotation: Any) -> Any:
+    """The type itself: without notes, None and lists around it."""
+    while get_origin(annotation) in (Annotated, Union, types.UnionType, list):
+        annotation = next(part for part in get_args(annotation) if part is not type(None))
+    return annotation

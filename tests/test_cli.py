@@ -260,9 +260,7 @@ def moved(folder, tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "arguments", [("info", "model.h5"), ("report",), ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")]
-)
+@pytest.mark.parametrize("arguments", [("report",), ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")])
 def test_a_library_that_has_moved_can_be_named(run, moved, arguments):
     status, _, err = run(*arguments, cwd=moved)
     assert status == 1

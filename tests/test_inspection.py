@@ -14,6 +14,7 @@ from small_library import NAMES, measured, small_model
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, ModelError, UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
 from manifold.workflows.inspection import inspect
 
 
@@ -61,6 +62,27 @@ def test_a_model_lists_its_latents(folder):
     for row, name, x in zip(table.rows, model.names, model.X, strict=True):
         assert row[:3] == (name, *model.space.printed(x))
         assert found.document["latents"][name] == x.tolist()
+
+
+@pytest.mark.parametrize("kind", ["blend", "monochrome", "material"])
+def test_a_model_without_its_library_tells_what_it_knows(copy, kind):
+    Manifold.fit(copy / "library.zarr", Settings(kind=kind)).save(copy / "m.h5")
+    whole = inspect(copy / "m.h5")
+    (copy / "library.zarr").rename(copy / "elsewhere.zarr")
+    found = inspect(copy / "m.h5")
+    assert "its library is not at" in found.rows["library"]
+    assert found.rows["library"].endswith(
+        "say where with --library; predictions, renders and reports need it"
+    )
+    same = found.rows.keys() - {"library", "bands"}
+    assert {key: found.rows[key] for key in same} == {key: whole.rows[key] for key in same}
+    assert found.tables == whole.tables
+    known = whole.document | {"library_problem": found.document["library_problem"]}
+    assert found.document == known
+    assert known["library_problem"] is not None
+    assert inspect(copy / "m.h5", library=copy / "elsewhere.zarr").rows["bands"] == whole.rows["bands"]
+    with pytest.raises(LibraryError):
+        inspect(copy / "m.h5", library=copy / "files")
 
 
 @pytest.mark.parametrize("name", [f"files/{NAMES[0]}_rgb.bsdf", "library.zarr", "model.h5"])

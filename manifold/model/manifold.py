@@ -282,7 +282,7 @@ class Manifold(LatentMap):
         path = Path(path)
         stored = read_model(path)
         library = open_library(path, stored, library)
-        settings, space, left_out = restore(path, stored, library)
+        settings, space, left_out = restore(path, stored)
         materials = MaterialCache(library, stored.names, is_nonnegative=space.is_nonnegative)
         model = cls(materials, space, settings, stored.statistics, left_out)
         if library.content_hash != stored.library_hash:

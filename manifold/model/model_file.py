@@ -57,6 +57,12 @@ class ModelRecord:
     statistics: dict[str, float]
     arrays: dict[str, Array]
 
+    @property
+    def n_bands(self) -> int | None:
+        """B, where the model holds reflectances; the kind `material` holds none."""
+        found = self.arrays.get("reflectances")
+        return None if found is None or found.ndim == 0 else found.shape[-1]
+
 
 def write_model(path: Path, record: ModelRecord) -> None:
     """Write a model, atomically.

@@ -1,4 +1,4 @@
-"""Validation of the settings and latent spaces of model files, against each other and the library."""
+"""Validation of the settings and latent spaces of model files, and of their libraries."""
 
 from __future__ import annotations
 
@@ -37,27 +37,24 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
             f"{library.path.name} lacks {len(missing)} of the {len(stored.names)} materials of {path.name} "
             f"({shown}); import them again, name the right library with --library, or embed again"
         )
-    colours = stored.arrays.get("colours")
-    if colours is not None and colours.shape[-1:] != (library.bands.count,):
+    if stored.n_bands not in (None, library.bands.count):
         raise LibraryError(
-            f"{library.path.name} has {library.bands}, {path.name} was fitted to {colours.shape[-1]} bands; "
+            f"{library.path.name} has {library.bands}, {path.name} was fitted to {stored.n_bands} bands; "
             "name the right library with --library, or embed again"
         )
     return library
 
 
-def restore(
-    path: Path, stored: ModelRecord, library: Library
-) -> tuple[Settings, LatentSpace, LeftOut | None]:
+def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, LeftOut | None]:
     """Settings, latent space, and errors of left-out materials of a model file.
 
     Raises:
-        ModelError: they do not fit each other, or the library.
+        ModelError: they do not fit each other.
     """
     try:
         known = {"criterion": "cube-root"} | stored.settings  # which could not always be chosen
         settings = Settings(**{f.name: known[f.name] for f in fields(Settings)})
-        space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), library.bands.count)
+        space = SPACES[settings.kind].from_arrays(stored.arrays, settings.covariance(), stored.n_bands or 0)
         expected = (len(stored.names), settings.latent_dim)
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")

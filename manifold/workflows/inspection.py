@@ -7,18 +7,28 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.errors import LibraryError, UsageError
 from manifold.formats import registry, tensor_file
 from manifold.io_rgl import read_bsdf
-from manifold.model.model_file import HDF5_MAGIC, MAGIC
+from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend, libllvm
 from manifold.system.small_files import begins_with
 from manifold.workflows.inspection_record import Inspection, Table
 from manifold.workflows.instrument_inspection import inspect_instrument_file
+
+if TYPE_CHECKING:
+    from manifold.library.store import Library
+
+_KINDS = {
+    "monochrome": "monochrome: structure on the map, a colour per band",
+    "blend": "blends of whole materials",
+    "material": "whole materials",
+}
 
 
 def inspect(
@@ -153,29 +163,27 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
 
 
 def _inspect_model(path: Path, library: Path | None) -> Inspection:
-    from manifold.model.manifold import Manifold
+    from manifold.model.restoring import restore
 
-    model = Manifold.load(path, library)
-    s = model.settings
+    stored = read_model(path)
+    s, space, left_out = restore(path, stored)
+    found, missing = _library_of(path, library)
     rows: dict[str, object] = {
-        "materials": len(model.names),
-        "library": model.library.path,
-        "bands": str(model.bands),
-        "kind": "monochrome: structure on the map, a colour per band"
-        if s.kind == "monochrome"
-        else "blends of whole materials"
-        if s.kind == "blend"
-        else "whole materials",
+        "materials": len(stored.names),
+        "library": found.path
+        if found is not None
+        else f"{missing}; predictions, renders and reports need it",
+        "bands": found.bands if found is not None else stored.n_bands or "unknown without the library",
+        "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
         "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
-        "condition of K": f"{model.gp.condition:.3g}",
+        "condition of K": f"{space.gp.condition:.3g}",
         "optimizer": s.optimizer,
         "criterion": s.criterion,
-        "objective": f"{model.statistics['objective']:.6g} (start {model.statistics['objective_start']:.6g})",
+        "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
-    left_out = model.left_out
     errors = None if left_out is None else np.column_stack([left_out.ball, left_out.cube_root])
     if errors is not None:
         low, high = np.quantile(errors, (0.5, 0.9), axis=0)
@@ -192,23 +200,36 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         tuple(
             (
                 name,
-                *model.space.printed(row),
+                *space.printed(row),
                 *(() if errors is None else (f"{errors[k, 0]:.1f}", f"{errors[k, 1]:.0%}")),
             )
-            for k, (name, row) in enumerate(zip(model.names, model.X, strict=True))
+            for k, (name, row) in enumerate(zip(stored.names, space.X, strict=True))
         ),
     )
     document = {
         "path": str(path),
-        "library": str(model.library.path),
+        "library": str(stored.library if found is None else found.path),
+        "library_problem": missing,
         "settings": dict(vars(s)),
-        "statistics": model.statistics,
-        "latents": {name: [float(v) for v in row] for name, row in zip(model.names, model.X, strict=True)},
+        "statistics": stored.statistics,
+        "latents": {name: [float(v) for v in row] for name, row in zip(stored.names, space.X, strict=True)},
         "left_out": None
         if errors is None
         else {
             name: {"ball": float(e[0]), "cube_root": float(e[1])}
-            for name, e in zip(model.names, errors, strict=True)
+            for name, e in zip(stored.names, errors, strict=True)
         },
     }
     return Inspection(f"{path}: manifold model", rows, document, (table,))
+
+
+def _library_of(path: Path, named: Path | None) -> tuple[Library | None, str | None]:
+    """The library of a model, or why it cannot be used; one that was named has to be usable."""
+    from manifold.model.manifold import Manifold
+
+    try:
+        return Manifold.load(path, named).library, None
+    except LibraryError as error:
+        if named is not None:
+            raise
+        return None, str(error)

@@ -120,6 +120,14 @@ def test_reflectance_files_are_interpolated_and_held_at_their_ends(tmp_path):
     np.testing.assert_allclose(values, np.interp(BANDS.wavelengths_nm, [400, 500, 600], [0.1, 0.2, 0.4]))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le"])
+def test_reflectance_files_are_read_in_the_encodings_of_spreadsheets(tmp_path, encoding):
+    path = tmp_path / "r.txt"
+    path.write_bytes("nm\treflectance\r\n400\t0.1\r\n700\t0.4\r\n".encode(encoding))
+    values = read_reflectance(path, BANDS)
+    np.testing.assert_allclose(values, np.interp(BANDS.wavelengths_nm, [400, 700], [0.1, 0.4]))
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -104,6 +104,14 @@ def test_a_cell_that_is_no_number_is_named(cell, tmp_path):
         registry.read_all(path)
 
 
+@pytest.mark.parametrize("cell", ["1.234,5", "1 234,5", "1\u00a0234,5", "1'234.5", "1.234.567", "12,345.6"])
+def test_thousands_separators_are_named(cell, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(spectro_table(";").replace(f"{FACTORS[1, 2]:.7f}", cell), encoding="utf-8")
+    with pytest.raises(FileFormatError, match=r"row 3, column 6: .* without thousands"):
+        registry.read_all(path)
+
+
 def test_short_rows_are_named_and_empty_cells_are_not_measured(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text(spectro_table()[:-40])

@@ -112,6 +112,26 @@ def test_names_are_rows_numbers_where_there_are_none(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "content",
+    [
+        "x\ty\tname\r\n-0,3\t1,2\ta\r\n".encode("utf-16"),
+        "x\ty\tname\r\n-0.3\t1.2\ta\r\n".encode("utf-16-le"),
+        b"sep=;\r\nx;y;name\r\n-0,3;1,2;a\r\n",
+        b"sep=,\nx,y,name\n-0.3,1.2,a\n",
+        b'"x","y","name",,\n"-0.3","1.2","a",,\n',
+        b"latent;name;;\n-0.3 1.2;a;;\n",
+        b'latent;name\n"-0,3;1,2";a\n',
+    ],
+)
+def test_tables_are_read_as_spreadsheets_write_them(tmp_path, content):
+    path = tmp_path / "points.csv"
+    path.write_bytes(content)
+    read = read_points(path)
+    assert [(p.name, p.place) for p in read.points] == [("a", (-0.3, 1.2))]
+    assert read.failures == ()
+
+
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("", "no row of points"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.errors import FileFormatError
+from manifold.formats.text import decode
 from manifold.records import Array
 from manifold.system import small_files
 
@@ -16,7 +17,7 @@ def read_columns(path: Path, what: str) -> tuple[Array, Array]:
     """Wavelengths in nm, increasing, and values of a text file of two columns."""
     advice = f"expected a text file of wavelengths and {what}s"
     content = small_files.read_bytes(path, advice=advice, most=small_files.MOST_TEXT)
-    lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    lines = decode(content).splitlines()
     rows: list[tuple[float, float]] = []
     for number, line in enumerate(lines, start=1):
         cells = _numbers(line)

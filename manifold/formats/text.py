@@ -27,6 +27,7 @@ _BOMS = (
 _MINUS = str.maketrans(
     {"\u2212": "-", "\u2013": "-", "\u2010": "-", "\u2011": "-", "\u00a0": " ", "\u202f": " "}
 )
+_GROUPED = re.compile(r"[+-]?\d{1,3}([ .,'\u2019]\d{3})+([.,]\d+)?")  # by thousands
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 
 
@@ -93,7 +94,10 @@ class Place:
         """A finite number, with a decimal point or comma, or an error that names its place."""
         value = number(text)
         if value is None:
-            raise self.error(f"found '{printable(text.strip(), 24)}', expected a finite number", where)
+            expected = "a finite number"
+            if _GROUPED.fullmatch(text.strip()):
+                expected += " without thousands separators"
+            raise self.error(f"found '{printable(text.strip(), 24)}', expected {expected}", where)
         return value
 
     def numbers(self, cells: list[str], line: int) -> list[float]:

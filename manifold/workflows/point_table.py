@@ -16,6 +16,7 @@ from manifold.system import small_files
 
 MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")
+_SEPARATOR_LINE = re.compile(r"sep=.?", re.IGNORECASE)  # which Excel reads: first, and alone
 _EXPECTED = (
     "expected a header of x,y,... or latent or material, and maybe name, like, srgb, reflectance; "
     "the first lines could be: x,y,name and -0.3,1.2,between"
@@ -57,7 +58,7 @@ def read_points(path: Path) -> PointTable:
 
     Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`;
     then `name`, without which rows are numbered, and at most one of `like`, `srgb` and `reflectance`, a path from the
-    folder of the table. Separators are comma, semicolon or tab.
+    folder of the table. Separators are comma, semicolon or tab; Excel's line `sep=;` may come first.
 
     Raises:
         UsageError: the file cannot be read, or has no row.
@@ -75,7 +76,7 @@ def read_points(path: Path) -> PointTable:
     try:
         for cells in reader:
             cells = [cell.strip() for cell in cells]
-            if not any(cells):
+            if not any(cells) or (columns is None and _SEPARATOR_LINE.fullmatch(cells[0])):
                 continue
             if columns is None:
                 columns = _columns(path, cells)
@@ -96,6 +97,8 @@ def read_points(path: Path) -> PointTable:
 
 def _columns(path: Path, cells: list[str]) -> list[str]:
     columns = [cell.lower() for cell in cells]
+    while not columns[-1]:  # columns that spreadsheets leave behind
+        columns.pop()
     known = {"latent", "material", "name", *_COLOURS}
     for column in columns:
         if column not in known and _axis(column) is None:
@@ -150,7 +153,8 @@ def _place(row: dict[str, str]) -> tuple[float, ...] | str:
         return tuple(_coordinate(row[column], column) for _, column in axes)
     if "material" in row:
         return row["material"]
-    words = [word for word in re.split(r"[,;\s]+", row["latent"]) if word]
+    between = r"[;\s]+" if ";" in row["latent"] else r"[,\s]+"  # beside semicolons, commas are decimal ones
+    words = [word for word in re.split(between, row["latent"]) if word]
     if len(words) == 1 and number(words[0]) is None:
         return words[0]
     return tuple(_coordinate(word, "latent") for word in words)

@@ -1,4 +1,4 @@
-"""Suggested readings against random ones, calibration of expected errors, and colour corrections.
+"""Suggested readings against random ones, errors with and without gloss beside expected ones, colour corrections.
 
     python benchmarks/bench_readings.py library.zarr
 
@@ -11,11 +11,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import spearmanr
 
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
-from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, suggest
 from manifold.model.completion.complete import complete_at
@@ -82,19 +83,26 @@ def suggestions(samples: LibrarySamples) -> None:
 
 
 def expectations(samples: LibrarySamples) -> None:
-    """Rank correlation of expected and true errors, and the share of true ones below twice the expected."""
-    from scipy.stats import spearmanr
-
-    wi, wo = geometry_ma_t12()
+    """Errors from an instrument's directions and a gloss meter's angles, beside those that are expected."""
+    one = aspecular_pair(45.0, 45.0)
+    instruments = {"MA-T12": geometry_ma_t12(), "45/0": (one[0][None], one[1][None])}
     nm = samples.bands.wavelengths_nm
-    blank = Readings(
-        "", "", wi, wo, None if nm is None else np.array(nm), np.ones((len(wi), samples.bands.count))
+    print(
+        "| readings | gloss at | linear | cube root | ball | rank correlation | below twice the expected, % |"
     )
-    found = calibrate(samples, blank)
-    for k, kind in enumerate(KINDS):
-        rank = spearmanr(found.left_out[:, k], found.errors[:, k])[0]
-        below = np.mean(found.errors[:, k] < 2.0 * found.left_out[:, k])
-        print(f"expected {kind}: rank correlation {rank:.2f}, {100 * below:.0f} % below twice the expected")
+    for name, (wi, wo) in instruments.items():
+        for angles in ((), (60,), (20,), (20, 60), (20, 60, 85)):
+            blank = Readings(
+                "", "", wi, wo, None if nm is None else np.array(nm), np.ones((len(wi), samples.bands.count)),
+                gloss=dict.fromkeys(angles, 1.0),
+            )  # fmt: skip
+            found = calibrate(samples, blank)
+            errors, expected = found.errors[:, ::-1], found.left_out[:, ::-1]
+            summary = [f"{np.median(e):.2f} / {np.percentile(e, 90):.2f}" for e in errors.T]
+            ranks = [f"{spearmanr(*pair)[0]:.2f}" for pair in zip(expected.T, errors.T, strict=True)]
+            below = [f"{100 * share:.0f}" for share in np.mean(errors < 2.0 * expected, axis=0)]
+            gloss = ", ".join(map(str, angles))
+            print(f"| {name} | {gloss} | {' | '.join(summary)} | {', '.join(ranks)} | {', '.join(below)} |")
 
 
 def paint(rng: np.random.Generator, nm: Array, aspecular_deg: Array) -> Array:

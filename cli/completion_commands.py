@@ -45,6 +45,13 @@ def complete(
     ] = None,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
+    gloss: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Gloss of the sample at 20, 60 or 85 degrees (ISO 2813); may be given for each.",
+            metavar="ANGLE=UNITS",
+        ),
+    ] = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
     ] = False,
@@ -85,7 +92,7 @@ def complete(
         return
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
-    taken = completions.read(readings, sample, correction)
+    taken = completions.read(readings, sample, correction, completions.parse_gloss(gloss or []))
     target = or_default(output, completions.file_name(taken.readings), "complete", force)
     ball = target.with_suffix(".png") if picture else None
     if ball is not None and not force:
@@ -106,6 +113,16 @@ def complete(
             f"linear {100 * expected['linear']:.0f} %",
             "residual of readings": f"{100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
             f"at most {100 * found.misfits.max():.1f} %",
+            **(
+                {
+                    "gloss": [
+                        f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} read"
+                        for a, u in found.readings.gloss.items()
+                    ]
+                }
+                if found.readings.gloss
+                else {}
+            ),
             "combination of": [f"{name} {weight:.2f}" for name, weight in found.made_of],
             "albedo": f"at most {made.plausibility.max_albedo:.2f}",
             **({"picture": made.picture} if made.picture else {}),

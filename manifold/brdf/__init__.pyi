@@ -1,4 +1,5 @@
 from . import goniometer, synthetic
+from .gloss import gloss_units
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
 from .physical import ReciprocalBRDF, physical_file
@@ -10,6 +11,7 @@ __all__ = [
     "MeasuredBRDF",
     "ReciprocalBRDF",
     "fill_unmeasured",
+    "gloss_units",
     "goniometer",
     "physical_file",
     "synthetic",

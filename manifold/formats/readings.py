@@ -41,6 +41,7 @@ class Readings:
         weights: relative reliability of each pair, at least 0, shape (P,); all 1 by default.
         notes: what was ambiguous in the file, and how it was taken; one sentence each.
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
+        gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees.
     """
 
     name: str
@@ -52,13 +53,14 @@ class Readings:
     weights: Array = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
     texture: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.
 
         Raises:
             ShapeError: directions are not unit vectors above the horizon (P, 3), values not (P, B), or infinite;
-                wavelengths do not increase; weights are not (P,), negative or not finite; P = 0.
+                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative; P = 0.
         """
         wi, wo = (require_directions(w, f"{self.name}: {n}") for n, w in (("wi", self.wi), ("wo", self.wo)))
         if wi.ndim != 2 or wi.shape != wo.shape or wi.shape[0] == 0:
@@ -82,7 +84,11 @@ class Readings:
         for name, array in (("wi", wi), ("wo", wo), ("values", values), ("weights", weights)):
             object.__setattr__(self, name, _frozen(array))
         object.__setattr__(self, "wavelengths_nm", None if nm is None else _frozen(nm))
+        wrong = [units for units in self.gloss.values() if not 0.0 <= units < np.inf]
+        if wrong:
+            raise ShapeError(f"{self.name}: gloss of {wrong[0]:g} units, expected 0 or more")
         object.__setattr__(self, "texture", MappingProxyType(dict(self.texture)))
+        object.__setattr__(self, "gloss", MappingProxyType(dict(self.gloss)))
         object.__setattr__(self, "notes", tuple(self.notes))
 
     def __len__(self) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifold.models.gloss_readings import GlossReadings
 from manifold.models.mixtures import (
     LIKE_ONE,
     SCALE_SPREAD,
@@ -52,6 +53,7 @@ def band_mixtures(
     where: Array,
     gram: Array,
     group: Array,
+    gloss: GlossReadings | None = None,
 ) -> BandMixtures:
     """How likely mixtures of two materials are, given readings in B bands.
 
@@ -66,6 +68,7 @@ def band_mixtures(
         where: places of the readings, see `nearby.places`, shape (P, 3).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
         group: which material a sample is of, from 0, shape (n + 1,); the Lambertian's is the number of materials.
+        gloss: of the material, besides.
     """
     chosen = _of_different_materials(mixtures, group)
     found = np.zeros((len(chosen), len(targets), len(samples)))
@@ -82,6 +85,10 @@ def band_mixtures(
             misfit[k] += part * missed
     of_mean = found[:, any_read].mean(axis=1)
     found[:, ~any_read] = of_mean[:, None]
+    if gloss is not None:
+        level = float(np.sqrt(np.mean(targets[is_read] ** 2)))
+        misfit += [gloss.misfit(weights, level) for weights in found]
+        count += len(gloss.target)
     norm = np.sum((of_mean @ gram) * of_mean, axis=1)
     N = int(group[-1])
     is_one = group[mixtures.first[chosen]] == group[mixtures.second[chosen]]

@@ -17,14 +17,18 @@ from manifold.records import Array
 
 SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
 _MOST_PAIRS = 40_000  # pairs of samples of two materials; of larger libraries as many at random
-_NOISE = 0.02  # of cube roots, as a share of them and of their root mean square
-_MISSED = 0.04  # by which mixtures miss materials, as a share of the same
 _REACH = 2.0  # how far that reaches, in lengths of `nearby`
 _FREEDOM = (
     3.0  # degrees of freedom of both: where no mixture meets the readings, they were larger than thought
 )
 _LAMBERTIAN_SPREAD = 0.5
 _RELATIVE = 5.0  # exponent of the norm
+
+NOISE = 0.02
+"""Of cube roots that are read, as a share of them and of their root mean square."""
+
+MISSED = 0.04
+"""By which mixtures miss materials, as a share of the same."""
 
 LIKE_ONE = 0.8
 """How likely a material is like one of the library, in one band or between two, before anything is read."""
@@ -152,7 +156,7 @@ def independent(samples: Array, targets: Array, weights: Array, where: Array) ->
     read, of_targets, places = averaged(samples), averaged(targets), averaged(where.T).T
     square = np.mean(of_targets**2, axis=0)
     level = np.sqrt(square + np.average(square, weights=total) + 1e-12)
-    noise = np.diag(_NOISE**2 / total) + _MISSED**2 * covariance(places / _REACH, places / _REACH)
+    noise = np.diag(NOISE**2 / total) + MISSED**2 * covariance(places / _REACH, places / _REACH)
     L = np.linalg.cholesky(noise)
     apart = [solve_triangular(L, (rows / level).T, lower=True).T for rows in (read, of_targets)]
     return apart[0], apart[1]

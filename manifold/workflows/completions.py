@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from manifold import __version__
+from manifold.brdf.gloss import gloss_meter
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection
 from manifold.directions import from_spherical
@@ -75,6 +77,10 @@ class Completed:
             "instrument": found.readings.instrument,
             "readings": len(found.readings),
             "misfits": found.misfits.tolist(),
+            "gloss": {
+                f"{angle:g}": {"read": units, "completed": found.gloss[angle]}
+                for angle, units in found.readings.gloss.items()
+            },
             "made_of": dict(found.made_of),
             "alternatives": [vars(a) for a in found.alternatives],
             "expected": self.expected,
@@ -157,13 +163,19 @@ def complete_readings(
     )  # fmt: skip
 
 
-def read(paths: Sequence[Path], sample: str | None = None, correction: Path | None = None) -> Hybrid:
+def read(
+    paths: Sequence[Path],
+    sample: str | None = None,
+    correction: Path | None = None,
+    gloss: Mapping[float, float] = MappingProxyType({}),
+) -> Hybrid:
     """Readings of one sample from its files; those of several instruments are put together.
 
     Args:
         paths: of one instrument, or of several, whose colours are right first.
         sample: which of a file's samples, of every file that holds several.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
+        gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
     Raises:
         FileFormatError: a file is of no known format, or damaged.
         BandMismatchError: bands of the files, or of the correction, do not go together.
@@ -182,6 +194,28 @@ def read(paths: Sequence[Path], sample: str | None = None, correction: Path | No
     found = Hybrid(readings[0], None, 0)
     for other in readings[1:]:
         found = combine(found.readings, other)
+    return replace(found, readings=replace(found.readings, gloss={**found.readings.gloss, **gloss}))
+
+
+def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
+    """Gloss units by angle in degrees, of texts such as `60=12.5`.
+
+    Raises:
+        UsageError: a text is none, an angle is none of a gloss meter's, or comes twice.
+    """
+    found: dict[float, float] = {}
+    for text in texts:
+        angle, is_pair, units = text.partition("=")
+        try:
+            pair = float(angle), float(units)
+        except ValueError:
+            pair = np.nan, np.nan
+        if not is_pair or not np.isfinite(pair).all() or pair[1] < 0.0:
+            raise UsageError(f"gloss '{text}', expected an angle and gloss units, such as 60=12.5")
+        gloss_meter(pair[0])
+        if pair[0] in found:
+            raise UsageError(f"gloss at {pair[0]:g} degrees twice, expected once; give their mean")
+        found[pair[0]] = pair[1]
     return found
 
 
@@ -245,9 +279,10 @@ def uncertainty(found: Completion) -> dict[str, Any]:
 
 
 def _describe(found: Completion) -> str:
+    gloss = " and its gloss" if found.readings.gloss else ""
     return (
-        f"Completed from {len(found.readings)} readings ({found.readings.instrument}) of {found.readings.name} through "
-        f"{len(found.samples.names)} materials by manifold {__version__}"
+        f"Completed from {len(found.readings)} readings ({found.readings.instrument}) of {found.readings.name}{gloss} "
+        f"through {len(found.samples.names)} materials by manifold {__version__}"
     )
 
 

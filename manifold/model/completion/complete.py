@@ -7,6 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.brdf.gloss import gloss_meter, gloss_units
+from manifold.colour.conversion import luminance
+from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
@@ -15,6 +18,7 @@ from manifold.model.completion.reading_bands import beyond, for_library, in_all_
 from manifold.model.completion.samples import LibrarySamples, ball_places, grid_places
 from manifold.models.band_mixtures import BandMixtures, band_mixtures
 from manifold.models.completion_weights import completion_weights
+from manifold.models.gloss_readings import GlossReadings
 from manifold.models.mixtures import posterior
 from manifold.models.nearby import NearbyFactors, nearby_factors, places
 from manifold.records import Array
@@ -99,13 +103,18 @@ class Completion:
             )
         wi, wo = self.readings.wi, self.readings.wo
         from_mirror = np.rad2deg(np.arccos(np.clip(np.sum(wi * wo * [-1.0, -1.0, 1.0], axis=1), -1.0, 1.0)))
-        if from_mirror.min() > _SEES_MIRRORS_DEG:
+        if from_mirror.min() > _SEES_MIRRORS_DEG and not self.readings.gloss:
             notes.append(
                 f"no reading within {from_mirror.min():.0f} degrees of a mirror direction: sharper highlights, "
                 f"such as those of mirrors and clear coats, are not measured, and expected errors do not include "
-                f"them"
+                f"them; give their gloss (--gloss), or measure such a direction"
             )
         return tuple(notes)
+
+    @cached_property
+    def gloss(self) -> dict[float, float]:
+        """Gloss units of what is completed, at the angles in degrees at which gloss was read."""
+        return gloss_units(self.brdf, self.readings.gloss)
 
     @cached_property
     def misfits(self) -> Array:
@@ -188,23 +197,43 @@ def complete(samples: LibrarySamples, readings: Readings) -> Completion:
     """
     readings = _usable(for_library(readings, samples.bands))
     at_readings = samples.at(readings.wi, readings.wo)
-    return complete_at(samples, readings, at_readings)
+    return complete_at(samples, readings, at_readings, samples.gloss(tuple(readings.gloss)))
 
 
-def complete_at(samples: LibrarySamples, readings: Readings, at_readings: Array) -> Completion:
-    """`complete`, where cube roots of samples at the readings (n + 1, P) are at hand."""
+def complete_at(
+    samples: LibrarySamples, readings: Readings, at_readings: Array, at_gloss: Array | None = None
+) -> Completion:
+    """`complete`, where cube roots of samples at the readings (n + 1, P), and of their gloss (n + 1, G), are known."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
     where, gram, group = places(readings.wi, readings.wo), samples.gram, samples.material_of
-    of_mean = posterior(at_readings, _structure(readings), weights, where, gram, group)
+    gloss = _gloss(readings, np.zeros((len(group), 0)) if at_gloss is None else at_gloss)
+    of_mean = posterior(
+        np.hstack([at_readings, gloss.samples]), np.append(_structure(readings), gloss.target),
+        np.append(weights, gloss.weights), np.vstack([where, gloss.where]), gram, group,
+    )  # fmt: skip
     targets = np.cbrt(np.maximum(readings.values, 0.0)).T
-    found = band_mixtures(of_mean, at_readings, targets, weights, where, gram, group)
+    found = band_mixtures(of_mean, at_readings, targets, weights, where, gram, group, gloss)
     made = completion_weights(at_readings, targets, weights, gram, found.mean)
-    mixed = made @ at_readings
-    nearby = nearby_factors(targets, mixed, where, readings.weights)
+    mixed, glossy = made @ at_readings, made @ gloss.samples
+    nearby = nearby_factors(
+        np.hstack([targets, gloss.met_by(glossy)]), np.hstack([mixed, glossy]), np.vstack([where, gloss.where]),
+        np.append(readings.weights, gloss.weights),
+    )  # fmt: skip
     whole = replace(nearby, strength=in_all_bands(nearby.strength, readings, samples.bands))
     return Completion(
         samples, readings, at_readings, found, in_all_bands(made, readings, samples.bands), whole,
         (mixed * nearby.at(where)).T ** 3,
+    )  # fmt: skip
+
+
+def _gloss(readings: Readings, samples: Array) -> GlossReadings:
+    """The gloss of a material beside that of samples, as cube roots (n + 1, G)."""
+    meters = [gloss_meter(angle) for angle in readings.gloss]
+    mean = [meter.mean_value(units) for meter, units in zip(meters, readings.gloss.values(), strict=True)]
+    theta = np.deg2rad(list(readings.gloss), dtype=float)
+    return GlossReadings(
+        samples, np.cbrt(mean), luminance(np.eye(readings.bands.count), readings.bands),
+        places(from_spherical(theta, np.pi), from_spherical(theta, 0.0)),
     )  # fmt: skip
 
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
+from manifold.brdf.gloss import gloss_meter
 from manifold.colour import ball_colours
+from manifold.colour.conversion import luminance
 from manifold.formats.readings import Readings
 from manifold.metrics import cube_root_error, relative_error
 from manifold.model.completion.complete import Completion, complete_at
@@ -81,16 +83,18 @@ def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
         samples: of the library.
         readings: those of which values do not matter, only directions, bands and weights.
     """
-    at_readings = samples.at(readings.wi, readings.wo)
+    at_readings, at_gloss = samples.at(readings.wi, readings.wo), samples.gloss(tuple(readings.gloss))
     errors, signs = [], []
     for m in range(len(samples.names)):
-        found = leave_out(samples, m, at_readings, readings)
+        found = leave_out(samples, m, at_readings, readings, at_gloss)
         errors.append(completion_errors(samples, m, found))
         signs.append(indicators_of(found))
     return Calibration(np.array(errors), np.array(signs))
 
 
-def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Readings) -> Completion:
+def leave_out(
+    samples: LibrarySamples, m: int, at_readings: Array, readings: Readings, at_gloss: Array | None = None
+) -> Completion:
     """Material m completed from all others, read without noise in sample bands, as weights of all sample bands.
 
     It is read in those of the sample bands that are the nearest to a band of the readings, so that what these do not
@@ -98,13 +102,23 @@ def leave_out(samples: LibrarySamples, m: int, at_readings: Array, readings: Rea
     """
     own = samples.material_of == m
     axis = sample_axis(samples)
+    glossy = np.zeros((len(own), 0)) if at_gloss is None else at_gloss
     is_read = _nearest(axis, readings.bands)
     read = Readings(
         samples.names[m], "library", readings.wi, readings.wo,
         None if axis.wavelengths_nm is None else np.array(axis.wavelengths_nm)[is_read],
-        at_readings[own].T[:, is_read] ** 3, readings.weights,
+        at_readings[own].T[:, is_read] ** 3, readings.weights, gloss=_gloss_of(glossy[own], axis, readings),
     )  # fmt: skip
-    return complete_at(in_sample_bands(samples.without(m)), read, at_readings[~own])
+    return complete_at(in_sample_bands(samples.without(m)), read, at_readings[~own], glossy[~own])
+
+
+def _gloss_of(roots: Array, bands: Bands, readings: Readings) -> dict[float, float]:
+    """Gloss units of a material from cube roots (B_s, G) of its means over the apertures at the readings' angles."""
+    means = luminance(roots.T**3, bands)
+    return {
+        angle: float(mean) / gloss_meter(angle).mean_value(1.0)
+        for angle, mean in zip(readings.gloss, means, strict=True)
+    }
 
 
 def _nearest(bands: Bands, to: Bands) -> Array:

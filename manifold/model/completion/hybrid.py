@@ -181,4 +181,5 @@ def _joined(reference: Readings, other: Readings) -> Readings:
         values=np.vstack([reference.values, other.values]),
         weights=np.concatenate([reference.weights, other.weights / share]),
         notes=tuple(dict.fromkeys((*reference.notes, *other.notes))),
+        gloss={**other.gloss, **reference.gloss},
     )

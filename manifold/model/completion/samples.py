@@ -8,6 +8,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from manifold.brdf.gloss import gloss_meter
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
@@ -132,6 +133,13 @@ class LibrarySamples:
     def at(self, wi: Array, wo: Array) -> Array:
         """Cube roots of samples and Lambertian at direction pairs (P, 3), shape (n + 1, P)."""
         return _roots_at(self.materials, wi, wo)
+
+    def gloss(self, angles_deg: Sequence[float]) -> Array:
+        """Cube roots of their means over the apertures of gloss meters at G angles, shape (n + 1, G)."""
+        roots = np.empty((len(self.material_of), len(angles_deg)))
+        for k, meter in enumerate(map(gloss_meter, angles_deg)):
+            roots[:, k] = np.cbrt(meter.mean(self.at(meter.wi, meter.wo).T ** 3))
+        return roots
 
     def predicted(self, weights: Array) -> PredictedBRDF:
         """The BRDF that weights (B, n + 1) of samples make in the bands of the library."""

@@ -1,4 +1,4 @@
-"""Balls of materials: measured, completed from the 12 geometries of an MA-T12, and from three suggested ones more.
+"""Balls of materials: measured; completed from an MA-T12, with gloss beside it, and with three suggested readings more.
 
     python benchmarks/completed_balls.py library.zarr balls.png NAME ...
 
@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from manifold.brdf.gloss import gloss_units
 from manifold.brdf.measured import BRDF
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import write_bsdf
@@ -27,6 +29,7 @@ from manifold.rendering import images
 from manifold.workflows import renders
 
 SUGGESTED = 3
+GLOSS_DEG = (20, 60)
 
 
 def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
@@ -35,15 +38,17 @@ def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
     return Readings(name, "", wi, wo, None if nm is None else np.array(nm), brdf.eval(wi, wo))
 
 
-def completions(brdf: BRDF, name: str, others: LibrarySamples) -> tuple[Completion, Completion]:
-    """From the MA-T12's geometries, and after further readings, each suggested by those before."""
+def completions(brdf: BRDF, name: str, others: LibrarySamples) -> tuple[Completion, Completion, Completion]:
+    """From the MA-T12's geometries, with gloss beside them, and with readings, each suggested by those before."""
     wi, wo = geometry_ma_t12()
-    first = found = complete(others, readings_of(brdf, name, wi, wo))
+    read = readings_of(brdf, name, wi, wo)
+    first = found = complete(others, read)
+    glossy = complete(others, replace(read, gloss=gloss_units(brdf, GLOSS_DEG)))
     for _ in range(SUGGESTED):
         following = suggest(others, 1, found)
         wi, wo = np.vstack([wi, following.wi]), np.vstack([wo, following.wo])
         found = complete(others, readings_of(brdf, name, wi, wo))
-    return first, found
+    return first, glossy, found
 
 
 def main() -> None:

@@ -430,6 +430,38 @@ def test_curves_of_readings_are_those_of_completions(samples):
         measure_curves(samples, (1,), ("magic",))
 
 
+def test_interrupted_curves_are_continued_and_finished_ones_measured_again(samples, library, monkeypatch):
+    measured: list[int] = []
+
+    def measure(samples, m, counts, methods, places):
+        measured.append(m)
+        return {method.key: np.full((len(counts), 3), float(m)) for method in methods} | {
+            "ma_t12": np.full((1, 3), -float(m))
+        }
+
+    def interrupt(done: int, total: int, name: str) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    def curves(on_progress=None, only=("nearest",)):
+        measured.clear()
+        return measure_curves(samples, (1, 6), only, on_progress, Library.open(library))
+
+    monkeypatch.setattr("manifold.experiments.readings.curve._errors_of", measure)
+    everything = list(range(len(samples.names)))
+    with pytest.raises(KeyboardInterrupt):
+        curves(interrupt)
+    assert measured == [0, 1]
+    curves(only=("completion",))
+    assert measured == everything  # another chart shares nothing with it
+    nearest, fixed = curves()
+    assert measured == everything[2:]
+    np.testing.assert_array_equal(nearest.errors[1, :, 2], everything)
+    np.testing.assert_array_equal(fixed.errors[0, :, 2], -np.array(everything))
+    curves()
+    assert measured == everything
+
+
 @pytest.mark.slow
 def test_curves_of_fits_begin_where_readings_make_one_and_are_plain_json(samples):
     fitted = measure_curves(samples, (1, 6), ("principled",))[0]

@@ -46,7 +46,7 @@ def readings_chart(
     only: Sequence[str] = (),
     on_progress: Progress | None = None,
 ) -> list[Curve]:
-    """Errors of left-out materials of a library, completed from n readings.
+    """Errors of left-out materials of a library, completed from n readings; an interrupted run is continued.
 
     Args:
         library: `library.zarr` by default.
@@ -57,4 +57,4 @@ def readings_chart(
     """
     opened = Library.open(Path("library.zarr") if library is None else library)
     samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
-    return measure_curves(samples, only=only, on_progress=on_progress)
+    return measure_curves(samples, only=only, on_progress=on_progress, library=opened)

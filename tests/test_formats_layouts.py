@@ -50,7 +50,43 @@ def turned(rows):
     return [list(column) for column in zip(*rows, strict=True)]
 
 
+def of_geometries(title, header=None, is_upright=False):
+    """A table per geometry, below each other: what stands above, and its header if not the wavelengths'."""
+    blocks = []
+    for k, g in enumerate(MA_T12_NAMES):
+        heads = [[header or "Sample", *NM]] if header is not False or k == 0 else []
+        if header == "corner":
+            heads = [[g, *NM]]
+        rows = [[name, *(f"{scale * v:.7f}" for v in FACTORS[k])] for name, scale in SAMPLES.items()]
+        block = [*heads, *rows]
+        blocks += [*title(g), *(turned(block) if is_upright else block), []]
+    return blocks
+
+
+def of_samples(title, header="Geometry"):
+    """A table per sample, below each other."""
+    blocks = []
+    for name, scale in SAMPLES.items():
+        rows = [[g, *(f"{scale * v:.7f}" for v in row)] for g, row in zip(MA_T12_NAMES, FACTORS, strict=True)]
+        blocks += [*title(name), [header, *NM], *rows, []]
+    return blocks
+
+
 LAYOUTS = {
+    "a table per geometry": of_geometries(lambda g: [[g]]),
+    "a table per geometry, empty cells behind": of_geometries(lambda g: [[g, "", "", ""]]),
+    "a table per geometry, the word before": of_geometries(lambda g: [["Geometry", g]]),
+    "a table per geometry, the word in the cell": of_geometries(lambda g: [[f"Geometry: {g}"]]),
+    "a table per geometry, in the corner": of_geometries(lambda g: [], "corner"),
+    "a table per geometry, one header": of_geometries(lambda g: [[g]], False),
+    "a table per geometry, wavelengths below each other": of_geometries(lambda g: [[g]], is_upright=True),
+    "a table per sample": of_samples(lambda name: [[name]]),
+    "a table per sample, the word before": of_samples(lambda name: [["Sample", name], []]),
+    "a unit between two header rows": [
+        two_headers(repeats=True)[0],
+        ["", *["R"] * len(BOTH)],
+        *two_headers(repeats=True)[1:],
+    ],
     "45as-15 400": wide(),
     "45as-15_400nm": wide("{g}_{w}nm"),
     "R(45as-15, 400 nm)": wide("R({g} {w} nm)"),
@@ -84,6 +120,52 @@ def test_samples_in_every_layout_are_those_of_a_row_per_geometry(name, tmp_path)
         assert one.bands == MA_T12_BANDS
     with pytest.raises(UsageError, match=r"2 samples .red, green.; name one with --sample"):
         registry.read_readings(path)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (
+            of_samples(lambda name: []),
+            "row 1: 2 tables below each other, expected the name of a sample above each",
+        ),
+        (
+            [
+                ["red"],
+                ["Geometry", *NM],
+                ["45as15", *values(1.0)[: len(NM)]],
+                ["green"],
+                ["Geometry", *NM[1:]],
+            ],
+            "row 5: a second table with other columns than in row 2, expected the same; put each into a file",
+        ),
+    ],
+)
+def test_tables_below_each_other_that_cannot_be_told_apart_are_refused(rows, words, tmp_path):
+    write_csv(tmp_path / "a.csv", rows)
+    with pytest.raises(FileFormatError, match=words):
+        registry.read_all(tmp_path / "a.csv")
+
+
+def test_what_is_wrong_in_the_second_of_several_tables_is_named_where_it_stands(tmp_path):
+    rows = of_samples(lambda name: [[name]])
+    rows[17][3] = "oops"
+    write_csv(tmp_path / "a.csv", rows)
+    with pytest.raises(FileFormatError, match="row 18, column 4: found 'oops'"):
+        registry.read_all(tmp_path / "a.csv")
+
+
+def test_a_list_of_geometries_above_a_table_is_a_title(tmp_path):
+    rows = [
+        ["45as15"],
+        ["45as25"],
+        ["Geometry", "400", "500", "600"],
+        ["45as15", "1", "1", "1"],
+        ["45as25", "2", "2", "2"],
+    ]
+    write_csv(tmp_path / "a.csv", rows)
+    found = registry.read_readings(tmp_path / "a.csv")
+    np.testing.assert_allclose(np.pi * found.values[:, 0], [1, 2])
 
 
 def test_percent_in_heads_of_both_is_believed(tmp_path):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import to_spherical
-from manifold.formats.geometry_names import can_be_geometry
+from manifold.formats.geometry_names import can_be_geometry, is_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
 from manifold.formats.table_cells import parse_wavelength, plain_table
@@ -33,10 +33,11 @@ def sniff(head: bytes) -> bool:
     text = decode(head)
     if "\0" in text:
         return False
-    rows_of_both = 0
+    rows_of_both, titles = 0, 0
     for line in [line for line in text.splitlines() if line.strip()][:60]:
         words = line.lower()
         separator = _separator(line)
+        titles += is_geometry(line.strip(' ";,|\t'))
         if separator is None:
             continue
         if "geometr" in words or re.search(r"theta\W?_?i", words):
@@ -47,7 +48,7 @@ def sniff(head: bytes) -> bool:
         rows_of_both += names_both(cells[0]) or (
             can_be_geometry(cells[0]) and parse_wavelength(cells[1]) is not None
         )
-    return rows_of_both >= _HEADS
+    return rows_of_both >= _HEADS or titles >= 2
 
 
 def _is_header(cells: list[str]) -> bool:

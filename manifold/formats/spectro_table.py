@@ -22,6 +22,7 @@ from manifold.formats.geometry_names import (
     resolve,
 )
 from manifold.formats.readings import Readings
+from manifold.formats.stacked_tables import stacked
 from manifold.formats.table_cells import (
     HEADER_ROWS,
     NO_VALUE,
@@ -135,9 +136,11 @@ def find_header(table: Table, place: Place) -> tuple[Table, Header] | None:
     """The table, rewritten if need be to one row per geometry, and its header; None where there is none.
 
     Raises:
-        FileFormatError: a layout is recognised, but a row ends early, or two columns are the same.
+        FileFormatError: a layout is recognised, but a row ends early, two columns are the same, or tables below each
+            other do not fit together.
     """
-    for candidate in layouts(table, place):
+    joined = stacked(table, place)
+    for candidate in layouts(table if joined is None else joined, place):
         rows = candidate.rows
         for index, row in enumerate(rows[:HEADER_ROWS]):
             header = _parse_header(index, row, rows[index + 1 : index + 4])

@@ -105,16 +105,26 @@ def _spectra_at(table: Table, geometry: str, place: Place) -> list[_Spectrum] | 
 
 
 def _wide(table: Table, place: Place) -> Iterator[Table]:
-    """The table of one row per sample, with columns of geometry and wavelength in one or two header rows."""
+    """The table of one row per sample, with columns of geometry and wavelength in one or two header rows.
+
+    Between the two may stand a row that says the same of all columns, such as a unit.
+    """
     filled = [k for k, row in enumerate(table.rows[:HEADER_ROWS]) if any(map(text_of, row))]
-    for first, second in zip_longest(filled, filled[1:]):
+    for first, second, third in zip_longest(filled, filled[1:], filled[2:]):
         columns, last = _split_heads(table.rows[first]), first
         if len(columns) < _LEAST_COLUMNS and second is not None:
             columns, last = _paired_heads(table.rows[first], table.rows[second]), second
+        if len(columns) < _LEAST_COLUMNS and third is not None and _says_one_thing(table.rows[second]):
+            columns, last = _paired_heads(table.rows[first], table.rows[third]), third
         if len(columns) >= _LEAST_COLUMNS:
             spectra = _spectra(table, first, last, columns, place)
             yield _rewritten(spectra, table.rows[:first], _unit(table.rows[first : last + 1]))
             return
+
+
+def _says_one_thing(row: Sequence[Cell]) -> bool:
+    texts = {text for cell in row if (text := text_of(cell))}
+    return len(texts) == 1 and number(texts.pop()) is None
 
 
 def names_both(text: str) -> bool:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from manifold.directions import from_rusinkiewicz
+from manifold.directions import from_rusinkiewicz, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
 
 _LEAST_SQUARED_NORM = 1e-200  # of what is not black
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def rmse(f: Array, f_star: Array, *, n_pairs: float | None = None) -> float:
@@ -164,10 +165,14 @@ def cosine_weight(wi: Array, wo: Array) -> Array:
 class RusinkiewiczGrid:
     """A grid of direction pairs over theta_h and theta_d in [0, 90) and phi_d in [0, 180) degrees.
 
+    Half vectors have azimuth 0, which is enough for isotropic materials; others need `is_turned`.
+
     Attributes:
         n_theta_h, n_theta_d, n_phi_d: nodes per angle; phi_d runs fastest.
         squared_theta_h: space theta_h by squares, dense around the mirror direction, as MERL files do.
         offset: where in its cell a node lies, from 0 (lower edge) to below 1; 0.5 is the centre.
+        is_turned: turn each pair about the normal, by multiples of the golden section of a turn: as many pairs, whose
+            half vectors have all azimuths at every theta_h.
     """
 
     n_theta_h: int = 45
@@ -175,6 +180,7 @@ class RusinkiewiczGrid:
     n_phi_d: int = 12
     squared_theta_h: bool = True
     offset: float = 0.5
+    is_turned: bool = False
 
     def __post_init__(self) -> None:
         if min(self.n_theta_h, self.n_theta_d, self.n_phi_d) < 1 or not 0.0 <= self.offset < 1.0:
@@ -190,6 +196,10 @@ class RusinkiewiczGrid:
         if name not in NAMED_GRIDS:
             raise UsageError(f"no grid is called '{name}', expected one of {', '.join(NAMED_GRIDS)}")
         return NAMED_GRIDS[name]
+
+    def suited_to(self, is_isotropic: bool) -> RusinkiewiczGrid:
+        """This grid, turned where not all materials that are compared on it are isotropic."""
+        return self if is_isotropic else replace(self, is_turned=True)
 
     @property
     def n_pairs(self) -> int:
@@ -208,7 +218,11 @@ class RusinkiewiczGrid:
     def directions(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
         """Pairs start to stop: wi (M, 3), wo (M, 3), and which lie above the horizon, bool (M,)."""
         wi, wo = from_rusinkiewicz(*self.angles(start, stop))
-        return wi, wo, (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+        above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+        if self.is_turned:
+            azimuth = 2.0 * np.pi * ((_GOLDEN * np.arange(start, start + len(wi))) % 1.0)
+            wi, wo = rotate_z(wi, azimuth), rotate_z(wo, azimuth)
+        return wi, wo, above
 
     def blocks(self, size: int = 65536) -> Iterator[tuple[Array, Array, Array]]:
         """`directions` in blocks of at most `size` pairs: the whole 1,458,000-pair grid in bounded memory."""

@@ -139,6 +139,26 @@ def test_blocks_walk_the_whole_grid_in_order():
             assert np.array_equal(part, whole)
 
 
+def test_a_turned_grid_has_half_vectors_of_all_azimuths_at_every_elevation():
+    grid = RusinkiewiczGrid()
+    turned = grid.suited_to(False)
+    assert grid.suited_to(True) is grid
+    wi, wo, above = grid.directions()
+    turned_wi, turned_wo, turned_above = turned.directions()
+    assert np.array_equal(above, turned_above)
+    assert np.array_equal(turned_wi[:, 2], wi[:, 2])  # cosines, to the bit
+    assert np.array_equal(turned_wo[:, 2], wo[:, 2])
+    some = np.flatnonzero(above)[::6]  # those that find a latent
+    theta_h, theta_d, phi_d, phi_h = to_rusinkiewicz(turned_wi[some], turned_wo[some])
+    for found, angle in zip((theta_h, theta_d, phi_d), grid.angles(), strict=True):
+        np.testing.assert_allclose(found, angle[some], atol=1e-7)
+    for ring in np.split(phi_h[:1200], 30):  # about one elevation each
+        gaps = np.diff(np.sort(np.append(ring, ring.min() + 2.0 * np.pi)))
+        assert gaps.max() < np.deg2rad(30.0)  # even gaps are 9 degrees
+    parts = [np.concatenate(part) for part in zip(*turned.blocks(777), strict=True)]
+    assert np.array_equal(parts[0], turned_wi)
+
+
 def test_unknown_grids_name_the_known_ones():
     with pytest.raises(UsageError, match="default, hikichi"):
         RusinkiewiczGrid.named("merl")

@@ -13,14 +13,14 @@ from manifold.brdf.plausibility import plausibility
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.brdf.synthetic.ggx import GGX
 from manifold.brdf.synthetic.microfacet import RoughConductor
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, half_vector
 from manifold.errors import BandMismatchError, UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
-from manifold.model.reconstructed import read_filled
+from manifold.model.reconstructed import judge, read_filled
 from manifold.model.reconstruction import reconstruct
 from manifold.records import Bands
 
@@ -80,12 +80,63 @@ def test_a_black_material_is_refused_in_words(model):
         model.reconstruct(Lambert(np.zeros(3), model.bands))
 
 
-def test_an_anisotropic_file_is_said_to_be_compared_at_one_azimuth(tmp_path):
-    brushed = RoughConductor(GGX.anisotropic(0.2, 0.5), np.array(1.5), np.array(3.0), Bands.from_array(None))
-    for brdf, told in ((brushed, 1), (Lambert(np.array(0.5), Bands.from_array(None)), 0)):
-        write_bsdf(tmp_path / "x_rgb.bsdf", goniometer.measure(brdf, "x", resolution=8))
-        _, notes = read_filled(tmp_path / "x_rgb.bsdf")
-        assert sum(note.startswith("anisotropic: ") for note in notes) == told
+RGB = Bands.from_array(None)
+
+
+def brushed(alpha_x: float, alpha_y: float) -> RoughConductor:
+    return RoughConductor(GGX.anisotropic(alpha_x, alpha_y), np.array(1.5), np.array(3.0), RGB)
+
+
+class DimmedBeside:
+    """A BRDF of half the brightness wherever the half vector is not in the plane of x and z."""
+
+    is_isotropic, bands = False, RGB
+
+    def __init__(self, brdf):
+        self._brdf = brdf
+
+    def eval(self, wi, wo):
+        beside = np.abs(half_vector(wi, wo)[..., 1]) > 1e-9
+        return self._brdf.eval(wi, wo) * np.where(beside, 0.5, 1.0)[..., None]
+
+    eval_cos = eval  # not called
+
+
+def test_errors_see_all_azimuths_of_half_vectors():
+    # Found at half vectors in one plane, all three errors but the ball's would be 0.
+    metal = brushed(0.3, 0.3)
+    found = brdf_errors(metal, DimmedBeside(metal))
+    assert found.linear == pytest.approx(0.5, abs=0.01)
+    assert found.cube_root == pytest.approx(1.0 - 0.5 ** (1 / 3), abs=0.01)
+
+
+class CacheOf:
+    """A cache of given materials."""
+
+    def __init__(self, *materials):
+        self._materials = list(materials)
+
+    def in_bands(self, bands):
+        return self._materials
+
+
+def test_an_anisotropic_material_is_reconstructed_at_all_azimuths():
+    # In the plane of x and z the two of the library look alike, and like what is to be found.
+    library = CacheOf(brushed(0.3, 0.6), brushed(0.3, 0.15))
+    truth = brushed(0.3, 0.5)
+    found = brdf_errors(truth, reconstruct(library, np.arange(3), truth))
+    assert found.cube_root < 0.01  # by half vectors in the plane alone 0.020
+    assert found.ball < 0.5  # 1.6
+
+
+def test_an_anisotropic_file_is_said_to_be_reconstructed_from_isotropic_materials(model, tmp_path):
+    path = tmp_path / "x_rgb.bsdf"
+    write_bsdf(path, goniometer.measure(brushed(0.2, 0.5), "x", resolution=8))
+    brdf, notes = read_filled(path)
+    assert not notes
+    for other, told in ((Lambert(np.full(3, 0.5), RGB), 1), (brushed(0.2, 0.4), 0)):
+        diagnostics = judge(brdf, other, None, "by a test").diagnostics
+        assert sum(note.startswith("anisotropic, ") for note in diagnostics) == told
 
 
 def test_other_bands_are_refused(model):

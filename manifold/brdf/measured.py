@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -45,6 +45,11 @@ class BRDF(Protocol):
 
     def albedo(self, wi: Array) -> Array:
         """Directional albedo, the integral of f * cos(theta_o) over outgoing directions, shape (..., B)."""
+
+
+def all_isotropic(brdfs: Iterable[BRDF]) -> bool:
+    """Whether every one is isotropic, so that direction pairs of one azimuth tell all of them."""
+    return all(brdf.is_isotropic for brdf in brdfs)
 
 
 def require_brdf(brdf: object, where: str) -> None:

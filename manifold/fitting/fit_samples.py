@@ -29,6 +29,10 @@ class EvaluableBRDF(Protocol):
     def bands(self) -> Bands:
         """The spectral axis."""
 
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether f is invariant under rotation of both directions about the normal."""
+
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B)."""
 
@@ -182,7 +186,7 @@ def from_readings(readings: Readings) -> FitSamples:
 
 def from_brdf(brdf: EvaluableBRDF) -> FitSamples:
     """Samples of a BRDF, dense around the mirror direction; negative values of a prediction count as 0."""
-    wi, wo, above = RusinkiewiczGrid().directions()
+    wi, wo, above = RusinkiewiczGrid().suited_to(brdf.is_isotropic).directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
     if len(keep) > MAX_PAIRS:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:MAX_PAIRS])

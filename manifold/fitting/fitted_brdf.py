@@ -36,6 +36,11 @@ class FittedBRDF:
         """The spectral axis."""
         return self._bands
 
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether f is invariant under rotation of both directions about the normal."""
+        return not self._values.get("anisotropic")
+
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B), for unit vectors (..., 3) that broadcast."""
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))

@@ -56,6 +56,11 @@ class MaterialInfo:
     shape: tuple[int, ...]
     bytes: int
 
+    @property
+    def is_isotropic(self) -> bool:
+        """Whether one incident azimuth was measured, as `BsdfFile.is_isotropic` has it."""
+        return self.shape[0] <= 2
+
 
 def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
     """Metadata that a library stores about a file.

@@ -43,9 +43,9 @@ class AppearancePairs:
 
 
 @cache
-def appearance_pairs() -> AppearancePairs:
-    """What blends are compared with new materials by."""
-    grid, ball = encoding_pairs(), ball_colours.ball()
+def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
+    """What blends are compared with new materials by; cosines, numbers and light do not depend on isotropy."""
+    grid, ball = encoding_pairs(is_isotropic), ball_colours.ball()
     some = slice(None, None, _BALL_STRIDE)
     pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[some]]), np.vstack([grid.wo, ball.wo[some]]))
     amplitude = np.cbrt(np.concatenate([grid.cosines, ball.light[some]]))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
@@ -73,7 +73,7 @@ def appearance_distances(
 ) -> AppearanceDistances:
     """Compare materials by their balls, by their logarithms, and by the profiles of their blends in cube roots."""
     bands = evenly_spaced(materials[0].bands.count, _BANDS).tolist()
-    ball, pairs = ball_colours.ball(), encoding_pairs()
+    ball, pairs = ball_colours.ball(), encoding_pairs(all_isotropic(materials))
     wi, wo = profile_pairs()
     colours, logs, profiles = [], [], []
     for material in with_progress(materials, on_progress, "looks"):

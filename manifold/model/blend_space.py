@@ -167,9 +167,9 @@ class BlendSpace(LatentSpace):
         """Samples from mapped values (N, B_s, P): a row holds one band of a material."""
         return mapped.reshape(-1, mapped.shape[2]), cosines
 
-    def embedding_pairs(self) -> EncodingPairs:
+    def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
         """Direction pairs of the encoding grid and of a ball's light."""
-        return appearance_pairs().pairs
+        return appearance_pairs(is_isotropic).pairs
 
     def embed(self, encoder: Encoder, f: Array) -> Embedded:
         """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
@@ -185,7 +185,7 @@ class BlendSpace(LatentSpace):
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
         """What finds each material among the others; paths of colours keep what they took from it."""
-        N, B, pairs = len(self.X), len(self.bands), appearance_pairs().pairs
+        N, B, pairs = len(self.X), len(self.bands), self.embedding_pairs(materials.is_isotropic)
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
         samples = roots[:, at].reshape(N * B, -1)

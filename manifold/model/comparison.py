@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from manifold.brdf.measured import BRDF, require_brdf
+from manifold.brdf.measured import BRDF, all_isotropic, require_brdf
 from manifold.colour import ball_colours
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
 from manifold.models.decoder import EncodingPairs
@@ -27,6 +27,8 @@ class BRDFErrors(NamedTuple):
 def brdf_errors(brdf: BRDF, predicted: BRDF) -> BRDFErrors:
     """The three errors of reports, on the direction pairs of their default grid and in all bands.
 
+    Where one of both is anisotropic, the pairs have all azimuths.
+
     Args:
         brdf: the measured or true BRDF f.
         predicted: the BRDF f* that describes it, in the same bands.
@@ -37,7 +39,8 @@ def brdf_errors(brdf: BRDF, predicted: BRDF) -> BRDFErrors:
     require_brdf(brdf, "the true BRDF")
     require_brdf(predicted, "the prediction")
     brdf.bands.require_same(predicted.bands, "the prediction", "resample it")
-    pairs, ball = EncodingPairs.of_grid(RusinkiewiczGrid.named("default"), stride=1), ball_colours.ball()
+    grid = RusinkiewiczGrid.named("default").suited_to(all_isotropic([brdf, predicted]))
+    pairs, ball = EncodingPairs.of_grid(grid, stride=1), ball_colours.ball()
     f, f_star = (each.eval(pairs.wi, pairs.wo) for each in (brdf, predicted))
     lit, lit_star = (each.eval(ball.wi, ball.wo) for each in (brdf, predicted))
     return BRDFErrors(

@@ -19,9 +19,13 @@ from manifold.records import Array
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
 
 
-def encoding_pairs() -> EncodingPairs:
-    """The direction pairs at which new materials are compared with what latents decode to."""
-    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
+def encoding_pairs(is_isotropic: bool = True) -> EncodingPairs:
+    """The direction pairs at which new materials are compared with what latents decode to.
+
+    Args:
+        is_isotropic: whether all of them are; for others half vectors have all azimuths.
+    """
+    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tuple[EncodingPairs, Array]:

@@ -187,13 +187,11 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
     )
 
 
-def of_anisotropy(is_isotropic: bool) -> tuple[str, ...]:
-    """Of a material that the grid of direction pairs, which is that of isotropic ones, finds in others."""
-    if is_isotropic:
+def of_anisotropy(is_isotropic: bool, is_found_isotropic: bool) -> tuple[str, ...]:
+    """Of a material, and whether it and what was made of others are isotropic."""
+    if is_isotropic or not is_found_isotropic:
         return ()
-    return (
-        "anisotropic: found by, and errors of, values at half vectors of azimuth 0; the error of the ball is of all",
-    )
+    return ("anisotropic, but reconstructed from isotropic materials: the same at all azimuths",)
 
 
 def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:

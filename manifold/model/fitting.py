@@ -107,7 +107,7 @@ def _fit_curves(
     )  # all bands' colours follow: decoding needs the samples only
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
     # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
-    pairs = encoding_pairs()
+    pairs = encoding_pairs(materials.is_isotropic)
     encoder = encoder_at(pairs, space, materials, s, "decoded")
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
@@ -128,7 +128,7 @@ def _fit_blends(
     layout = appearance_distances(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
     samples = [brdf.select_bands(bands.tolist()) for brdf in brdfs]
-    pairs = encoding_pairs()
+    pairs = encoding_pairs(materials.is_isotropic)
     sphere, measure = integrating_sphere()
     paths = fit_paths(
         roots_at(samples, pairs), pairs.cosines, len(bands), (roots_at(samples, sphere), measure),
@@ -146,7 +146,8 @@ def _gram(
     materials: MaterialCache, s: Settings, bands: Array | None, on_progress: Progress | None
 ) -> gram.Gram:
     """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
-    library, mapping, grid = materials.library, mapping_named(s.mapping), RusinkiewiczGrid.named(s.grid)
+    library, mapping = materials.library, mapping_named(s.mapping)
+    grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
     chosen = None if bands is None else bands.tolist()
     key = gram.cache_key(library.content_hash, materials.names, mapping, grid, chosen)
     cached = library.cache_get(key)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.records import Array
@@ -33,8 +33,11 @@ class Gram:
 def value_blocks(
     materials: Sequence[BRDF], grid: RusinkiewiczGrid, block: int = BLOCK_PAIRS
 ) -> Iterator[tuple[Array, Array, Array]]:
-    """Walk a grid: wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B)."""
-    for wi, wo, above in grid.blocks(block):
+    """Walk a grid: wi (P, 3), wo (P, 3) above the horizon, and the values f of all materials, (N, P, B).
+
+    Where a material is anisotropic, the grid is turned.
+    """
+    for wi, wo, above in grid.suited_to(all_isotropic(materials)).blocks(block):
         if np.any(above):
             wi, wo = wi[above], wo[above]
             yield wi, wo, np.stack([material.eval(wi, wo) for material in materials])

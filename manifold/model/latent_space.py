@@ -154,9 +154,13 @@ class LatentSpace(ABC):
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
         """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, and cosines (P,) as (P',)."""
 
-    def embedding_pairs(self) -> EncodingPairs:
-        """Direction pairs at which a new material is compared with what the space predicts."""
-        return EncodingPairs.of_grid(RusinkiewiczGrid.named("default"))
+    def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
+        """Direction pairs at which a new material is compared with what the space predicts.
+
+        Args:
+            is_isotropic: whether both are.
+        """
+        return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
 
     @abstractmethod
     def embed(self, encoder: Encoder, f: Array) -> Embedded:

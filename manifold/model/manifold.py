@@ -235,7 +235,7 @@ class Manifold(LatentMap):
         """
         require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
-        pairs = self.space.embedding_pairs()
+        pairs = self.space.embedding_pairs(self.materials.is_isotropic and brdf.is_isotropic)
         encoder = encoder_at(pairs, self.space, self.materials, self.settings, criterion)
         return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,11 @@ class MaterialCache:
         self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
         self._unmeasured_shares: dict[str, float] = {}
         self._cut: set[str] = set()  # names of materials whose negative values were taken for 0
+
+    @cached_property
+    def is_isotropic(self) -> bool:
+        """Whether all materials are; others need direction pairs of all azimuths."""
+        return all(self.library.attributes(name).is_isotropic for name in self.names)
 
     def index(self, name: str) -> int:
         """The index of a material.

@@ -32,7 +32,7 @@ class ProcessSpace(LatentSpace):
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
         """What encodes each material by the process on the others."""
-        pairs, mapping = self.embedding_pairs(), mapping_named(settings.mapping)
+        pairs, mapping = self.embedding_pairs(materials.is_isotropic), mapping_named(settings.mapping)
         whole = decoder_at(pairs, self, materials, settings)
         brdfs = materials.filled()
 

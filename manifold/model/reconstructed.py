@@ -68,7 +68,7 @@ class Reconstruction:
 
 
 def read_filled(path: Path) -> tuple[MeasuredBRDF, tuple[str, ...]]:
-    """A measured file with its unmeasured cells filled, and diagnostics of these and of anisotropy.
+    """A measured file with its unmeasured cells filled, and diagnostics of these.
 
     Raises:
         FileFormatError: it is no RGL file.
@@ -76,7 +76,7 @@ def read_filled(path: Path) -> tuple[MeasuredBRDF, tuple[str, ...]]:
     file = read_bsdf(path)
     cells = unmeasured_cells(file)
     brdf, share = MeasuredBRDF(fill_unmeasured(file, cells)), unmeasured_share(file, cells)
-    return brdf, diagnostics.of_unmeasured(share) + diagnostics.of_anisotropy(brdf.is_isotropic)
+    return brdf, diagnostics.of_unmeasured(share)
 
 
 def judge(
@@ -101,7 +101,7 @@ def judge(
         UsageError: the output cannot be written, or its albedo would exceed 1.05.
     """
     errors = brdf_errors(brdf, found)
-    sentences: tuple[str, ...] = ()
+    sentences = diagnostics.of_anisotropy(brdf.is_isotropic, found.is_isotropic)
     plausibility = None
     if output is not None:
         description = f"Reconstruction of {brdf.name} {how} by manifold {__version__}"
@@ -109,7 +109,7 @@ def judge(
             output, ClippedBRDF(found), description=description, remedy="scale it with --physical",
             physical=physical, force=force,
         )  # fmt: skip
-        sentences = diagnostics.of_prediction(False, plausibility)
+        sentences += diagnostics.of_prediction(False, plausibility)
         sentences += diagnostics.of_projection(plausibility) if physical else ()
     return Reconstruction(errors.linear, errors.cube_root, errors.ball, output, plausibility, sentences)
 

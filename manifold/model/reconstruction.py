@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
 from manifold.model.combination import Combination, Values
@@ -27,9 +27,10 @@ def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> Pr
     Raises:
         UsageError: it is black.
     """
-    pairs, dictionary, mapping = encoding_pairs(), Dictionary(), CubeRoot()
-    wi, wo = pairs.wi, pairs.wo
+    dictionary, mapping = Dictionary(), CubeRoot()
     sampled = materials.in_bands(sample_bands.tolist())
+    pairs = encoding_pairs(all_isotropic([brdf, *sampled]))
+    wi, wo = pairs.wi, pairs.wo
     values = Values(np.stack([material.eval(wi, wo) for material in sampled]), wi, wo)
     roots = values.mapped_samples(mapping, np.arange(len(sample_bands)))
     atoms = dictionary.atoms(roots, values.lobe_roots(dictionary.lobes))

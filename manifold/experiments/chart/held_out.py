@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.experiments.chart import instruments
@@ -61,6 +61,7 @@ class HeldOut:
         for count in {s.sample_bands for s in chosen} - {None}:
             bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
         materials = [MeasuredBRDF(file) for file in files]
+        grid = grid.suited_to(all_isotropic(materials))
         self._data, self._tabulating = self.watch.lap(partial(Data.evaluate, materials, grid, bands))
         wi, wo, above = grid.directions()
         self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifold.brdf.measured import all_isotropic
 from manifold.experiments.evaluation.method import Encode, Fit
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import CubeRoot
@@ -47,7 +48,7 @@ class _Tables:
         reflectances = np.stack([measure @ material.eval(pairs.wi, pairs.wo) for material in data.materials])
         return cls(
             appearance_distances(data.materials), bands, (roots_at(samples, pairs), measure), albedo_samples(samples),
-            roots_at(samples, appearance_pairs().pairs), reflectances,
+            roots_at(samples, appearance_pairs(all_isotropic(samples)).pairs), reflectances,
         )  # fmt: skip
 
 
@@ -61,7 +62,7 @@ def fit_blend(latent_dim: int, sample_bands: int = 5) -> Fit:
 
     def fit(data: Data, training: Array) -> Encode:
         tables: _Tables = data.once(("blend", sample_bands), lambda: _Tables.of(data, sample_bands))
-        B, appearance = len(tables.bands), appearance_pairs()
+        B, appearance = len(tables.bands), appearance_pairs(all_isotropic(data.materials))
         rows = (training[:, None] * B + np.arange(B)).reshape(-1)
         roots, n_grid = tables.roots[rows], appearance.n_grid
         paths = fit_paths(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import gram
@@ -78,7 +78,7 @@ class Data(Values):
             blocks.append((f, wi, wo))
             if on_block is not None:
                 on_block(len(blocks), total)
-        pairs = EncodingPairs.of_grid(grid, stride)
+        pairs = EncodingPairs.of_grid(grid.suited_to(all_isotropic(materials)), stride)
         return cls(
             np.concatenate([f for f, _, _ in blocks], axis=1),
             np.concatenate([wi for _, wi, _ in blocks]),

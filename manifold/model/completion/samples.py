@@ -9,7 +9,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from manifold.brdf.gloss import gloss_meter
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
@@ -32,10 +32,10 @@ ball_pairs = cache(ball_colours.ball)
 """The pairs that light a ball; the same for every material."""
 
 grid_pairs = cache(encoding_pairs)
-"""All directions, in which materials are compared; the same for every material."""
+"""All directions, in which materials are compared; turned where one of them is anisotropic."""
 
 ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))
-grid_places = cache(lambda: places(grid_pairs().wi, grid_pairs().wo))
+grid_places = cache(lambda: places(grid_pairs().wi, grid_pairs().wo))  # the same on a turned grid
 
 _BALL_STRIDE = 7  # of a ball's direction pairs, one in so many stands for them
 
@@ -51,7 +51,7 @@ class LibrarySamples:
         materials: in these bands alone.
         directions: cube roots at the encoding grid, then at some pairs that light a ball, shape (n + 1, P).
         weights: of these pairs; grid and ball have the same energy, shape (P,).
-        n_grid: how many pairs are the grid's.
+        grid: the encoding grid.
         ball: cube roots at all pairs that light a ball, shape (n + 1, P_b).
     """
 
@@ -61,7 +61,7 @@ class LibrarySamples:
     materials: Sequence[MeasuredBRDF]
     directions: Array
     weights: Array
-    n_grid: int
+    grid: EncodingPairs
     ball: Array
 
     @classmethod
@@ -80,7 +80,7 @@ class LibrarySamples:
         bands = cache.library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
         materials = cache.in_bands(chosen.tolist(), on_progress)
-        grid, ball = grid_pairs(), ball_pairs()
+        grid, ball = grid_pairs(all_isotropic(materials)), ball_pairs()
         on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
         some = slice(None, None, _BALL_STRIDE)
         on_grid_weights = grid.cosines ** (2.0 / 3.0)
@@ -92,8 +92,13 @@ class LibrarySamples:
         on_ball_weights = on_ball_weights * energy[0] / max(energy[1], np.finfo(float).tiny)
         return cls(
             tuple(cache.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
-            np.concatenate([on_grid_weights, on_ball_weights]), on_grid.shape[1], on_ball,
+            np.concatenate([on_grid_weights, on_ball_weights]), grid, on_ball,
         )  # fmt: skip
+
+    @property
+    def n_grid(self) -> int:
+        """How many pairs are the grid's."""
+        return len(self.grid.wi)
 
     @property
     def per_material(self) -> int:

@@ -11,11 +11,12 @@ import pytest
 from scipy.integrate import dblquad
 from small_library import NAMES, small_library
 
-from manifold.brdf.gloss import GLOSS_ANGLES_DEG, gloss_meter, gloss_units
+from manifold.brdf.gloss import gloss_meter, gloss_units
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.errors import ShapeError, UsageError
-from manifold.formats import csv_table
-from manifold.formats.readings import Readings, geometry_ma_t12
+from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.formats import csv_table, registry
+from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, geometry_ma_t12
+from manifold.formats.table_cells import parse_gloss as parse_gloss_head
 from manifold.library.store import Library
 from manifold.model.completion import LibrarySamples, calibrate, complete
 from manifold.model.completion.expected import completion_errors, leave_out
@@ -93,7 +94,7 @@ def test_gloss_is_luminous_and_meters_have_three_angles():
         for f in ([0.0, 0.3, 0.0], [0.3, 0.3, 0.3])
     )
     assert gloss_units(green, [60])[60] / gloss_units(grey, [60])[60] == pytest.approx(0.7152, abs=1e-4)
-    with pytest.raises(UsageError, match=r"gloss at 45 degrees, expected one of 20, 60, 85"):
+    with pytest.raises(UsageError, match=r"gloss at 45 degrees, expected 20, 60 or 85"):
         gloss_meter(45)
     meter = gloss_meter(60)
     assert meter.units(np.full(len(meter.wi), meter.mean_value(12.5))) == pytest.approx(12.5)
@@ -142,7 +143,9 @@ def test_gloss_is_compared_in_the_luminance_of_each_hypothesis():
 
 def test_gloss_of_zero_dims_highlights_and_negative_gloss_is_refused(samples, rng):
     read = readings(rng.random((12, 3)) + 0.1)
-    with pytest.raises(ShapeError, match="gloss of -1 units, expected 0 or more"):
+    with pytest.raises(
+        ShapeError, match="gloss of -1 units at 60 degrees, expected 0 or more, at 20, 60 or 85"
+    ):
         replace(read, gloss={60: -1.0})
     made = complete(samples, read)
     assert made.gloss == {}
@@ -152,6 +155,73 @@ def test_gloss_of_zero_dims_highlights_and_negative_gloss_is_refused(samples, rn
 def test_two_instruments_put_together_keep_the_gloss_of_both(rng):
     one, other = (readings(rng.random((12, 3)), gloss) for gloss in ({60: 3.0}, {60: 9.0, 20: 1.0}))
     assert dict(combine(one, other).readings.gloss) == {60: 3.0, 20: 1.0}
+
+
+# -- files ------------------------------------------------------------------------------------------------------
+
+HEADS = ",".join(f"{nm} nm" for nm in range(400, 701, 100))
+
+
+@pytest.mark.parametrize(
+    ("head", "angle"),
+    [
+        ("Gloss 60°", 60), ("60° Gloss", 60), ("gloss", 60), ("Gloss (20)", 20), ("GU 85", 85), ("Gloss 20° [GU]", 20),
+        ("85 deg gloss", 85), ("Glanz 20°", 20), ("Gloss units", 60), ("Gloss 75", None), ("glossy", None),
+        ("gloss trap", None), ("GUARD 60", None), ("60", None),
+    ],
+)  # fmt: skip
+def test_columns_of_gloss_are_told_by_their_heads(head, angle):
+    assert parse_gloss_head(head) == angle
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        f"Sample,Geometry,Gloss 20°,Gloss 60°,{HEADS}\nred,45as15,,,.1,.2,.3,.4\nred,45as45,1.5,12,.1,.2,.3,.4\n"
+        "blue,45as15,,,.1,.2,.3,.4\n",
+        f"Sample;Gloss 20°;{';'.join(f'{g} {nm}' for g in ('45as15', '45as45') for nm in (400, 500, 600))};Gloss 60°\n"
+        "red;1,5;,1;,2;,3;,1;,2;,3;12\nblue;;,1;,2;,3;,1;,2;,3;-\n",
+        f"Geometry 45/0\nSample;20° gloss;Gloss;{HEADS.replace(',', ';')}\nred;1,5;12;,1;,2;,3;,4\n"
+        "blue;;;,1;,2;,3;,4\n",
+    ],
+)
+def test_gloss_is_read_beside_reflectance(table, tmp_path):
+    (tmp_path / "t.csv").write_text(table)
+    red, blue = registry.read_all(tmp_path / "t.csv")
+    assert (red.name, blue.name) == ("red", "blue")
+    assert dict(red.gloss) == {20.0: 1.5, 60.0: 12.0}
+    assert dict(blue.gloss) == {}
+    np.testing.assert_allclose(red.values[0, :3] * np.pi, [0.1, 0.2, 0.3])
+
+
+def test_a_table_without_geometries_is_of_the_one_that_its_title_names(tmp_path):
+    rows = f"Sample,{HEADS}\nred,.1,.2,.3,.4\n"
+    (tmp_path / "t.csv").write_text(f"spectro 45°/0°,,\n{rows}")
+    (red,) = registry.read_all(tmp_path / "t.csv")
+    np.testing.assert_allclose(red.wo[0], [0.0, 0.0, 1.0], atol=1e-12)
+    assert np.rad2deg(np.arccos(red.wi[0, 2])) == pytest.approx(45.0)
+    for title in ("", "d/8,,\n", "45/0 and 0/45,,\n", "on 2045/01,,\n"):
+        (tmp_path / "t.csv").write_text(title + rows)
+        with pytest.raises(FileFormatError, match="no table of reflectance found"):
+            registry.read_all(tmp_path / "t.csv")
+
+
+def test_negative_gloss_in_a_table_is_an_error(tmp_path):
+    (tmp_path / "t.csv").write_text(f"Geometry,Gloss,{HEADS}\n45as15,-3,.1,.2,.3,.4\n")
+    with pytest.raises(
+        FileFormatError, match=r"row 2, column 2: found gloss of -3 units, expected 0 or more"
+    ):
+        registry.read_all(tmp_path / "t.csv")
+
+
+def test_gloss_survives_a_csv_file_and_is_shown(run, tmp_path, rng):
+    csv_table.write(tmp_path / "t.csv", readings(rng.random((12, 3)), {60: 12.25, 20: 0.5}))
+    (back,) = csv_table.read(tmp_path / "t.csv")
+    assert dict(back.gloss) == {60.0: 12.25, 20.0: 0.5}
+    status, out, err = run("info", "t.csv", "--json", "t.json", cwd=tmp_path)
+    assert status == 0, err
+    assert "12.25 at 60 degrees" in out
+    assert json.loads((tmp_path / "t.json").read_text())["samples"][0]["gloss"] == {"60": 12.25, "20": 0.5}
 
 
 # -- the command ------------------------------------------------------------------------------------------------
@@ -164,7 +234,7 @@ def test_two_instruments_put_together_keep_the_gloss_of_both(rng):
         (["60"], "gloss '60', expected an angle and gloss units"),
         (["60=-2"], "gloss '60=-2', expected an angle and gloss units"),
         (["60=nan"], "gloss '60=nan', expected"),
-        (["75=20"], "gloss at 75 degrees, expected one of 20, 60, 85"),
+        (["75=20"], "gloss at 75 degrees, expected 20, 60 or 85"),
         (["60=1", "60=2"], "gloss at 60 degrees twice, expected once"),
     ],
 )

@@ -17,7 +17,7 @@ from manifold.directions import to_spherical
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
-from manifold.formats.table_cells import parse_wavelength, plain_table
+from manifold.formats.table_cells import parse_gloss, parse_wavelength, plain_table
 from manifold.formats.table_layouts import names_both
 from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
 from manifold.records import Array
@@ -96,9 +96,16 @@ def read(path: Path) -> list[Readings]:
         if line.startswith("#") and value.strip():
             name = value.strip() if key.strip().lower() == "name" else name
             instrument = value.strip() if key.strip().lower() == "instrument" else instrument
+    gloss = {
+        angle: place.number(value.strip(), f"line {k}")
+        for k, line in enumerate(lines[:40], start=1)
+        for key, _, value in [line.lstrip("# ").partition(":")]
+        if line.startswith("#") and (angle := parse_gloss(key)) is not None
+    }
     found_readings = read_table(plain_table(rows), place, name, instrument)
-    if texture and len(found_readings) == 1:
-        return [replace(found_readings[0], texture=texture)]
+    if len(found_readings) == 1:
+        (only,) = found_readings
+        return [replace(only, texture=texture or only.texture, gloss={**gloss, **only.gloss})]
     return found_readings
 
 
@@ -106,6 +113,7 @@ def write(path: Path, readings: Readings) -> None:
     """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured."""
     out = io.StringIO()
     out.write(f"# name: {_line(readings.name)}\n# instrument: {_line(readings.instrument)}\n")
+    out.writelines(f"# gloss {angle:g}: {units:.9g}\n" for angle, units in readings.gloss.items())
     out.write("# BRDF in 1/sr; angles in degrees about the normal\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["theta_i (deg)", "phi_i (deg)", "theta_o (deg)", "phi_o (deg)", *band_heads(readings)])

@@ -26,6 +26,9 @@ _MA_T12 = (
 MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
+GLOSS_ANGLES_DEG = (20.0, 60.0, 85.0)
+"""Incidences of gloss meters in degrees (ISO 2813)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
@@ -41,7 +44,7 @@ class Readings:
         weights: relative reliability of each pair, at least 0, shape (P,); all 1 by default.
         notes: what was ambiguous in the file, and how it was taken; one sentence each.
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
-        gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees.
+        gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
     """
 
     name: str
@@ -60,7 +63,8 @@ class Readings:
 
         Raises:
             ShapeError: directions are not unit vectors above the horizon (P, 3), values not (P, B), or infinite;
-                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative; P = 0.
+                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative or at
+                other angles; P = 0.
         """
         wi, wo = (require_directions(w, f"{self.name}: {n}") for n, w in (("wi", self.wi), ("wo", self.wo)))
         if wi.ndim != 2 or wi.shape != wo.shape or wi.shape[0] == 0:
@@ -84,9 +88,11 @@ class Readings:
         for name, array in (("wi", wi), ("wo", wo), ("values", values), ("weights", weights)):
             object.__setattr__(self, name, _frozen(array))
         object.__setattr__(self, "wavelengths_nm", None if nm is None else _frozen(nm))
-        wrong = [units for units in self.gloss.values() if not 0.0 <= units < np.inf]
-        if wrong:
-            raise ShapeError(f"{self.name}: gloss of {wrong[0]:g} units, expected 0 or more")
+        for angle, units in self.gloss.items():
+            if angle not in GLOSS_ANGLES_DEG or not 0.0 <= units < np.inf:
+                raise ShapeError(
+                    f"{self.name}: gloss of {units:g} units at {angle:g} degrees, expected 0 or more, at 20, 60 or 85"
+                )
         object.__setattr__(self, "texture", MappingProxyType(dict(self.texture)))
         object.__setattr__(self, "gloss", MappingProxyType(dict(self.gloss)))
         object.__setattr__(self, "notes", tuple(self.notes))

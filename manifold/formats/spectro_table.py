@@ -31,15 +31,17 @@ from manifold.formats.table_cells import (
     all_cells,
     cell_at,
     name_column,
+    parse_gloss,
     parse_wavelength,
     plain_head,
     text_of,
 )
-from manifold.formats.table_layouts import layouts
+from manifold.formats.table_layouts import layouts, with_geometries
 from manifold.formats.text import Place, number, plain_float
 from manifold.records import Array
 
 _TITLE_IN_PERCENT = re.compile(r"\b(reflectance|unit)\w*\W{0,4}(in )?(%|per ?cent)|% ?reflect", re.IGNORECASE)
+_ONE_GEOMETRY = re.compile(r"(?<![\d.,/:])(45\s*°?[a-z]?\s*[/:]\s*0|0\s*°?\s*[/:]\s*45)\s*°?(?![\d.,/:])")
 _ANGLES = (
     ("theta_i", ("thetai", "thetain", "incidenttheta", "intheta", "aoi", "incidence")),
     ("phi_i", ("phii", "phiin", "incidentphi", "inphi", "poi")),
@@ -70,6 +72,7 @@ class Header:
     angles: dict[str, int]
     name: int | None
     unit: str  # `f`, `percent` or `unknown`
+    gloss: dict[int, float]  # column: angle in degrees
 
 
 def read_table(table: Table, place: Place, name: str, instrument: str) -> list[Readings]:
@@ -107,6 +110,7 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
         header = replace(header, unit="percent")
     geometries = _geometries(table, header, place, " ".join([instrument, *titles]))
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
+    gloss: dict[str, dict[float, list[float]]] = {}
     last = name
     for index in range(header.row + 1, len(rows)):
         row = rows[index]
@@ -122,12 +126,23 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
             last = text_of(row[header.name])
         values = [_value(table, index, column, header.unit == "percent", place) for column in order]
         samples.setdefault(last, []).append((*directions, values))
+        for column, angle in header.gloss.items():
+            units = _value(table, index, column, False, place)
+            if units < 0.0:
+                raise place.error(
+                    f"found gloss of {units:g} units, expected 0 or more", table.where(index, column)
+                )
+            if units == units:
+                gloss.setdefault(last, {}).setdefault(angle, []).append(units)
     if not samples:
         raise place.error(
             "a header but no rows of readings, expected one per geometry", table.where(header.row, None)
         )
     return [
-        _sample(key, instrument, readings, header, nm, geometries.notes, place)
+        replace(
+            _sample(key, instrument, readings, header, nm, geometries.notes, place),
+            gloss={angle: float(np.mean(units)) for angle, units in gloss.get(key, {}).items()},
+        )
         for key, readings in samples.items()
     ]
 
@@ -146,7 +161,16 @@ def find_header(table: Table, place: Place) -> tuple[Table, Header] | None:
             header = _parse_header(index, row, rows[index + 1 : index + 4])
             if header is not None:
                 return candidate, header
-    return None
+    stated = _stated_geometry(table)
+    joined = with_geometries([(table, stated)], place) if stated else None
+    return find_header(joined, place) if joined is not None else None
+
+
+def _stated_geometry(table: Table) -> str | None:
+    """The geometry of all readings that cells at the top name, of an instrument with one: 45/0 or 0/45."""
+    texts = (text_of(cell) for row in table.rows[:HEADER_ROWS] for cell in row)
+    found = {match.group() for text in texts for match in _ONE_GEOMETRY.finditer(text)}
+    return found.pop() if len(found) == 1 else None
 
 
 def _geometries(table: Table, header: Header, place: Place, titles: str) -> GeometryNames:
@@ -267,7 +291,12 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         unit = "percent"
     else:
         unit = "f" if has_angles and geometry is None else "unknown"
-    return Header(index, bands, is_rgb, geometry, angles, name, unit)
+    gloss = {
+        k: angle
+        for k, text in enumerate(texts)
+        if k not in taken and (angle := parse_gloss(text)) is not None
+    }
+    return Header(index, bands, is_rgb, geometry, angles, name, unit, gloss)
 
 
 def _untitled_names(texts: Sequence[str], below: Sequence[Sequence[Cell]]) -> int | None:

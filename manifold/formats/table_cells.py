@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from manifold.formats.readings import GLOSS_ANGLES_DEG
+
 Cell = str | float | int | None
 HEADER_ROWS = 60
 """A header stands at the top, below titles."""
@@ -17,6 +19,12 @@ _LEAST_NM, _MOST_NM = 200.0, 5000.0
 _WAVELENGTH = re.compile(
     r"^\D{0,12}?(?P<nm>\d{3,4}([.,]\d+)?)\s*(nm|\(nm\)|\[nm\])?\s*(\(.*\)|\[.*\]|%)?$", re.IGNORECASE
 )
+_GLOSS = re.compile(
+    r"\W*((?P<before>\d+)\W*(deg(rees?)?)?\W*)?(gloss|glanz|GU)(\s*(units?|value))?"
+    r"\W*((?P<behind>\d+)\W*(deg(rees?)?)?\W*)?(GU|units?)?\W*",
+    re.IGNORECASE,
+)
+_USUAL_GLOSS_DEG = 60.0
 _NAMES = (
     "samplename", "sample", "name", "dataname", "measurementname", "sampleid", "sampleno", "trialname", "trial",
     "batchname", "batch", "standardname", "standard", "materialname", "material", "colorname", "colourname", "id",
@@ -82,6 +90,15 @@ def parse_wavelength(text: str) -> float | None:
         return None
     nm = float(found["nm"].replace(",", "."))
     return nm if _LEAST_NM <= nm <= _MOST_NM else None
+
+
+def parse_gloss(text: str) -> float | None:
+    """The angle in degrees of the gloss that a column's head names, the usual one where it names none, or None."""
+    found = _GLOSS.fullmatch(text)
+    if found is None:
+        return None
+    angle = float(found["before"] or found["behind"] or _USUAL_GLOSS_DEG)
+    return angle if angle in GLOSS_ANGLES_DEG else None
 
 
 def plain_head(text: str) -> str:

@@ -20,6 +20,7 @@ from manifold.formats.table_cells import (
     all_cells,
     cell_at,
     name_column,
+    parse_gloss,
     parse_wavelength,
     plain_head,
     text_of,
@@ -60,6 +61,7 @@ class _Spectrum:
     geometry: str
     cells: dict[float, Cell] = field(default_factory=dict)
     places: dict[float, str] = field(default_factory=dict)
+    gloss: dict[float, Cell] = field(default_factory=dict)
 
 
 def layouts(table: Table, place: Place) -> Iterator[Table]:
@@ -176,6 +178,12 @@ def _spectra(
         if any(number(text_of(row[c])) is not None for c in columns if c < len(row))
     ]
     names = _names(table.rows[first : last + 1], [row for _, row in rows], set(columns))
+    gloss = {
+        c: angle
+        for row in table.rows[first : last + 1]
+        for c, cell in enumerate(row)
+        if (angle := parse_gloss(text_of(cell))) is not None
+    }
     spectra: list[_Spectrum] = []
     for name, (k, row) in zip(names, rows, strict=True):
         made: dict[str, _Spectrum] = {}
@@ -184,7 +192,10 @@ def _spectra(
                 raise place.error(f"the row ends after {len(row)} cells, expected a value", table.where(k, c))
             spectrum = made.setdefault(geometry, _Spectrum(name, geometry))
             spectrum.cells[nm], spectrum.places[nm] = cell_at(row, c), table.where(k, c)
-        spectra += filter(_has_values, made.values())
+        found = list(filter(_has_values, made.values()))
+        for spectrum in found[:1]:
+            spectrum.gloss = {angle: cell_at(row, c) for c, angle in gloss.items()}
+        spectra += found
     return spectra
 
 
@@ -247,15 +258,18 @@ def _pivoted(
 def _rewritten(spectra: list[_Spectrum], titles: Sequence[Sequence[Cell]], unit: str) -> Table:
     """A table of one row per sample and geometry, below the titles."""
     nm = sorted({wavelength for spectrum in spectra for wavelength in spectrum.cells})
-    head = ["Name", "Geometry", *(f"{wavelength:g}nm{unit}" for wavelength in nm)]
-    rows = [[s.name, s.geometry, *map(s.cells.get, nm)] for s in spectra]
+    gloss = sorted({angle for spectrum in spectra for angle in spectrum.gloss})
+    head = [
+        "Name", "Geometry", *(f"{wavelength:g}nm{unit}" for wavelength in nm), *(f"gloss {a:g}" for a in gloss)
+    ]  # fmt: skip
+    rows = [[s.name, s.geometry, *map(s.cells.get, nm), *map(s.gloss.get, gloss)] for s in spectra]
     first = len(titles) + 1
 
     def where(row: int, column: int | None) -> str:
         if row < first:
             return f"row {row + 1}"
         places = spectra[row - first].places
-        key = nm[column - 2] if column is not None and column >= 2 else next(iter(places))
+        key = nm[column - 2] if column is not None and 2 <= column < 2 + len(nm) else next(iter(places))
         text = places.get(key, next(iter(places.values())))
         return text if column is not None else text.rpartition(", column")[0]
 

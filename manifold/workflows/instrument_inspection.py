@@ -64,6 +64,11 @@ def _of_readings(readings: Readings) -> dict[str, object]:
         "theta_i in degrees": [f"{t:g}" for t in incidences[:12]] + (["..."] if incidences.size > 12 else []),
         "theta_o in degrees": f"{theta_o.min():.1f} to {theta_o.max():.1f}",
         "measured values": f"{readings.measured.mean():.1%}",
+        **(
+            {"gloss": [f"{u:g} at {a:g} degrees" for a, u in readings.gloss.items()]}
+            if readings.gloss
+            else {}
+        ),
     }
 
 
@@ -113,6 +118,7 @@ def _document(record: registry.Record) -> dict[str, Any]:
         "notes": list(record.notes),
     }
     if isinstance(record, Readings):
+        document["gloss"] = {f"{angle:g}": units for angle, units in record.gloss.items()}
         document["texture"] = {k: _plain(v) for k, v in record.texture.items()}
     else:
         document["shape"] = list(record.values.shape)

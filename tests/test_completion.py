@@ -422,10 +422,12 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(samples)
 
 def test_curves_of_readings_are_those_of_completions(samples):
     curves = measure_curves(samples, (1, 6), ("completion", "nearest"))
-    assert [curve.key for curve in curves] == ["completion", "nearest", "ma_t12"]
+    assert [curve.key for curve in curves] == ["completion", "nearest", "ma_t12", "ma_t12_gloss"]
     at = samples.at(*DIRECTIONS)
     own = completion_errors(samples, 2, leave_out(samples, 2, at, readings(np.ones((12, 3)))))
-    np.testing.assert_allclose(curves[-1].errors[0, 2], own, rtol=1e-9)
+    np.testing.assert_allclose(curves[-2].errors[0, 2], own, rtol=1e-9)
+    assert [curve.counts for curve in curves[-2:]] == [(12,), (14,)]
+    assert np.median(curves[-1].errors[0, :, 1]) < np.median(curves[-2].errors[0, :, 1])
     with pytest.raises(UsageError, match="no method"):
         measure_curves(samples, (1,), ("magic",))
 
@@ -433,10 +435,10 @@ def test_curves_of_readings_are_those_of_completions(samples):
 def test_interrupted_curves_are_continued_and_finished_ones_measured_again(samples, library, monkeypatch):
     measured: list[int] = []
 
-    def measure(samples, m, counts, methods, places):
+    def measure(samples, m, counts, methods, candidates, fixed):
         measured.append(m)
         return {method.key: np.full((len(counts), 3), float(m)) for method in methods} | {
-            "ma_t12": np.full((1, 3), -float(m))
+            key: np.full((1, 3), -float(m)) for key in fixed
         }
 
     def interrupt(done: int, total: int, name: str) -> None:
@@ -454,7 +456,7 @@ def test_interrupted_curves_are_continued_and_finished_ones_measured_again(sampl
     assert measured == [0, 1]
     curves(only=("completion",))
     assert measured == everything  # another chart shares nothing with it
-    nearest, fixed = curves()
+    nearest, fixed, _ = curves()
     assert measured == everything[2:]
     np.testing.assert_array_equal(nearest.errors[1, :, 2], everything)
     np.testing.assert_array_equal(fixed.errors[0, :, 2], -np.array(everything))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,15 +12,19 @@ import numpy as np
 from manifold import __version__
 from manifold.errors import UsageError
 from manifold.experiments.readings.methods import METHODS, ReadingMethod, Task
+from manifold.formats.readings import Readings
 from manifold.library.store import Library
-from manifold.model.completion.expected import KINDS, errors_of
+from manifold.model.completion.expected import KINDS, completion_errors, errors_of, leave_out
 from manifold.model.completion.samples import LibrarySamples
 from manifold.model.completion.suggest import all_directions, directions_of
 from manifold.records import Array, Progress
 
 COUNTS = (1, 2, 5, 8, 10, 12, 16, 20, 50)
-MA_T12 = "completion at an MA-T12"
-_FIXED = "ma_t12"  # its key
+_MA_T12 = "completion at an MA-T12"
+_FIXED: dict[str, tuple[str, tuple[float, ...]]] = {
+    "ma_t12": (_MA_T12, ()),
+    "ma_t12_gloss": (f"{_MA_T12}, with gloss at 20 and 60 degrees", (20.0, 60.0)),
+}  # title, and angles of gloss, by key
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,8 @@ def measure_curves(
     """Complete every material of a library from the others, from n readings, by every method.
 
     Readings are without noise, in the sample bands. Every method reads where it would have it, among elevations by 10
-    degrees to 80 and azimuths by 30; the last curve is the completion at the directions of an MA-T12.
+    degrees to 80 and azimuths by 30; the last curves are the completion at the directions of an MA-T12, without gloss
+    and with it.
 
     Args:
         samples: of the library.
@@ -86,26 +91,44 @@ def measure_curves(
     methods = [known[key] for key in only] if only else list(METHODS)
     N, kinds = len(samples.names), len(KINDS)
     errors = {method.key: np.full((len(counts), N, kinds), np.nan) for method in methods}
-    errors[_FIXED] = np.empty((1, N, kinds))
-    run = f"readings-1 {__version__} {samples.names} {list(counts)} {list(errors)}"
+    errors |= {key: np.empty((1, N, kinds)) for key in _FIXED}
+    run = f"readings-2 {__version__} {samples.names} {list(counts)} {list(errors)}"
     done = 0
     if library is not None:
         run = hashlib.sha256(f"{run} {library.content_hash}".encode()).hexdigest()
         if kept := library.cache_get(run):
             done = int(kept.pop("done")[0])
             errors = kept
-    places = [(wi, wo, samples.at(wi, wo)) for wi, wo in (all_directions(), directions_of("ma-t12"))]
+    wi, wo = all_directions()
+    at, fixed = samples.at(wi, wo), _fixed_readings(samples)
     for m in range(done, N):
         if on_progress is not None:
             on_progress(m, N, samples.names[m])
-        for key, found in _errors_of(samples, m, counts, methods, places).items():
+        for key, found in _errors_of(samples, m, counts, methods, (wi, wo, at), fixed).items():
             errors[key][:, m] = found
         if library is not None:
             library.cache_put(run, errors | {"done": np.array([m + 1])})
     if library is not None:
         library.cache_put(run, {})  # the next run begins again
     curves = [Curve(method.key, method.title, tuple(counts), errors[method.key]) for method in methods]
-    return [*curves, Curve(_FIXED, MA_T12, (len(places[1][0]),), errors[_FIXED])]
+    return curves + [
+        Curve(key, title, (len(fixed[key][1]) + len(angles),), errors[key])
+        for key, (title, angles) in _FIXED.items()
+    ]
+
+
+def _fixed_readings(samples: LibrarySamples) -> dict[str, tuple[Array, Readings, Array]]:
+    """Readings at fixed directions, of which values do not matter, by key, as `leave_out` takes them."""
+    wi, wo = directions_of("ma-t12")
+    at, nm = samples.at(wi, wo), samples.bands.wavelengths_nm
+    blank = Readings(
+        "left out", "library", wi, wo, None if nm is None else np.array(nm),
+        np.ones((len(wi), samples.bands.count)),
+    )  # fmt: skip
+    return {
+        key: (at, replace(blank, gloss=dict.fromkeys(angles, 1.0)), samples.gloss(angles))
+        for key, (_, angles) in _FIXED.items()
+    }
 
 
 def _errors_of(
@@ -113,7 +136,8 @@ def _errors_of(
     m: int,
     counts: Sequence[int],
     methods: Sequence[ReadingMethod],
-    places: Sequence[tuple[Array, Array, Array]],
+    candidates: tuple[Array, Array, Array],
+    fixed: Mapping[str, tuple[Array, Readings, Array]],
 ) -> dict[str, Array]:
     """Errors of one material, by method: shape (len(counts), 3), NaN where a method needs more readings.
 
@@ -122,17 +146,20 @@ def _errors_of(
         m: which is left out.
         counts: numbers of readings.
         methods: to be measured.
-        places: directions to choose from, then those of an MA-T12, each with the cube roots there.
+        candidates: wi and wo of directions to choose from, and cube roots of samples there.
+        fixed: see `_fixed_readings`.
     """
+    wi, wo, at = candidates
     own, others = samples.material_of == m, samples.without(m)
-    free, fixed = (Task(others, at[~own], at[own], wi, wo) for wi, wo, at in places)
-    orders = {choose: choose(free, max(counts)) for choose in {method.order for method in methods}}
+    task = Task(others, at[~own], at[own], wi, wo)
+    orders = {choose: choose(task, max(counts)) for choose in {method.order for method in methods}}
     errors = {method.key: np.full((len(counts), len(KINDS)), np.nan) for method in methods}
     for method in methods:
         for k, count in enumerate(counts):
             if count >= method.least:
                 chosen = orders[method.order][:count]
-                errors[method.key][k] = errors_of(samples, m, *method.predict(free, chosen))
-    all_of_them = np.arange(len(fixed.wi))
-    errors[_FIXED] = np.array([errors_of(samples, m, *METHODS[0].predict(fixed, all_of_them))])
-    return errors
+                errors[method.key][k] = errors_of(samples, m, *method.predict(task, chosen))
+    return errors | {
+        key: np.array([completion_errors(samples, m, leave_out(samples, m, *read))])
+        for key, read in fixed.items()
+    }

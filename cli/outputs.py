@@ -74,7 +74,10 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
     """
     names = (*_NAMES, "model") if command == "embed" else _NAMES
     outputs = {name: values[name] for name in names if isinstance(values.get(name), Path)}
-    outputs = {name: path for name, path in outputs.items() if str(path) != "-"}
+    for name in [name for name, path in outputs.items() if str(path) == "-"]:
+        if name != "json":
+            raise UsageError("-: this command writes a file; name one (only --json takes -)")
+        del outputs[name]
     inputs = [path for name, value in values.items() if name not in outputs for path in _paths(value)]
     targets: dict[str, str] = {}
     for name, path in outputs.items():

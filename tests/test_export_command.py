@@ -173,6 +173,17 @@ def test_a_folder_s_own_files_are_not_replaced(folder, tmp_path):
     assert run(*words).exit_code == 0  # its own
 
 
+def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
+    source, out = tmp_path / "source", tmp_path / "out"
+    source.mkdir()
+    for name in ("copper", "CON", "new\nline", ".hidden"):
+        shutil.copy(folder / "copper_rgb.fit.json", source / f"{name}.fit.json")
+    result = run("export", source, "-o", out)
+    assert "'CON' cannot be the name of a material on every system" in str(result.exception)
+    assert "\n" not in str(result.exception)
+    assert sorted(path.name for path in out.iterdir()) == ["copper.glb", "exports.json"]
+
+
 def test_two_files_of_one_name_are_refused(folder, tmp_path):
     for part in ("a", "b"):
         (tmp_path / part).mkdir()

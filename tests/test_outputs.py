@@ -31,6 +31,16 @@ def _content(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.parametrize(
+    "arguments", [("explore", "--html"), ("fit", f"files/{NAMES[0]}_rgb.bsdf", "-o"), ("embed", "-o")]
+)
+def test_a_dash_is_no_file_s_name(run, folder, arguments):
+    status, out, err = run(*arguments, "-", cwd=folder)
+    assert (status, out) == (2, "")
+    assert "-: this command writes a file" in one_line(err)
+    assert not (folder / "-").exists()
+
+
 def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folder):
     file = f"files/{NAMES[0]}_rgb.bsdf"
     (folder / "link").symlink_to("model.h5")

@@ -136,6 +136,11 @@ def require_material_name(name: str) -> None:
         )
 
 
+def printable_name(name: str) -> str:
+    """The name on one line, what does not print as an escape."""
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in name)
+
+
 def alike(name: str) -> str:
     """What is the same for names that some systems do not tell apart: by case, or by Unicode form."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())

@@ -12,7 +12,7 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
-from manifold.library.identity import file_sha256
+from manifold.library.identity import file_sha256, printable_name, require_material_name
 from manifold.records import Progress
 from manifold.system.stages import with_progress
 from manifold.workflows.exports import (
@@ -76,11 +76,12 @@ def _export_one(
     check: Callable[[Path], None] | None,
 ) -> ExportOutcome:  # fmt: skip
     try:
+        require_material_name(name)
         if check is not None:
             check(path)
         return replace(export(read(), target, path, is_direct=is_direct), name=name)
     except ManifoldError as error:
-        return ExportOutcome(name, path, None, failure=str(error))
+        return ExportOutcome(printable_name(name), path, None, failure=str(error))
 
 
 def _subjects(source: Path) -> Iterator[tuple[str, tuple[str, Callable[[], Subject]]]]:

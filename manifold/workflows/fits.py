@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import unicodedata
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields, replace
@@ -23,7 +22,7 @@ from manifold.fitting.principled import METHODS, FitResult, fit_bsdf
 from manifold.fitting.processes import in_processes
 from manifold.formats import registry
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.library.identity import file_sha256, require_material_name
+from manifold.library.identity import file_sha256, printable_name, require_material_name
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.diagnostics import Diagnosis
@@ -300,13 +299,8 @@ def _plan(
             atomic.require_writable(target)
             targets[path] = target
         except UsageError as error:
-            refused[path] = FitOutcome(_printable(path.name), target, None, failure=str(error), file=path)
+            refused[path] = FitOutcome(printable_name(path.name), target, None, failure=str(error), file=path)
     return targets, refused
-
-
-def _printable(name: str) -> str:
-    """The name, what does not print as an escape."""
-    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in name)
 
 
 def _use_one_thread() -> None:

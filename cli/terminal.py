@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -111,14 +112,15 @@ class Results:
         if not rows:
             return
         cells = [[str(cell) for cell in row] for row in rows]
-        widths = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
+        widths = [max(map(cell_len, column)) for column in zip(columns, *cells, strict=True)]
         is_numeric = [all(map(is_number, column)) for column in zip(*cells, strict=True)]
 
         def line(row: Sequence[str]) -> str:
-            return "  ".join(
-                cell.rjust(width) if number else cell.ljust(width)
-                for cell, width, number in zip(row, widths, is_numeric, strict=True)
-            ).rstrip()
+            padded = []
+            for cell, width, number in zip(row, widths, is_numeric, strict=True):
+                blanks = " " * (width - cell_len(cell))  # characters of East Asia take two columns each
+                padded.append(blanks + cell if number else cell + blanks)
+            return "  ".join(padded).rstrip()
 
         self.title(line(columns))
         self.text("".join(f"{line(row)}\n" for row in cells))

@@ -17,11 +17,12 @@ from browser import chromium, visit
 from small_library import NAMES, small_model
 
 from manifold.errors import UsageError
+from manifold.fitting.exports import TARGETS
 from manifold.plots.explorer import server as explorer_server
 from manifold.plots.explorer.actions import SPECTRUM, Context, action
 from manifold.plots.explorer.jobs import MOST_WAITING, Queue
 from manifold.plots.explorer.server import MOST_FILE, MOST_JSON, ExplorerServer
-from manifold.workflows import explore
+from manifold.workflows import explore, export_folders
 
 SLEEPS = (sys.executable, "-c", "import time; time.sleep(60)")
 WRITES = (
@@ -278,6 +279,13 @@ def test_an_export_is_called_by_its_target(served, context):
     assert files(context) == ["here-2.json", "here.glb", "here.json"]
     asked = served.queue.jobs()[0].action.arguments
     assert {"--target=gltf", "--direct", "--json=-"} < set(asked)
+
+
+def test_a_fit_of_the_page_is_found_by_an_export_of_its_folder(context):
+    found = action("fit", HERE, context).output
+    found.write_text("{}")
+    (outcome,) = export_folders.export_all(context.folder, TARGETS["gltf"], context.folder / "out")
+    assert "here.fit.json" in outcome.failure  # is no fit, but was looked at
 
 
 @pytest.mark.parametrize(

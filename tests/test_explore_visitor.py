@@ -272,6 +272,7 @@ def test_a_map_without_a_field_of_errors_goes_to_a_material_too(elsewhere, docum
     """As maps of four dimensions are."""
     (folder / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
     elsewhere.open((folder / "four.html").as_uri())
+    assert elsewhere.page.locator("#error-value").inner_text() == "not computed above three dimensions"
     elsewhere.page.locator("#map").press("Enter")
     elsewhere.page.locator("#error-value", has_text="measured material").wait_for()
     assert elsewhere.errors == []

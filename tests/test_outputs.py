@@ -31,6 +31,11 @@ def _content(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def test_columns_of_a_table_are_straight_whatever_script_its_cells_are_in(capsys):
+    terminal.Results().table(["material", "error"], [["日本語", "1.25"], ["paper", "12.5"]])
+    assert capsys.readouterr().out.splitlines() == ["material  error", "日本語     1.25", "paper      12.5"]
+
+
 @pytest.mark.parametrize(
     "arguments", [("explore", "--html"), ("fit", f"files/{NAMES[0]}_rgb.bsdf", "-o"), ("embed", "-o")]
 )

@@ -19,7 +19,7 @@ from manifold.model.latents import on_path
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
-_ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".json", "export": ""}
+_ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".fit.json", "export": ""}
 _MOST_ROWS = 5000  # of a spectrum
 _MOST_COPIES = 1000
 _MOST_SAMPLE = 200  # characters of a sample's name

@@ -55,7 +55,7 @@ export const facts = {
 
   showFacts() {
     const { data, state } = this, error = this.error();
-    const beyond = data.error ? "outside the map" : "unknown";
+    const beyond = data.error ? "outside the map" : "not computed above three dimensions";
     this.byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {

@@ -1,9 +1,11 @@
 """Errors that a model expects beside those that held-out materials have.
 
     python benchmarks/bench_expected_error.py LIBRARY [--latent-dim Q] [--kind KIND] [--folds K]
+    python benchmarks/bench_expected_error.py LIBRARY --materials 4,6,8 [--draws K] [--held-out M]
 
 Every material is held out once, with others of its fold: the rest is embedded and calibrated without it, it is located
-there from its data, predicted, and compared with its file. Figures of docs/design/expected-error.md.
+there from its data, predicted, and compared with its file. With --materials, random sets of so many are embedded
+instead, and at most M of the others are held out. Figures of docs/design/expected-error.md.
 """
 
 from __future__ import annotations
@@ -41,10 +43,12 @@ class HeldOut:
     is_extrapolation: bool
 
 
-def hold_out(library: Library, settings: Settings, held_out: list[str]) -> list[HeldOut]:
-    """Embed and calibrate without some materials, and find them there."""
+def hold_out(
+    library: Library, settings: Settings, held_out: list[str], names: list[str] | None = None
+) -> list[HeldOut]:
+    """Embed and calibrate without some materials, by default all others, and find them there."""
     is_nonnegative = SPACES[settings.kind].is_nonnegative
-    names = [name for name in library.names if name not in held_out]
+    names = [name for name in library.names if name not in held_out] if names is None else names
     materials = MaterialCache(library, names, is_nonnegative=is_nonnegative)
     space, statistics = fit_space(materials, settings, None)
     model = Manifold(materials, space, settings, statistics)
@@ -93,6 +97,27 @@ def row(name: str, expected: Array, true: Array) -> str:
     return f"| {name} | {medians} | {rank:.2f} | {np.mean(true < 2.0 * expected):.0%} |"
 
 
+def few_row(library: Library, settings: Settings, size: int, draws: int, most: int) -> str:
+    """Two lines of the table of random sets of so many materials."""
+    drawn = []
+    for draw in range(draws):
+        names = np.random.default_rng([size, draw]).permutation(np.array(library.names))
+        held_out, used = names[size : size + most].tolist(), sorted(names[:size].tolist())
+        drawn.append(hold_out(library, settings, held_out, used))
+    lines = []
+    for k, name in enumerate(("ball CIEDE2000", "cube root")):
+        of_sets = [np.array([(one.expected[k], one.true[k]) for one in found]).T for found in drawn]
+        rank = np.mean([spearmanr(*each)[0] for each in of_sets])
+        expected, true = np.hstack(of_sets)
+        medians = " | ".join(f"{np.median(e):.3g} / {np.quantile(e, 0.9):.3g}" for e in (true, expected))
+        ratio = true / expected
+        lines.append(
+            f"| {size} | {name} | {medians} | {rank:.2f} | {np.mean(ratio < 2.0):.0%} | {np.median(ratio):.2f} | "
+            f"{np.std(np.log(ratio)):.2f} |"
+        )
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -102,8 +127,18 @@ def main() -> None:
     parser.add_argument("--latent-dim", type=int, default=2)
     parser.add_argument("--kind", choices=KINDS, default="blend")
     parser.add_argument("--folds", type=int, help="one per material if not given")
+    parser.add_argument("--materials", help="sizes of random sets, at least 4, separated by commas")
+    parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--held-out", type=int, default=20)
     given = parser.parse_args()
     library, settings = Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim)
+    if given.materials:
+        print("| materials | error | true, median / 90th percentile | expected | rank correlation in a set | below "
+              "twice the expected | true over expected, median | deviation of its logarithm |\n"
+              + "|---" * 8 + "|")  # fmt: skip
+        for size in map(int, given.materials.split(",")):
+            print(few_row(library, settings, size, given.draws, given.held_out), flush=True)
+        return
     shuffled = np.random.default_rng(0).permutation(np.array(library.names))
     folds = np.array_split(shuffled, given.folds or len(shuffled))
     found = [one for fold in folds for one in hold_out(library, settings, fold.tolist())]

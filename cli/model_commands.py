@@ -310,7 +310,7 @@ def locate(
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
-        "expected error there": in_words(found.expected_ball, found.expected_cube_root),
+        "expected error there": in_words(found.expected_ball, found.expected_cube_root, found.materials),
     }
     results.rows(f"Located {path}", rows | found.reconstruction.rows)
     results.document(found.to_json())

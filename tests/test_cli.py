@@ -644,6 +644,7 @@ def test_every_folder_is_installed():
 DIAGNOSED = {
     "expected_ball",
     "expected_cube_root",
+    "materials",
     "is_extrapolation",
     "nearest",
     "plausibility",

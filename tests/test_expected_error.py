@@ -58,6 +58,24 @@ def test_the_expected_error_grows_with_the_errors_around_and_with_the_distance(s
     assert np.all(np.diff(away) > 0.0)
 
 
+def test_few_materials_tell_less_of_their_surroundings(rng):
+    X = 3.0 * np.arange(4.0)[:, None]
+    errors = np.array([0.5, 1.0, 2.0, 8.0])
+    few = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3).at(X + 0.01)
+    # Powers N / (N + 2) of the ratios of the errors: of 4 materials 2/3, of 400 nearly 1.
+    assert few[3] / few[0] == pytest.approx(16.0 ** (2 / 3), rel=0.02)  # the others' weights are not quite 0
+    many = np.concatenate([X, 1e3 + 3.0 * np.arange(396.0)[:, None]])
+    level = np.concatenate([errors, np.full(396, 2.0)])
+    known = ExpectedError.calibrate(many, many, level, 1.0, 1e-3).at(X + 0.01)
+    assert known[3] / known[0] == pytest.approx(16.0, rel=0.03)
+
+
+def test_expected_errors_from_few_materials_are_called_coarse():
+    assert in_words(3.0, 0.1, 8)[-1] == "90 % of errors below twice these"
+    assert in_words(3.0, 0.1, 7)[-1] == "coarse: known from 7 materials"
+    assert in_words(0.0, 0.0, 4) == ["none: a measured material"]
+
+
 def test_the_expected_error_is_continuous(scattered, rng):
     X, errors = scattered
     fitted = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3)
@@ -82,7 +100,9 @@ def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library
     fitted = Manifold.fit(library)
     made = of_brdf(fitted, fitted.X.mean(axis=0), fitted.predict(fitted.X.mean(axis=0)), UNCHOSEN)
     assert made.expected_ball is None
-    assert "unknown: the model is not calibrated" in in_words(made.expected_ball, made.expected_cube_root)
+    assert "unknown: the model is not calibrated" in in_words(
+        made.expected_ball, made.expected_cube_root, made.materials
+    )
 
 
 def test_a_left_out_material_is_predicted_by_the_others_alone(model):

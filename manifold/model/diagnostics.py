@@ -10,6 +10,7 @@ from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, plausibility
 from manifold.model.colours import ChosenColour
 from manifold.model.manifold import Manifold
+from manifold.models.expected_error import COARSE_BELOW
 from manifold.records import Array
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
@@ -29,6 +30,7 @@ class Diagnosis:
     Attributes:
         expected_ball: expected error, mean CIEDE2000 of the ball; None where the model is not calibrated.
         expected_cube_root: the same, relative error of cube roots.
+        materials: how many the model has, which expected errors are known from.
         is_extrapolation: whether the data do not support the place.
         nearest: the three nearest materials with their distances.
         reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
@@ -38,6 +40,7 @@ class Diagnosis:
 
     expected_ball: float | None
     expected_cube_root: float | None
+    materials: int
     is_extrapolation: bool
     nearest: tuple[tuple[str, float], ...]
     reflectance_missed: float
@@ -53,7 +56,7 @@ class Diagnosis:
         """Labels and values for a terminal."""
         physical = self.plausibility
         rows: dict[str, object] = {
-            "expected error": in_words(self.expected_ball, self.expected_cube_root),
+            "expected error": in_words(self.expected_ball, self.expected_cube_root, self.materials),
             "nearest": [f"{name} ({distance:.2f})" for name, distance in self.nearest],
             "reciprocity error": f"{physical.reciprocity_error:.2%}",
             "largest albedo": f"{physical.max_albedo:.3f}",
@@ -92,7 +95,7 @@ def diagnose(
     else:
         sentences = of_prediction(is_extrapolation, judged, missed, why)
     sentences += of_unmeasured(model.unmeasured_share(x)) + model.notes
-    return Diagnosis(ball, cube_root, is_extrapolation, nearest, missed, found, sentences)
+    return Diagnosis(ball, cube_root, len(model.names), is_extrapolation, nearest, missed, found, sentences)
 
 
 def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diagnosis:
@@ -100,17 +103,18 @@ def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diag
     return diagnose(model, x, plausibility(brdf), colours=chosen.colours, missed=chosen.missed)
 
 
-def in_words(ball: float | None, cube_root: float | None) -> list[str]:
-    """An expected error for a terminal."""
+def in_words(ball: float | None, cube_root: float | None, materials: int) -> list[str]:
+    """An expected error for a terminal, of a model of so many materials."""
     if ball is None or cube_root is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
     if ball == 0.0 and cube_root == 0.0:
         return ["none: a measured material"]
-    return [
+    words = [
         f"{ball:.1f} CIEDE2000 of the ball",
         f"{cube_root:.0%} cube-root error",
         "90 % of errors below twice these",
     ]
+    return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
 
 
 def of_prediction(

@@ -25,6 +25,7 @@ class Located:
         colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents carry them.
         expected_ball: what is to be expected of the ball there; None where the model is not calibrated.
         expected_cube_root: the same of cube roots.
+        materials: how many the model has, which expected errors are known from.
         nearest: the three nearest materials with their distances.
         reconstruction: errors of the prediction there, in these colours, and where it was written.
     """
@@ -35,6 +36,7 @@ class Located:
     colours: list[Any] | None
     expected_ball: float | None
     expected_cube_root: float | None
+    materials: int
     nearest: tuple[tuple[str, float], ...]
     reconstruction: Reconstruction
 
@@ -88,6 +90,7 @@ def locate(
         colours=None if found.colours is None else found.colours.tolist(),
         expected_ball=None if expected is None else float(expected.ball),
         expected_cube_root=None if expected is None else float(expected.cube_root),
+        materials=len(loaded.names),
         nearest=tuple(loaded.nearest(found.latent, 3)),
         reconstruction=replace(made, diagnostics=sentences + loaded.notes),
     )

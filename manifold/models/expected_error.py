@@ -16,15 +16,20 @@ LEAST_MATERIALS = 4
 BELOW_TWICE = 0.9
 """Share of the left-out errors that are below twice the expected."""
 
+COARSE_BELOW = 8
+"""Materials, fewer than which hardly tell where errors are larger, nor how large within a factor of three."""
+
+_LIKE = 2.0  # materials; of as many, errors tell half of what surrounds them (docs/design/expected-error.md)
 _FAR = 0.25  # power of the distance to the nearest material, in length scales, beyond which errors grow
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
-    """`e(x) = c prod e_i^u_i(x) hypot(1, d(x))^(1/4)`: one number, `c`, is fitted.
+    """`e(x) = c m prod (e_i / m)^(a u_i(x)) hypot(1, d(x))^(1/4)`, a = N / (N + 2): one number, `c`, is fitted.
 
     The leave-one-out errors e_i of the surrounding materials, averaged in logarithms by the weights u of a blend,
-    and growing where the nearest material is farther than a length scale, by d.
+    and growing where the nearest material is farther than a length scale, by d. The fewer materials there are, the less
+    their errors tell of their surroundings: the power a draws them to their geometric mean m.
 
     Attributes:
         X: places of the materials, shape (N, Q).
@@ -66,4 +71,6 @@ class ExpectedError:
     def _log_at(self, x: Array) -> Array:
         u = blend_weights(x, self.X, self.length_scale)
         nearest = cdist(x, self.X).min(axis=1) / self.length_scale
-        return self.log_factor + u @ self.log_errors + _FAR * np.log(np.hypot(1.0, nearest))
+        mean, power = self.log_errors.mean(), len(self.X) / (len(self.X) + _LIKE)
+        around = mean + power * (u @ self.log_errors - mean)
+        return self.log_factor + around + _FAR * np.log(np.hypot(1.0, nearest))

@@ -346,6 +346,22 @@ def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, cap
 
 
 @pytest.mark.skipif(not backend.choose().is_llvm, reason="only LLVM variants compile kernels")
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no names that are no UTF-8")
+def test_names_that_are_no_utf_8_are_refused_where_mitsuba_needs_them(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    name = os.fsdecode(b"k\xe4rt_rgb.bsdf")
+    Path(name).write_bytes(Path("syn_gloss_red_rgb.bsdf").read_bytes())
+    for arguments in (["render", name], ["render", "syn_gloss_red_rgb.bsdf", "-o", os.fsdecode(b"\xe4.png")]):
+        with pytest.raises(SystemExit) as leaving:
+            run_here(arguments)
+        assert leaving.value.code == 2
+        assert "a name that is no UTF-8, and Mitsuba takes no other; rename" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as leaving:
+        run_here(["convert", name, "-o", "converted.csv"])
+    assert not leaving.value.code
+    assert "# name: k\\udce4rt\n" in Path("converted.csv").read_text(encoding="utf-8")
+
+
 def test_a_spectral_film_compiles_no_kernel_for_every_wavelength():
     mi, dr = backend.mitsuba("spectral"), backend.drjit()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):

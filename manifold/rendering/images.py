@@ -33,14 +33,26 @@ def tone_map(linear: Array) -> Array:
     return encode_srgb(np.where(x <= _KNEE, x, bright))
 
 
+def mitsuba_path(path: Path) -> str:
+    """A path as Mitsuba takes it. Raises UsageError where its bytes are no UTF-8."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise UsageError(
+            f"{path}: a name that is no UTF-8, and Mitsuba takes no other; rename the file or folder"
+        ) from None
+    return str(path)
+
+
 def require_image_path(path: Path) -> None:
     """Raise what `write_image` would, as far as it can be known before the work.
 
     Raises:
-        UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written.
+        UsageError: the suffix is neither `.exr` nor `.png`, or the file cannot be written, or its name is no UTF-8.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: pictures are written as .exr (linear) or .png (tone-mapped); name one so")
+    mitsuba_path(path.absolute())
     atomic.require_writable(path)
 
 
@@ -67,15 +79,16 @@ def read_image(path: Path) -> Array:
     """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded.
 
     Raises:
-        UsageError: there is no such file.
+        UsageError: there is no such file, or its name is no UTF-8.
         FileFormatError: it is no picture that Mitsuba reads.
     """
     if not path.is_file():
         raise UsageError(f"{path}: no such file; name a picture (.exr, .hdr, .pfm, .png, .jpg)")
+    name = mitsuba_path(path)
     require_size(path)
     mi = backend.mitsuba_of_any_variant()
     try:
-        bitmap = mi.Bitmap(str(path))
+        bitmap = mi.Bitmap(name)
         plain = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
     except Exception as error:  # Mitsuba raises bare RuntimeErrors
         raise FileFormatError(

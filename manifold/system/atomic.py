@@ -90,8 +90,8 @@ def require_writable(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8. Raises: as `replacing`."""
-    write_bytes(path, text.encode())
+    """Write a text file in UTF-8; bytes of file names that are none stand there as escapes. Raises: as `replacing`."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:

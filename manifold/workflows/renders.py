@@ -120,7 +120,7 @@ def file_source(path: Path) -> Source:
 
     Raises:
         FileFormatError: it is no RGL file, and no fit.
-        UsageError: Mitsuba's `measured` does not take it.
+        UsageError: Mitsuba's `measured` does not take it, or its name.
     """
     if path.suffix == ".json":
         from manifold.fitting import fit_json
@@ -136,7 +136,7 @@ def file_source(path: Path) -> Source:
         raise UsageError(
             f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
         )
-    material = {"type": "measured", "filename": str(path)}
+    material = {"type": "measured", "filename": images.mitsuba_path(path)}
     return Source(material_name(path), material, file.bands.is_rgb, "measured file")
 
 

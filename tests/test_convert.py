@@ -175,6 +175,12 @@ def rgl_of(bands: Bands, path):
     return path
 
 
+def test_a_sample_of_a_file_of_one_material_is_refused(tmp_path):
+    rgl_of(Bands(None), tmp_path / "one.bsdf")
+    with pytest.raises(UsageError, match="holds one material; leave --sample out"):
+        convert([tmp_path / "one.bsdf"], tmp_path / "one.csv", sample="other")
+
+
 def test_nodes_at_the_horizon_do_not_count_where_rgl_files_hold_no_f(tmp_path):
     """Tables up to 90 degrees: an RGL file's f_cos over the cosine there is 1e10 times their f."""
     theta = np.deg2rad(np.arange(0.0, 91.0, 10.0))

@@ -311,9 +311,17 @@ def test_a_model_of_another_version_is_refused(model, tmp_path, monkeypatch):
         Manifold.load(path)
 
 
-@pytest.mark.parametrize("x", [[0.0], [0.0, 0.0, 0.0], [np.nan, 0.0], [np.inf, 0.0]])
-def test_latents_that_are_none_are_refused(model, x):
-    with pytest.raises(ShapeError, match="expected 2 finite ones"):
+@pytest.mark.parametrize(
+    ("x", "words"),
+    [
+        ([0.0], "found 1 coordinates, expected 2;"),
+        ([0.0, 0.0, 0.0], "found 3 coordinates, expected 2;"),
+        ([np.nan, 0.0], "expected finite coordinates"),
+        ([np.inf, 0.0], "expected finite coordinates"),
+    ],
+)
+def test_latents_that_are_none_are_refused(model, x, words):
+    with pytest.raises(ShapeError, match=words):
         model.predict(np.array(x))
 
 

@@ -63,11 +63,13 @@ def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
         raise LatentError(
             f"latents of shape {x.shape}, expected one, ({latent_dim},); call once for each of several"
         )
-    if x.shape != (latent_dim,) or not np.all(np.isfinite(x)):
+    if x.shape != (latent_dim,):
         raise LatentError(
-            f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, "
-            f"expected {latent_dim} finite ones; give as many as the model has dimensions"
+            f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, expected {latent_dim}; "
+            "give as many as the model has dimensions"
         )
+    if not np.all(np.isfinite(x)):
+        raise LatentError(f"latent {np.array2string(x, separator=', ')}: expected finite coordinates")
     if np.any(np.abs(x) > LARGEST_COORDINATE):
         raise LatentError(
             f"latent {np.array2string(x, separator=', ')}: expected coordinates up to {LARGEST_COORDINATE:g}; "

@@ -89,6 +89,8 @@ def open_source(
     if len(paths) == 1 and begins_with(paths[0], MAGIC):
         if correction is not None:
             raise _not_corrected(paths[0])
+        if sample is not None:
+            raise UsageError(f"{paths[0]} holds one material; leave --sample out")
         file = read_bsdf(paths[0])
         return _of_rgl(file_to_srgb(file) if rgb else file)
     for path in paths:

@@ -24,6 +24,7 @@ class Own:
     target: object
     values: dict
     bands: Bands = Bands(None)  # noqa: RUF009
+    is_isotropic: bool = True
 
     def eval(self, wi, wo):
         return self.target.brdf(self.values, wi, wo)

@@ -72,7 +72,19 @@ def of_samples(title, header="Geometry"):
     return blocks
 
 
+def samples_above(repeats, label="R"):
+    """One row of values under samples, geometries and wavelengths."""
+    names = [name if repeats or k == 0 else "" for name in SAMPLES for k in range(len(BOTH))]
+    geometries = [g if repeats or w == NM[0] else "" for _ in SAMPLES for g, w in BOTH]
+    wavelengths = [w for _ in SAMPLES for _, w in BOTH]
+    row = [v for scale in SAMPLES.values() for v in values(scale)]
+    return [["", *names], ["", *geometries], ["nm", *wavelengths], [label, *row]]
+
+
 LAYOUTS = {
+    "samples above geometries and wavelengths": samples_above(True),
+    "samples above, cells merged": samples_above(False),
+    "samples above, turned": turned(samples_above(True)),
     "a table per geometry": of_geometries(lambda g: [[g]]),
     "a table per geometry, empty cells behind": of_geometries(lambda g: [[g, "", "", ""]]),
     "a table per geometry, the word before": of_geometries(lambda g: [["Geometry", g]]),

@@ -9,6 +9,7 @@ import csv
 import io
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +46,9 @@ def sniff(head: bytes) -> bool:
         cells = [cell.strip(' "') for cell in words.split(separator)]
         if _is_header(cells) or (sum(c.isdigit() for c in line) > 20 and "as" in line):
             return True
-        rows_of_both += names_both(cells[0]) or (
-            can_be_geometry(cells[0]) and parse_wavelength(cells[1]) is not None
+        rows_of_both += names_both(cells[0]) or any(
+            can_be_geometry(first) and parse_wavelength(second) is not None
+            for first, second in pairwise(cells[:3])
         )
     return rows_of_both >= _HEADS or titles >= 2
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
@@ -109,7 +109,7 @@ def _spectra_at(table: Table, geometry: str, place: Place) -> list[_Spectrum] | 
 def _wide(table: Table, place: Place) -> Iterator[Table]:
     """The table of one row per sample, with columns of geometry and wavelength in one or two header rows.
 
-    Between the two may stand a row that says the same of all columns, such as a unit.
+    Between the two may stand a row that says the same of all columns, such as a unit; above them, one of samples.
     """
     filled = [k for k, row in enumerate(table.rows[:HEADER_ROWS]) if any(map(text_of, row))]
     for first, second, third in zip_longest(filled, filled[1:], filled[2:]):
@@ -119,9 +119,31 @@ def _wide(table: Table, place: Place) -> Iterator[Table]:
         if len(columns) < _LEAST_COLUMNS and third is not None and _says_one_thing(table.rows[second]):
             columns, last = _paired_heads(table.rows[first], table.rows[third]), third
         if len(columns) >= _LEAST_COLUMNS:
-            spectra = _spectra(table, first, last, columns, place)
-            yield _rewritten(spectra, table.rows[:first], _unit(table.rows[first : last + 1]))
+            unit = _unit(table.rows[first : last + 1])
+            above = max((k for k in filled if k < first), default=None)
+            samples = {} if above is None else _samples_above(table.rows[above], columns)
+            spectra = [
+                replace(spectrum, name=f"{sample} {spectrum.name}".rstrip())
+                for sample, own in (samples or {"": columns}).items()
+                for spectrum in _spectra(table, first, last, own, place)
+            ]
+            yield _rewritten(spectra, table.rows[: (above or 0) if samples else first], unit)
             return
+
+
+def _samples_above(
+    row: Sequence[Cell], columns: dict[int, tuple[str, float]]
+) -> dict[str, dict[int, tuple[str, float]]]:
+    """The columns of every sample that a row names above columns of the same heads; empty where it names none."""
+    if len(set(columns.values())) == len(columns):
+        return {}
+    above, found = "", dict[str, dict[int, tuple[str, float]]]()
+    for c in range(max(columns) + 1):
+        above = text_of(cell_at(row, c)) or above
+        if c in columns:
+            found.setdefault(above, {})[c] = columns[c]
+    is_told_apart = all(len(set(own.values())) == len(own) for own in found.values())
+    return found if is_told_apart and "" not in found else {}
 
 
 def _says_one_thing(row: Sequence[Cell]) -> bool:

@@ -255,3 +255,14 @@ def test_the_command_takes_gloss_and_shows_what_became_of_it(run, library, tmp_p
     found = json.loads((tmp_path / "red.json").read_text())["gloss"]
     assert found["60"]["completed"] == pytest.approx(found["60"]["read"], rel=0.15)
     assert found["20"]["read"] == pytest.approx(units[20], abs=1e-3)
+
+
+def test_a_fit_of_readings_has_their_notes_and_says_that_it_uses_no_gloss(run, tmp_path):
+    rows = "".join(f"{name},80,10,20,30,40\n" for name in ("45as15", "45as25", "45as45", "45as75", "45as110"))
+    (tmp_path / "t.csv").write_text(f"Geometry,Gloss,{HEADS}\n{rows}")
+    status, out, err = run("fit", "t.csv", "-o", "t.json", cwd=tmp_path)
+    assert status == 0, err
+    notes = json.loads((tmp_path / "t.json").read_text())["notes"]
+    assert "taken as percent" in notes[0]
+    assert "fits do not use gloss" in notes[1]
+    assert "fits do not use gloss" in out

@@ -344,9 +344,7 @@ def _notes(
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     if residual > _POOR_FIT:
-        notes.append(
-            f"{family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %; look at --picture"
-        )
+        notes.append(f"{family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %")
     return notes
 
 

@@ -317,8 +317,9 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> FitOutcome:
         if there is not None:
             return FitOutcome(name, target, there, was_there=True, file=path)
         material = None if settings.target is None else _measured(path)
-        samples = _samples(path, settings.sample)
-        content = fit_json.document(_fit(samples, settings), source)
+        samples, notes = _samples(path, settings.sample)
+        found = _fit(samples, settings)
+        content = fit_json.document(replace(found, notes=(*notes, *found.notes)), source)
         if settings.target is not None and material is not None:
             content = with_target(content, TARGETS[settings.target], material, "measured file")
         return FitOutcome(name, target, content, file=path)
@@ -340,13 +341,17 @@ def _measured(path: Path) -> MeasuredBRDF:
     return MeasuredBRDF(read_bsdf(path))
 
 
-def _samples(path: Path, sample: str | None) -> fit_samples.FitSamples:
-    """Of an RGL file, or of an instrument's."""
+def _samples(path: Path, sample: str | None) -> tuple[fit_samples.FitSamples, tuple[str, ...]]:
+    """Of an RGL file, or of an instrument's, and what was ambiguous or is left out, in sentences."""
     if registry.identify(path) is None:
         if sample is not None:
             raise UsageError(f"{path} holds one material; leave --sample out")
-        return fit_samples.from_file(read_bsdf(path))
-    return fit_samples.from_readings(registry.read_readings(path, sample, fit_samples.MAX_PAIRS))
+        return fit_samples.from_file(read_bsdf(path)), ()
+    readings = registry.read_readings(path, sample, fit_samples.MAX_PAIRS)
+    notes = readings.notes
+    if readings.gloss:
+        notes += ("fits do not use gloss; `manifold complete` does, and its file can be fitted",)
+    return fit_samples.from_readings(readings), notes
 
 
 def _fit(

@@ -10,6 +10,8 @@ from conftest import real_rgl_files
 from small_library import measured
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.synthetic.ggx import GGX
+from manifold.brdf.synthetic.microfacet import RoughConductor
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.errors import ManifoldError, NumericalError, ShapeError, UsageError
@@ -228,6 +230,24 @@ def test_a_lambertian_surface_becomes_diffuse_unless_principled_is_asked_for(rng
     asked = fit_bsdf(samples, principled())
     assert asked.family.type == "principled"
     assert any("no better than a diffuse surface" in note for note in asked.notes)
+
+
+def test_anisotropic_materials_are_fitted_with_anisotropic_free():
+    metal = RoughConductor(GGX.anisotropic(0.4, 0.1), np.array(1.5), np.array(3.0), Bands(None))
+    found = fit_bsdf(metal)
+    assert (
+        "anisotropic"
+        not in fit_bsdf(samples_of(principled(["roughness"]), {"roughness": 0.5}, grid_pairs())).values
+    )
+    # alpha = roughness^2 / aspect and roughness^2 aspect, aspect = sqrt(1 - 0.9 anisotropic)
+    assert found.values["anisotropic"] == pytest.approx(0.833, abs=0.02)
+    assert found.values["roughness"] == pytest.approx(0.2**0.5, abs=0.02)
+    assert not any("azimuths" in note for note in found.notes)
+    fixed = fit_bsdf(metal, principled())
+    assert "let `anisotropic` be free" in fixed.notes[-1]
+    assert fixed.residuals["cube-root"] > 5.0 * found.residuals["cube-root"]
+    turned = fit_bsdf(RoughConductor(GGX.anisotropic(0.1, 0.4), np.array(1.5), np.array(3.0), Bands(None)))
+    assert "turn it by a quarter" in turned.notes[-1]
 
 
 def test_what_the_samples_do_not_show_is_said():

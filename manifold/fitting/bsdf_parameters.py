@@ -319,6 +319,12 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
     return BsdfFamily("principled", tuple(family.named(name) for name in names))
 
 
+def default_principled(is_isotropic: bool = True, *, wide_colours: bool = False) -> BsdfFamily:
+    """`principled` as it is fitted unless another is asked for: to anisotropic materials with `anisotropic` free."""
+    names = PRINCIPLED_DEFAULT if is_isotropic else (*PRINCIPLED_DEFAULT, "anisotropic")
+    return principled(names, wide_colours=wide_colours)
+
+
 def diffuse(*, wide_colours: bool = False) -> BsdfFamily:
     """Mitsuba's `diffuse`, its reflectance free; `wide_colours` as in `principled`."""
     return BsdfFamily("diffuse", (replace(_WIDE if wide_colours else _COLOUR, name="reflectance"),))

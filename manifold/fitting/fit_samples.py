@@ -46,6 +46,7 @@ class FitSamples:
         f: BRDF in 1/sr, shape (M, B).
         weight: importance of each direction pair, mean 1, shape (M,).
         bands: the B bands.
+        is_isotropic: whether the material is; also where nobody knows.
     """
 
     wi: Array
@@ -53,6 +54,7 @@ class FitSamples:
     f: Array
     weight: Array
     bands: Bands
+    is_isotropic: bool = True
 
     @classmethod
     def from_arrays(
@@ -112,7 +114,8 @@ class FitSamples:
     def subset(self, rows: Array) -> FitSamples:
         """The samples of the given rows."""
         weight = self.weight[rows]
-        return FitSamples(self.wi[rows], self.wo[rows], self.f[rows], weight / weight.mean(), self.bands)
+        wi, wo, f = self.wi[rows], self.wo[rows], self.f[rows]
+        return replace(self, wi=wi, wo=wo, f=f, weight=weight / weight.mean())
 
     def as_rgb(self) -> FitSamples:
         """The same samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
@@ -163,7 +166,8 @@ def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
     wi, wo = file_pairs(file)
     brdf = MeasuredBRDF(file)
     f = np.maximum(brdf.eval(wi, wo), 0.0)
-    return FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
+    samples = FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
+    return replace(samples, is_isotropic=file.is_isotropic)
 
 
 def from_readings(readings: Readings) -> FitSamples:
@@ -191,4 +195,5 @@ def from_brdf(brdf: EvaluableBRDF) -> FitSamples:
     if len(keep) > MAX_PAIRS:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:MAX_PAIRS])
     wi, wo = wi[keep], wo[keep]
-    return FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)
+    samples = FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)
+    return replace(samples, is_isotropic=brdf.is_isotropic)

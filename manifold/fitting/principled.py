@@ -22,7 +22,7 @@ from manifold.fitting import (
 )
 from manifold.fitting.adam_and_swarm import AdamOptions, SwarmOptions
 from manifold.fitting.bsdf_evaluation import Evaluator, evaluator
-from manifold.fitting.bsdf_parameters import BsdfFamily, Layout, diffuse, principled
+from manifold.fitting.bsdf_parameters import BsdfFamily, Layout, default_principled, diffuse
 from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
@@ -37,6 +37,8 @@ METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions,
 _POOR_FIT = (
     0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
 )
+
+_LEAST_ANISOTROPY = 0.01  # alphas that differ by half a per cent
 
 _MIXES_CHANNELS = ("spec_tint", "sheen_tint")  # principled's: their luminance has no meaning between bands
 
@@ -121,8 +123,8 @@ def fit_bsdf(
 
     Args:
         target: a file (sampled where it was measured), any BRDF (sampled on a grid), or samples.
-        family: the BSDF with its free parameters. If None, `principled()`; and from method gauss-newton `diffuse()`
-            where that fits better: no parameters make `principled` Lambertian.
+        family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
+            `diffuse()` where that fits better: no parameters make `principled` Lambertian.
         method: one of `METHODS`.
         metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared.
         noise: relative standard deviation of the samples that the statements assume at least.
@@ -139,7 +141,8 @@ def fit_bsdf(
     samples = _samples_of(target)
     if family is not None:
         return _fit(samples, family, method, metric, noise, options, on_progress)
-    found = _fit(samples, principled(wide_colours=wide_colours), method, metric, noise, options, on_progress)
+    default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
+    found = _fit(samples, default, method, metric, noise, options, on_progress)
     is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
     if method != "gauss-newton" or not is_worse:
         return found
@@ -309,6 +312,7 @@ def _result(
         statements=statements,
         notes=tuple(
             _notes(family, values, statements, judged.n_different, residuals[metric.name], float(diffuse))
+            + _notes_on_anisotropy(family, values, samples)
             + [
                 f"not a minimum of the {metric.name} residual: a Gauss-Newton step moves "
                 f"{layout.labels[most]} by {step[most]:+.3f}; use --method gauss-newton"
@@ -346,6 +350,24 @@ def _notes(
     if residual > _POOR_FIT:
         notes.append(f"{family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %")
     return notes
+
+
+def _notes_on_anisotropy(family: BsdfFamily, values: Mapping[str, Any], samples: FitSamples) -> list[str]:
+    """Of an anisotropic material that is fitted the same at all azimuths."""
+    if (
+        samples.is_isotropic
+        or family.type not in ("principled", "diffuse")
+        or family.fixed.get("anisotropic")
+    ):
+        return []
+    if "anisotropic" not in values:
+        return ["anisotropic, but fitted the same at all azimuths: let `anisotropic` be free"]
+    if values["anisotropic"] < _LEAST_ANISOTROPY:
+        return [
+            "anisotropic, but fitted the same at all azimuths: principled's highlights are wider along x; where the "
+            "sample's are wider along y, turn it by a quarter about its normal"
+        ]
+    return []
 
 
 def _is_worse_than_diffuse(residual: float, diffuse: float) -> bool:

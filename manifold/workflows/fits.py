@@ -13,7 +13,7 @@ from typing import Any
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_json, fit_samples
-from manifold.fitting.bsdf_parameters import BsdfFamily, diffuse, principled
+from manifold.fitting.bsdf_parameters import BsdfFamily, default_principled, diffuse, principled
 from manifold.fitting.exports import TARGETS
 from manifold.fitting.exports.target_fit import with_target
 from manifold.fitting.fit_json import Source
@@ -91,7 +91,8 @@ class FitSettings:
         wide = self.wide_colours
         families = [] if self.family is None else [self.family]
         if self.family is None:
-            families = [principled(wide_colours=wide), diffuse(wide_colours=wide)]
+            families = [default_principled(known, wide_colours=wide) for known in (True, False)]
+            families.append(diffuse(wide_colours=wide))
         return (
             content["program"] == fit_json.PROGRAM
             and content["bsdf"] in [json.loads(json.dumps(family.to_json())) for family in families]

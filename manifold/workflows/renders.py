@@ -153,7 +153,7 @@ def latent_source(
     """The prediction at a latent: through a `.bsdf` that lives as long as the block, or straight from the materials.
 
     Raises:
-        UsageError: `direct` without LLVM; and what `predicted_file.predict` raises.
+        UsageError: `direct` without LLVM or of anisotropic materials; and what `predicted_file.predict` raises.
     """
     name = (
         f"latent {latent}" if isinstance(latent, str) else "latent " + ", ".join(f"{v:.4g}" for v in latent)
@@ -183,7 +183,13 @@ def latent_source(
         if library is not None:
             material["library"] = str(library)
         chosen = choose_colour(loaded, latent, colour)
-        diagnosis = diagnostics.of_brdf(loaded, x, loaded.predict(latent, chosen.colours), chosen)
+        predicted = loaded.predict(latent, chosen.colours)
+        if not predicted.is_isotropic:
+            raise UsageError(
+                "direct renders take isotropic materials, and some of this prediction are anisotropic; "
+                "leave --direct out"
+            )
+        diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
         yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly", diagnosis)
         return
     with temporary.folder() as folder:

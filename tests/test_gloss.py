@@ -14,6 +14,7 @@ from small_library import NAMES, small_library
 from manifold.brdf.gloss import gloss_meter, gloss_units
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.experiments.readings.curve import Curve
 from manifold.formats import csv_table, registry
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, geometry_ma_t12
 from manifold.formats.table_cells import parse_gloss as parse_gloss_head
@@ -23,6 +24,7 @@ from manifold.model.completion.expected import completion_errors, leave_out
 from manifold.model.completion.hybrid import combine
 from manifold.model.materials import MaterialCache
 from manifold.models.gloss_readings import GlossReadings
+from manifold.plots.plot_readings import readings_chart
 from manifold.records import Bands
 from manifold.workflows.completions import parse_gloss
 
@@ -266,3 +268,11 @@ def test_a_fit_of_readings_has_their_notes_and_says_that_it_uses_no_gloss(run, t
     assert "taken as percent" in notes[0]
     assert "fits do not use gloss" in notes[1]
     assert "fits do not use gloss" in out
+
+
+def test_the_chart_of_readings_draws_every_curve():
+    curves = [
+        Curve(f"m{k}", f"method {k}", (2, 4)[: 1 + k % 2], np.full((1 + k % 2, 3, 3), 0.1)) for k in range(9)
+    ]
+    (legend,) = readings_chart(curves).legends
+    assert [text.get_text() for text in legend.get_texts()] == [curve.title for curve in curves]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 
 from matplotlib.figure import Figure
 
@@ -19,6 +20,7 @@ _STYLES = (
     ("#0072b2", "^"),
     ("#009e73", "v"),
     ("#cc79a7", "*"),
+    ("#56b4e9", "P"),
 )
 
 
@@ -27,13 +29,13 @@ def readings_chart(curves: Sequence[Curve]) -> Figure:
     figure = new_figure(12.0, 4.4)
     panels = figure.subplots(1, 3)
     for kind, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
-        for curve, (colour, marker) in zip(curves, _STYLES, strict=False):
+        for curve, (colour, marker) in zip(curves, cycle(_STYLES), strict=False):
             known = [k for k in range(len(curve.counts)) if curve.is_measured(k)]
             counts = [curve.counts[k] for k in known]
             median, high = zip(*(curve.summary(k)[kind] for k in known), strict=True)
-            line = "-" if len(counts) > 1 else ""
-            axes.plot(counts, median, line, color=colour, marker=marker, markersize=5, label=curve.title)
-            axes.plot(counts, high, ":", color=colour, marker=marker, markersize=2.5, linewidth=1.0)
+            line, size = ("-", 5.0) if len(counts) > 1 else ("", 9.0)
+            axes.plot(counts, median, line, color=colour, marker=marker, markersize=size, label=curve.title)
+            axes.plot(counts, high, ":", color=colour, marker=marker, markersize=0.5 * size, linewidth=1.0)
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xticks(curves[0].counts, ["" if n in _CROWDED else str(n) for n in curves[0].counts])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
@@ -14,7 +15,7 @@ from manifold.formats.table_cells import (
     text_of,
 )
 from manifold.formats.table_layouts import with_geometries
-from manifold.formats.text import Place
+from manifold.formats.text import Place, plain_float
 
 _LEAST_BANDS = 3  # make a header
 
@@ -54,6 +55,8 @@ def _of_geometries(table: Table, place: Place) -> Table | None:
 def _geometry_of(row: Sequence[Cell]) -> str | None:
     """The geometry that a row names alone, behind the word, or before the wavelengths of a header."""
     first = next((text for cell in row if (text := text_of(cell))), "")
+    if not first or math.isfinite(plain_float(first)):  # as most rows begin
+        return None
     is_word = plain_head(first).startswith("geometr")
     if not is_word and not is_geometry(first):
         return None
@@ -114,7 +117,8 @@ def _of_samples(table: Table, place: Place) -> Table | None:
 
 
 def _names_geometries(row: Sequence[Cell]) -> bool:
-    return any(isinstance(cell, str) and plain_head(cell).startswith("geometr") for cell in row)
+    words = (cell for cell in row if isinstance(cell, str) and "geometr" in cell.lower())
+    return any(plain_head(word).startswith("geometr") for word in words)
 
 
 def _title_above(rows: Sequence[Sequence[Cell]], header: int) -> tuple[int, str] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -152,7 +153,9 @@ def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
     """What a fit leaves over of a material that its parameters do not reach."""
 
     def trial(bed: TestBed, severity: float) -> Measurement:
-        found = fit_bsdf(from_brdf(brdf(severity)))
+        found = fit_bsdf(
+            replace(from_brdf(brdf(severity)), is_isotropic=True)
+        )  # as the default is for others
         ends = [
             s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
         ]

@@ -297,6 +297,20 @@ def test_every_control_does_what_it_says(visited):
     assert page.evaluate("window.explorer.map.zoom") == 1
 
 
+def test_the_page_says_what_it_shows_of_anisotropic_materials(visited, document):
+    assert document["anisotropic"] == [False] * len(document["names"])
+    found = visited.page.evaluate(
+        """() => {
+          const { data } = window.explorer, before = window.explorer.diagnostics();
+          data.anisotropic.fill(true);
+          const after = window.explorer.diagnostics();
+          data.anisotropic.fill(false);
+          return after.filter((text) => !before.includes(text));
+        }"""
+    )
+    assert [text.startswith("anisotropic: the page shows it") for text in found] == [True]
+
+
 def test_a_link_restores_what_was_shown(visited):
     def follow(fragment):
         visited.page.evaluate("(fragment) => (location.hash = fragment)", fragment)

@@ -7,6 +7,7 @@ import { isBetween } from "./state.js";
 const NEAREST = 6;
 const SILENCE = 400; // ms without a change, after which the place is said
 const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
+const ANISOTROPIC = 0.01; // share of anisotropic materials
 const MISSED = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
@@ -33,6 +34,10 @@ export const facts = {
     }
     const most = Math.max(...this.reflectance);
     if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);
+    const anisotropic = prediction.u.reduce((sum, u, i) => sum + u * data.anisotropic[i], 0);
+    if (anisotropic > ANISOTROPIC) {
+      found.push("anisotropic: the page shows it for half vectors along x only; `manifold render` shows all");
+    }
     const unmeasured = prediction.u.reduce((sum, u, i) => sum + u * data.unmeasured[i], 0);
     if (unmeasured > UNMEASURED) {
       found.push(`${(100 * unmeasured).toFixed(0)} % of the cells were not measured, but filled from neighbours`);

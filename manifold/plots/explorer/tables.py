@@ -111,6 +111,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "names": list(model.names),
         "X": space.X.tolist(),
         "lengthScale": space.kernel.length_scale,
+        "anisotropic": [not model.library.attributes(name).is_isotropic for name in model.names],
         "unmeasured": [model.materials.unmeasured_share(name) for name in model.names],
         "grid": {
             "shape": list(grid.shape), "thetaHMax": grid.theta_h_max_rad, "thetaHPower": grid.theta_h_power,

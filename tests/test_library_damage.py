@@ -57,7 +57,8 @@ def test_bands_that_are_none_are_refused(library, bands):
     ("key", "value"),
     [
         ("description", []), ("bytes", "many"), ("shape", None), ("shape", [1, 2]), ("pipeline_version", [[1]]),
-        ("sha256", 7), ("is_synthetic", "no"), ("source_file", {}),
+        ("sha256", 7), ("is_synthetic", "no"), ("source_file", {}), ("bytes", 10**400), ("bytes", -1),
+        ("shape", [1, 8, 10**400, 32, 32]),
     ],
 )  # fmt: skip
 def test_attributes_of_another_type_are_damage(library, key, value):

@@ -29,6 +29,8 @@ ARRAY_FIELDS = (
 )
 """The array fields of `BsdfFile`, in the order in which they are hashed."""
 
+_MOST_BYTES = 1 << 60  # of a material; more is damage
+
 
 @dataclass(frozen=True)
 class MaterialInfo:
@@ -164,6 +166,8 @@ def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
     for key, kind in (expected | {"bytes": int, "shape": list, "pipeline_version": list}).items():
         if type(known[key]) is not kind or (kind is list and any(type(v) is not int for v in known[key])):
             raise ValueError(f"attribute '{key}' is no {kind.__name__}")
+    if not all(0 <= count <= _MOST_BYTES for count in (known["bytes"], *known["shape"])):
+        raise ValueError("attribute 'bytes' or 'shape' is out of range")
     if len(known["shape"]) != 5:
         raise ValueError(f"attribute 'shape' has {len(known['shape'])} entries, expected 5")
     lists = {key: tuple(known[key]) for key in ("shape", "pipeline_version")}

@@ -10,7 +10,6 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -23,7 +22,6 @@ except ImportError:  # Windows: temporary files of killed processes stay there
 
 _TEMPORARY = re.compile(r"\.manifold-[0-9a-f]{16}\..*")
 _swept: set[Path] = set()
-_WAITING = 8  # threads that wait for the disk
 
 
 @contextmanager
@@ -103,16 +101,19 @@ def write_bytes(path: Path, content: bytes) -> None:
 def sync_trees(folders: Iterable[Path]) -> None:
     """Wait until all files in some folders, at every depth, are on the disk.
 
-    From several threads, since file systems with a journal write it once for all that wait at that moment.
+    All are begun before the first is waited for: a journal is then written once for many.
 
     Raises:
         OSError: one cannot be: the disk is full, or broken.
     """
     trees = [(root, names) for folder in folders for root, _, names in os.walk(folder)]
     files = [os.path.join(root, name) for root, names in trees for name in names]
-    with ThreadPoolExecutor(_WAITING) as pool:
-        list(pool.map(_sync, files))
-        list(pool.map(sync_folder, (root for root, _ in trees)))
+    for path in files:
+        _begin_sync(path)
+    for path in files:
+        _sync(path)
+    for root, _ in trees:
+        sync_folder(root)
 
 
 def _is_stream(path: Path) -> bool:
@@ -186,6 +187,16 @@ def sync_folder(folder: Path | str) -> None:
     """Wait until the names in a folder are on the disk, where that is possible."""
     with suppress(OSError):  # not every file system can
         _sync(folder)
+
+
+def _begin_sync(path: str) -> None:
+    """Ask for a file to be written, without waiting, where the system can be asked."""
+    if hasattr(os, "posix_fadvise"):  # not on macOS; pages that are not yet written are not dropped
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+        finally:
+            os.close(descriptor)
 
 
 def _sync(path: Path | str) -> None:

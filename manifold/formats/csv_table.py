@@ -18,9 +18,9 @@ from manifold.directions import to_spherical
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
-from manifold.formats.table_cells import parse_gloss, parse_wavelength, plain_table
+from manifold.formats.table_cells import gloss_angle, parse_wavelength, plain_table
 from manifold.formats.table_layouts import names_both
-from manifold.formats.text import LARGEST_TEXT, Place, decode, read_bytes
+from manifold.formats.text import LARGEST_TEXT, Place, decode, number, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -99,10 +99,12 @@ def read(path: Path) -> list[Readings]:
             name = value.strip() if key.strip().lower() == "name" else name
             instrument = value.strip() if key.strip().lower() == "instrument" else instrument
     gloss = {
-        angle: place.number(value.strip(), f"line {k}")
-        for k, line in enumerate(lines[:40], start=1)
+        angle: units
+        for line in lines[:40]
         for key, _, value in [line.lstrip("# ").partition(":")]
-        if line.startswith("#") and (angle := parse_gloss(key)) is not None
+        if line.startswith("#")
+        and (angle := gloss_angle(key)) is not None
+        and (units := number(value.strip())) is not None  # not `gloss: matt`
     }
     found_readings = read_table(plain_table(rows), place, name, instrument)
     if len(found_readings) == 1:

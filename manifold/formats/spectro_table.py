@@ -30,8 +30,8 @@ from manifold.formats.table_cells import (
     Table,
     all_cells,
     cell_at,
+    gloss_angle,
     name_column,
-    parse_gloss,
     parse_wavelength,
     plain_head,
     text_of,
@@ -127,13 +127,14 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
         values = [_value(table, index, column, header.unit == "percent", place) for column in order]
         samples.setdefault(last, []).append((*directions, values))
         for column, angle in header.gloss.items():
-            units = _value(table, index, column, False, place)
+            units = number(text_of(cell_at(row, column)))
+            if units is None:
+                continue  # empty, or a word such as `matt`
             if units < 0.0:
                 raise place.error(
                     f"found gloss of {units:g} units, expected 0 or more", table.where(index, column)
                 )
-            if units == units:
-                gloss.setdefault(last, {}).setdefault(angle, []).append(units)
+            gloss.setdefault(last, {}).setdefault(angle, []).append(units)
     if not samples:
         raise place.error(
             "a header but no rows of readings, expected one per geometry", table.where(header.row, None)
@@ -294,7 +295,7 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
     gloss = {
         k: angle
         for k, text in enumerate(texts)
-        if k not in taken and (angle := parse_gloss(text)) is not None
+        if k not in taken and (angle := gloss_angle(text)) is not None
     }
     return Header(index, bands, is_rgb, geometry, angles, name, unit, gloss)
 

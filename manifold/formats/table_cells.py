@@ -92,7 +92,7 @@ def parse_wavelength(text: str) -> float | None:
     return nm if _LEAST_NM <= nm <= _MOST_NM else None
 
 
-def parse_gloss(text: str) -> float | None:
+def gloss_angle(text: str) -> float | None:
     """The angle in degrees of the gloss that a column's head names, the usual one where it names none, or None."""
     found = _GLOSS.fullmatch(text)
     if found is None:

@@ -19,8 +19,8 @@ from manifold.formats.table_cells import (
     Table,
     all_cells,
     cell_at,
+    gloss_angle,
     name_column,
-    parse_gloss,
     parse_wavelength,
     plain_head,
     text_of,
@@ -204,7 +204,7 @@ def _spectra(
         c: angle
         for row in table.rows[first : last + 1]
         for c, cell in enumerate(row)
-        if (angle := parse_gloss(text_of(cell))) is not None
+        if (angle := gloss_angle(text_of(cell))) is not None
     }
     spectra: list[_Spectrum] = []
     for name, (k, row) in zip(names, rows, strict=True):

@@ -67,7 +67,7 @@ def publish(staged: Path, target: Path) -> None:
 class Publisher:
     """Publishes finished folders of a library in the background, in groups: whatever was finished meanwhile.
 
-    Waiting for the disk costs about as much for a group as for one, while the next ones are written.
+    Waiting for the disk costs less for a group than for each of it, and the next ones are written meanwhile.
     Leaving its context waits for the last ones and raises what went wrong.
     """
 

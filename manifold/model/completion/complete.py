@@ -197,16 +197,16 @@ def complete(samples: LibrarySamples, readings: Readings) -> Completion:
     """
     readings = _usable(for_library(readings, samples.bands))
     at_readings = samples.at(readings.wi, readings.wo)
-    return complete_at(samples, readings, at_readings, samples.gloss(tuple(readings.gloss)))
+    return complete_at(samples, readings, at_readings)
 
 
 def complete_at(
     samples: LibrarySamples, readings: Readings, at_readings: Array, at_gloss: Array | None = None
 ) -> Completion:
-    """`complete`, where cube roots of samples at the readings (n + 1, P), and of their gloss (n + 1, G), are known."""
+    """`complete`, where cube roots of samples at the readings (n + 1, P), maybe at gloss (n + 1, G), are at hand."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
     where, gram, group = places(readings.wi, readings.wo), samples.gram, samples.material_of
-    gloss = _gloss(readings, np.zeros((len(group), 0)) if at_gloss is None else at_gloss)
+    gloss = _gloss(readings, samples.gloss(tuple(readings.gloss)) if at_gloss is None else at_gloss)
     of_mean = posterior(
         np.hstack([at_readings, gloss.samples]), np.append(_structure(readings), gloss.target),
         np.append(weights, gloss.weights), np.vstack([where, gloss.where]), gram, group,

@@ -102,7 +102,7 @@ def leave_out(
     """
     own = samples.material_of == m
     axis = sample_axis(samples)
-    glossy = np.zeros((len(own), 0)) if at_gloss is None else at_gloss
+    glossy = samples.gloss(tuple(readings.gloss)) if at_gloss is None else at_gloss
     is_read = _nearest(axis, readings.bands)
     read = Readings(
         samples.names[m], "library", readings.wi, readings.wo,

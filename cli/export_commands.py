@@ -109,7 +109,7 @@ def export(
         else:
             subject = exports.subject_of_prediction(
                 model,
-                options.parse_latent(latent or ""),
+                latent or "",
                 library=library,
                 colour=colour,
                 on_progress=stages.begin(""),

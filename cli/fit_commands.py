@@ -109,11 +109,10 @@ def fit(
         noise=noise, wide_colours=wide_colours, sample=sample, target=target,
     )  # fmt: skip
     if latent is not None:
-        coordinates = options.parse_latent(latent)
         with terminal.progress("Reading materials") as step:
             outcomes = [
                 fits.fit_prediction(
-                    model, coordinates, output, settings, library=library, colour=colour, on_progress=step
+                    model, latent, output, settings, library=library, colour=colour, on_progress=step
                 )
             ]
     else:

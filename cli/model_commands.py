@@ -248,11 +248,10 @@ def predict(
         raise UsageError(
             "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
         )
-    coordinates = options.parse_latent(latent)
     with terminal.progress("Reading materials") as step:
         made = predicted_file.predict(
             model,
-            coordinates,
+            latent,
             or_default(output, "predicted.bsdf", "predict", force),
             library=library,
             colour=colour,

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import math
-import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-
-from manifold.errors import UsageError
-
-from . import terminal
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -74,27 +68,3 @@ SampleOption = Annotated[
 def output_option(help: str, metavar: str = "FILE") -> Any:
     """The option `--output`, to stand in an annotation."""
     return typer.Option("--output", "-o", help=help, metavar=metavar)
-
-
-def parse_latent(text: str, option: str = "--latent") -> list[float] | str:
-    """Numbers separated by commas, the name of a material, or `FROM:TO:T` between two.
-
-    Raises:
-        UsageError: it is neither, or a number is not finite.
-    """
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        is_path = text.count(":") > 1  # between any names, which may hold commas
-        is_name = "," not in text and any(
-            re.search(r"[^\W\d]", word) and not terminal.is_number(word) for word in text.split()
-        )
-        if is_path or is_name:
-            return text
-        raise UsageError(
-            f"{option} '{text}': expected numbers separated by commas, like -0.3,1.2, or a material's name, "
-            "or FROM:TO:T between two"
-        ) from None
-    if not all(map(math.isfinite, values)):
-        raise UsageError(f"{option} '{text}': expected finite numbers, like -0.3,1.2")
-    return values

@@ -44,20 +44,19 @@ def latent_map(
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
-    marked = options.parse_latent(mark, "--mark") if mark is not None else None
     colour = ColourChoice(like, reflectance, srgb)
-    if marked is None and colour != NEAREST:
+    if mark is None and colour != NEAREST:
         raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
     with terminal.progress("Rendering") as step:
         drawn = ball_pictures.latent_map(
-            model, output, library=library, marked=marked, colour=colour, on_progress=step
+            model, output, library=library, marked=mark, colour=colour, on_progress=step
         )
     rows: dict[str, object] = {"left out": ", ".join(drawn.left_out)} if drawn.left_out else {}
     results.rows(f"Drawn {output}", rows | (drawn.diagnosis.rows if drawn.diagnosis is not None else {}))
     results.document(
         {
             "picture": str(output),
-            "marked": marked,
+            "marked": None if drawn.marked is None else drawn.marked.tolist(),
             "left_out": list(drawn.left_out),
             "prediction": None if drawn.diagnosis is None else drawn.diagnosis.to_json(),
         }
@@ -151,8 +150,7 @@ def slices(
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
-    latents = [options.parse_latent(text) for text in latent or []]
-    drawn = pictures.sources(names or [], latents, model, library, colour)
+    drawn = pictures.sources(names or [], latent or [], model, library, colour)
     pictures.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})

@@ -115,15 +115,14 @@ def render(
         return
     output = or_default(output, "render.png", "render", force)
     images.require_image_path(output)
-    coordinates = None if latent is None else options.parse_latent(latent)
     with terminal.progress("Rendering") as step:
         stages = Stages(step, {"": 1, "rendering": 1})
         if file is not None:
             made = renders.render(renders.file_source(file), output, settings, step)
-        elif coordinates is not None:
+        elif latent is not None:
             with renders.latent_source(
                 model,
-                coordinates,
+                latent,
                 library=library,
                 colour=colour,
                 direct=direct,

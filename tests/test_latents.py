@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from small_library import NAMES, small_library
 
-from manifold.cli.options import parse_latent
 from manifold.colour import ball_colours
 from manifold.errors import LatentError, UsageError
-from manifold.library.store import Library
+from manifold.library import Library, import_files
 from manifold.model.latents import on_path
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
@@ -40,7 +39,7 @@ def test_the_coordinates_that_info_prints_give_the_materials_back(model):
     loaded = Manifold.load(model)
     (table,) = inspect(model).tables
     for name, *coordinates in table.rows:
-        brdf = loaded.predict(loaded.require_latent(parse_latent(",".join(coordinates))))
+        brdf = loaded.predict(loaded.require_latent(",".join(coordinates)))
         assert distance(brdf, loaded.material(name)) <= MOST
 
 
@@ -51,14 +50,14 @@ def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(
     x = loaded.X.mean(axis=0) + 0.012345678
     made = predict(loaded, x, tmp_path / "middle.bsdf", resolution=8)
     for latent, coordinates in ((located.latent, located.coordinates), (x, made.coordinates)):
-        printed = parse_latent(",".join(coordinates))
+        printed = ",".join(coordinates)
         assert distance(loaded.predict(printed), loaded.predict(np.array(latent))) <= MOST
 
 
 def test_a_material_is_a_latent_by_its_name(model):
     loaded, name = Manifold.load(model), NAMES[1]
     np.testing.assert_array_equal(loaded.require_latent(name), loaded.latent(name))
-    (source,) = pictures.sources([], [parse_latent(name)], model)
+    (source,) = pictures.sources([], [name], model)
     assert distance(source.brdf, loaded.material(name)) == 0.0
     with pytest.raises(UsageError, match="near are syn_felt_green"):
         loaded.require_latent("syn_felt_gren")
@@ -66,17 +65,30 @@ def test_a_material_is_a_latent_by_its_name(model):
         loaded.predict(np.zeros((3, 2)))
 
 
-@pytest.mark.parametrize("name", ["a", "two words", "Ümläut 紙", "3 felts", "1e"])
-def test_names_of_materials_may_have_spaces_and_any_letters(name):
-    assert parse_latent(name) == name
-
-
 @pytest.mark.parametrize("text", ["a,b", "1,x", "", "0.1;0.2", "0.1 2e-3", "nan 1", " ", "-"])
-def test_what_is_neither_numbers_nor_a_name_is_refused(text):
+def test_what_is_neither_numbers_nor_a_name_is_refused(model, text):
     with pytest.raises(
-        UsageError, match=r"expected numbers separated by commas, like -0\.3,1\.2, or a material"
+        UsageError, match=r"expected one, or numbers separated by commas, like -0\.3,1\.2, or FROM:TO:T"
     ):
-        parse_latent(text)
+        Manifold.load(model).require_latent(text)
+
+
+@pytest.mark.parametrize("text", ["0,nan", "inf,1", "1", "1,2,3"])
+def test_coordinates_as_text_are_finite_and_as_many_as_dimensions(model, text):
+    with pytest.raises(LatentError, match=r"expected (finite|2)"):
+        Manifold.load(model).require_latent(text)
+
+
+def test_a_material_whose_name_reads_as_coordinates_is_that_material(tmp_path):
+    files = small_library(tmp_path).parent / "files"
+    for name, path in zip(("0,0", "4711", "blue, matt"), sorted(files.glob("*.bsdf")), strict=False):
+        path.rename(files / f"{name}_rgb.bsdf")
+    import_files(tmp_path / "numbers.zarr", [files])
+    named = Manifold.fit(tmp_path / "numbers.zarr")
+    for name in ("0,0", "4711", "blue, matt"):
+        np.testing.assert_array_equal(named.require_latent(name), named.latent(name))
+    np.testing.assert_array_equal(named.require_latent("0, 0"), [0.0, 0.0])
+    assert not np.array_equal(named.latent("0,0"), [0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -93,7 +105,6 @@ def test_what_is_neither_numbers_nor_a_name_is_refused(text):
 )
 def test_a_path_is_between_any_two_names(text, names, expected):
     assert on_path(text, names) == expected
-    assert parse_latent(text) == text
 
 
 def test_a_path_that_could_be_two_is_refused():

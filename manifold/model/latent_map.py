@@ -7,13 +7,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from manifold.errors import UsageError
 from manifold.model.latent_space import LatentSpace
-from manifold.model.latents import OnPath, Place, on_path, require_latent, require_latents
+from manifold.model.latents import OnPath, Place, coordinates_of, on_path, require_latent, require_latents
 from manifold.model.left_out import ExpectedErrors, LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
+from manifold.system.names import names_like
 
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
@@ -123,16 +125,26 @@ class LatentMap:
         return start + t * way if t < 0.5 else end - (1.0 - t) * way
 
     def require_latent(self, x: Place) -> Array:
-        """A latent, the latent of a named material, or that of a place between two, as float64 (Q,).
+        """The latent of a place, as float64 (Q,).
 
         Raises:
             LatentError: there are not Q finite coordinates.
-            UsageError: the model has no such material.
+            UsageError: a text is no material of the model, no path between two, and no coordinates.
         """
         path = self.path(x)
         if path is not None:
             return self.between(*path)
-        return self.latent(x) if isinstance(x, str) else require_latent(x, self.settings.latent_dim)
+        if isinstance(x, str):
+            if x in self.names:
+                return self.latent(x)
+            coordinates = coordinates_of(x)
+            if coordinates is None:
+                raise UsageError(
+                    f"no material '{x}' in this model ({names_like(self.names, x)}), expected one, or numbers "
+                    "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
+                )
+            x = coordinates
+        return require_latent(x, self.settings.latent_dim)
 
     def path(self, x: Place) -> OnPath | None:
         """The path that a place `FROM:TO:T` lies on; None for other places."""

@@ -12,7 +12,8 @@ from manifold.errors import LatentError, UsageError
 from manifold.records import Array
 
 Place = Array | Sequence[float] | str
-"""A latent (Q,), the name of a material that lies there, or `FROM:TO:T` on the path between two materials."""
+"""A latent (Q,); or as text: the name of a material that lies there, `FROM:TO:T` on the path between two materials, or
+coordinates with commas between. A name is what it is: a material called `0,0` comes before the coordinates."""
 
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 
@@ -50,6 +51,14 @@ def on_path(text: str, names: Collection[str]) -> OnPath | None:
             f"'{text}' is {pairs}; use `Manifold.interpolate` in Python, or names without colons"
         )
     return OnPath(*(known or ways[-1:])[0], t)
+
+
+def coordinates_of(text: str) -> list[float] | None:
+    """The numbers of `-0.3,1.2`; None where the text is something else."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
 
 
 def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:

@@ -24,17 +24,19 @@ from manifold.rendering.thumbnails import cropped
 MOST_STEPS = 25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DrawnMap:
     """A map that was drawn.
 
     Attributes:
         left_out: rendered balls, where Mitsuba is missing; materials are points then.
         diagnosis: of the prediction that is marked, if one is.
+        marked: the latent of that prediction, shape (Q,).
     """
 
     left_out: tuple[str, ...]
     diagnosis: Diagnosis | None
+    marked: Array | None
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def latent_map(
         model: path of a model.
         output: the picture.
         library: where the model's library is now, if not where the model remembers it.
-        marked: latent of a prediction to show, (Q,), the name of a material, or `FROM:TO:T` between two.
+        marked: place of a prediction to show.
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
     """
@@ -78,11 +80,11 @@ def latent_map(
         diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
     if not backend.is_available():
         figures.save(plot_latents.latent_map(loaded, marked=x), output)
-        return DrawnMap(("rendered balls, since Mitsuba is missing",), diagnosis)
+        return DrawnMap(("rendered balls, since Mitsuba is missing",), diagnosis, x)
     ball = None if predicted is None else cropped(thumbnails.of_material(predicted))
     balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
     figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
-    return DrawnMap((), diagnosis)
+    return DrawnMap((), diagnosis, x)
 
 
 def walk(

@@ -114,7 +114,7 @@ def subject_of_prediction(
     loaded.prepare(stages.begin("reading materials"))
     chosen = choose_colour(loaded, latent, colour)
     brdf = loaded.predict(latent, chosen.colours)
-    name = latent if isinstance(latent, str) and loaded.path(latent) is None else "predicted"
+    name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
     source = {
         "model": model.name,
         "model_sha256": file_sha256(model),

@@ -658,7 +658,7 @@ DIAGNOSED = {
         (["predict", "--latent", "0.3,-0.2", "-o", "d_rgb.bsdf"], lambda document: document),
         (
             ["slices", "--latent", "0.3,-0.2"],
-            lambda document: document["predictions"]["predicted at 0.3, -0.2"],
+            lambda document: document["predictions"]["predicted at 0.3,-0.2"],
         ),
         (["map", "--mark", "0.3,-0.2"], lambda document: document["prediction"]),
         (

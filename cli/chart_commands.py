@@ -62,8 +62,8 @@ def chart(
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
 
-    Takes minutes (51 materials in 195 bands: ten). When --readings is interrupted, the library keeps what is done,
-    and the same command continues; otherwise nothing is kept.
+    Takes minutes (51 materials in 195 bands: ten). When it is interrupted, the library keeps what is done, and the
+    same command continues.
 
     Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no

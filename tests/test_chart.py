@@ -20,6 +20,7 @@ from manifold.experiments.chart.held_out import without_small_weights
 from manifold.experiments.chart.instruments import RelativeTime, some_pairs
 from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED, settings
 from manifold.experiments.evaluation.methods import fit_nearest
+from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
@@ -74,6 +75,37 @@ def test_a_fit_of_the_seen_material_is_on_no_front(made, rows):
     assert all(
         "fit_gauss-newton" not in keys for by_cost in made.fronts.values() for keys in by_cost.values()
     )
+
+
+def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two_laps, tmp_path):
+    library = Library.open(small_library.small_library(tmp_path))
+    keys, done = ["nearest", "pca_6_cube-root_over_0.03", "fit_gauss-newton"], []
+
+    def chart(only=keys, stop_at=None):
+        done.clear()
+
+        def step(count, total, title):
+            done.append(count)
+            if count == stop_at:
+                raise KeyboardInterrupt
+
+        return make_chart(FILES, only, step, GRID, 1, library=library)
+
+    for count in (1, 2):
+        with pytest.raises(KeyboardInterrupt):
+            chart(stop_at=count)
+        assert done == [count]
+    chart(keys[:1])
+    assert done == [1]  # another chart shares nothing with it
+    whole = chart()
+    assert done == [3]
+    assert [row.key for row in whole.rows] == keys
+    again = chart()
+    assert done == [1, 2, 3]
+    for row, other in zip(whole.rows, again.rows, strict=True):
+        for name in ("title", "family", "delta_e", "rmse", "p90", "bytes", "warnings", "is_held_out"):
+            assert getattr(row, name) == getattr(other, name)
+        assert isinstance(row.predict, RelativeTime)
 
 
 def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):

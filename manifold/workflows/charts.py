@@ -21,7 +21,7 @@ def chart(
     on_progress: Progress | None = None,
     neural: str | None = None,
 ) -> Chart:
-    """Measure settings on the materials of a library.
+    """Measure settings on the materials of a library; an interrupted run is continued.
 
     Args:
         library: the library; of a model, where its library is now.
@@ -38,7 +38,7 @@ def chart(
     else:
         opened = Library.open(Path("library.zarr") if library is None else library)
         names = opened.names
-    return make_chart([opened.read(name) for name in names], only, on_progress, neural=neural)
+    return make_chart([opened.read(name) for name in names], only, on_progress, neural=neural, library=opened)
 
 
 def readings_chart(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import platform
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,8 +16,10 @@ from manifold.experiments.chart.held_out import HeldOut
 from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measurement, RelativeTime
 from manifold.experiments.chart.registry import Setting, settings
 from manifold.experiments.evaluation.anchors import require_anchors
+from manifold.experiments.interrupted import KeptResults
+from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
-from manifold.records import BsdfFile, Progress
+from manifold.records import Array, BsdfFile, Progress
 from manifold.system.names import names_like
 
 ERRORS = {
@@ -92,6 +96,7 @@ def make_chart(
     grid: RusinkiewiczGrid | None = None,
     fitted: int = 3,
     neural: str | None = None,
+    library: Library | None = None,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -102,6 +107,8 @@ def make_chart(
         grid: direction pairs of the errors; by default 45 x 23 x 12.
         fitted: how many materials the fits of `fits.METHODS` represent.
         neural: file, zip file or folder of published neural fits; also show those of these materials.
+        library: of the files, where settings that are done are kept until all are, so that an interrupted run is
+            continued on the same machine.
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
     """
@@ -118,22 +125,25 @@ def make_chart(
         raise UsageError(f"no setting is called {unknown[0]!r}; {near}; docs/design/chart.md lists all")
     chosen = [known[key] for key in only or known]
     held_out = [s for s in chosen if isinstance(s, Setting)]
-    rows: dict[str, ChartRow] = {}
+    names, machine = [file.name for file in files], platform.node()
+    kept = KeptResults(library, f"chart-1 {names} {list(only)} {grid} {fitted} {neural} {machine}")
+    rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
 
     def add(key: str, title: str, family: str, measured: Measurement, *, is_held_out: bool = True) -> None:
         rows[key] = ChartRow(key=key, title=title, family=family, is_held_out=is_held_out, **vars(measured))
+        kept.put(_to_arrays(rows))
         if on_progress is not None:
             on_progress(len(rows), len(chosen), title)
 
     with instruments.one_core():
         held = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
         # Settings that keep files alike stand together: only one set of kept files is in memory.
-        for setting in sorted(held_out, key=lambda s: s.storage.key):
+        for setting in sorted((s for s in held_out if s.key not in rows), key=lambda s: s.storage.key):
             add(setting.key, setting.title, setting.family, held.measure(setting))
     for key in only or known:
         method = known[key]
-        if isinstance(method, Setting):
+        if isinstance(method, Setting) or key in rows:
             continue
         try:
             if neural is not None and method == fits.NEURAL:
@@ -144,11 +154,25 @@ def make_chart(
             skipped[key] = str(error)
         else:
             add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
+    kept.finish()
     measured_rows = tuple(rows[key] for key in known if key in rows)
     return Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,
         held.watch.reference_seconds, held.scaled, skipped,
     )  # fmt: skip
+
+
+def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:
+    content = json.dumps([asdict(row) for row in rows.values()])
+    return {"rows": np.frombuffer(content.encode(), np.uint8)}
+
+
+def _from_arrays(arrays: Mapping[str, Array]) -> dict[str, ChartRow]:
+    rows = {}
+    for row in json.loads(arrays["rows"].tobytes()) if arrays else []:
+        times = {name: row[name] and RelativeTime(**row[name]) for name in ("fit", "predict")}
+        rows[row["key"]] = ChartRow(**row | times | {"warnings": tuple(row["warnings"])})
+    return rows
 
 
 def fronts(rows: Sequence[ChartRow]) -> dict[str, dict[str, list[str]]]:

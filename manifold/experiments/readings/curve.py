@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from manifold import __version__
 from manifold.errors import UsageError
+from manifold.experiments.interrupted import KeptResults
 from manifold.experiments.readings.methods import METHODS, ReadingMethod, Task
 from manifold.formats.readings import Readings
 from manifold.library.store import Library
@@ -92,13 +92,9 @@ def measure_curves(
     N, kinds = len(samples.names), len(KINDS)
     errors = {method.key: np.full((len(counts), N, kinds), np.nan) for method in methods}
     errors |= {key: np.empty((1, N, kinds)) for key in _FIXED}
-    run = f"readings-2 {__version__} {samples.names} {list(counts)} {list(errors)}"
-    done = 0
-    if library is not None:
-        run = hashlib.sha256(f"{run} {library.content_hash}".encode()).hexdigest()
-        if kept := library.cache_get(run):
-            done = int(kept.pop("done")[0])
-            errors = kept
+    kept = KeptResults(library, f"readings-2 {samples.names} {list(counts)} {list(errors)}")
+    errors |= kept.get()
+    done = int(errors.pop("done", np.zeros(1))[0])
     wi, wo = all_directions()
     at, fixed = samples.at(wi, wo), _fixed_readings(samples)
     for m in range(done, N):
@@ -106,10 +102,8 @@ def measure_curves(
             on_progress(m, N, samples.names[m])
         for key, found in _errors_of(samples, m, counts, methods, (wi, wo, at), fixed).items():
             errors[key][:, m] = found
-        if library is not None:
-            library.cache_put(run, errors | {"done": np.array([m + 1])})
-    if library is not None:
-        library.cache_put(run, {})  # the next run begins again
+        kept.put(errors | {"done": np.array([m + 1])})
+    kept.finish()
     curves = [Curve(method.key, method.title, tuple(counts), errors[method.key]) for method in methods]
     return curves + [
         Curve(key, title, (len(fixed[key][1]) + len(angles),), errors[key])

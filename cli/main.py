@@ -78,7 +78,7 @@ def run(arguments: list[str] | None = None) -> None:
         _fail(str(error), debug)
     except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
         if leaving.code == _EXIT_INTERRUPTED:
-            print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
+            _say_interrupted()
         raise
     except BrokenPipeError:
         # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
@@ -90,6 +90,9 @@ def run(arguments: list[str] | None = None) -> None:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, its permissions and the free space", debug)
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # while numba was about to call a compiled function
+            _say_interrupted()
+            sys.exit(_EXIT_INTERRUPTED)
         if _is_in_cache_of_numba(error):
             _fail(
                 "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold",
@@ -101,6 +104,10 @@ def run(arguments: list[str] | None = None) -> None:
 def _is_in_cache_of_numba(error: Exception) -> bool:
     frames = traceback.extract_tb(error.__traceback__)
     return any(frame.filename.endswith(os.path.join("numba", "core", "caching.py")) for frame in frames)
+
+
+def _say_interrupted() -> None:
+    print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
 
 
 def _fail(message: str, debug: bool, status: int = _EXIT_ERROR) -> None:

@@ -561,6 +561,17 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)
 
 
+def test_an_interruption_that_numba_wraps_is_an_interruption(run, folder, monkeypatch):
+    def fail(*_, **__):
+        # as CPython does where a C function, numba's dispatcher, returns with a Ctrl-C pending
+        raise SystemError("CPUDispatcher returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("manifold.workflows.pipeline.report", fail)
+    status, _, err = run("report", cwd=folder)
+    assert status == 130
+    assert "interrupted; finished outputs are kept" in one_line(err)
+
+
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):
     from manifold.brdf.synthetic import corpus
     from manifold.workflows import demo

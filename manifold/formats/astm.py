@@ -6,13 +6,21 @@ Radians about the normal, BRDF in 1/sr, as goniometers such as the Mini-Diff V2 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from manifold.directions import from_spherical
 from manifold.errors import ShapeError
+from manifold.formats.angle_columns import (
+    Quantity,
+    angle_name,
+    as_brdf,
+    directions,
+    exceed_radians,
+    quantity,
+    stated_unit,
+)
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
@@ -27,12 +35,6 @@ _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 d
 _LEAST_NM = 150.0
 _BAND = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>nm|um|µm|micron)?", re.IGNORECASE)
 _PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
-_ANGLES = {
-    "theta_i": ("thetai", "thetain", "ti", "incidenttheta", "thi"),
-    "phi_i": ("phii", "phiin", "incidentphi"),
-    "theta_o": ("thetas", "thetar", "thetao", "thetaout", "ts", "scattertheta", "theta"),
-    "phi_o": ("phis", "phir", "phio", "phiout", "scatterphi", "phi"),
-}
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class _Columns:
     names: list[str]
     bands: list[str]
     is_degrees: bool | None
+    kind: Quantity
 
 
 def sniff(head: bytes) -> bool:
@@ -64,7 +67,11 @@ def read(path: Path) -> list[Readings]:
     if start is None:
         raise place.error("no line VARS found, expected one that names the columns")
     header = _header(lines[:start])
-    columns = _columns(re.sub(r"(?i)^\s*VARS?\b[\s:=]*", "", lines[start]), place, f"line {start + 1}")
+    measured = header.get("MEAS_NAME", "")
+    heads = re.sub(r"(?i)^\s*VARS?\b[\s:=]*", "", lines[start])
+    columns = _columns(heads, measured, place, f"line {start + 1}")
+    if re.fullmatch(r"BTDF|transmi\w*", measured, re.IGNORECASE):
+        raise place.error(f"MEAS_NAME is {measured}: transmitted light, expected BRDF")
     is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
     columns = _wavelength_of_header(columns, header)
     table, notes, columns = _rows(lines, start + 1, columns, place)
@@ -90,16 +97,12 @@ def _header(lines: list[str]) -> dict[str, str]:
     return header
 
 
-def _columns(text: str, place: Place, where: str) -> _Columns:
+def _columns(text: str, measured: str, place: Place, where: str) -> _Columns:
+    """The columns that the line VARS names; `measured` is what MEAS_NAME says of the values."""
     heads = [_PER_STERADIAN.sub("", head) for head in split_cells(text, find_separator([text]))]
     names, bands = [], []
     for head in heads:
-        plain = (
-            re.sub(r"[^a-z]", "", re.sub(r"\(.*?\)|\[.*?\]", "", head.lower()))
-            .removesuffix("deg")
-            .removesuffix("rad")
-        )
-        angle = next((name for name, spellings in _ANGLES.items() if plain in spellings), None)
+        angle = angle_name(head)
         if angle is not None and angle in names:
             raise place.error(f"{angle} appears twice, expected each angle once", where)
         if angle is None:
@@ -111,12 +114,8 @@ def _columns(text: str, place: Place, where: str) -> _Columns:
             f"columns {', '.join(heads[:8])}, expected theta_i, phi_i, theta_s, phi_s and bands such as 465nm",
             where,
         )
-    degrees = None
-    if re.search(r"deg|°", text, re.IGNORECASE):
-        degrees = True
-    elif re.search(r"rad\b", text, re.IGNORECASE):
-        degrees = False
-    return _Columns(names, bands, degrees)
+    unit = stated_unit(text)
+    return _Columns(names, bands, None if unit is None else unit == "degrees", quantity([measured, *bands]))
 
 
 def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns:
@@ -127,7 +126,7 @@ def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns
         return columns
     band = f"{said if said >= 100.0 else 1000.0 * said:g}nm"
     names = [band if name in columns.bands else name for name in columns.names]
-    return _Columns(names, [band], columns.is_degrees)
+    return replace(columns, names=names, bands=[band])
 
 
 def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tuple[Array, list[str], _Columns]:
@@ -149,9 +148,7 @@ def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tupl
     notes: list[str] = []
     if width == len(columns.names) + 1 and "phi_o" not in columns.names:
         after = columns.names.index("theta_o") + 1
-        columns = _Columns(
-            [*columns.names[:after], "phi_o", *columns.names[after:]], columns.bands, columns.is_degrees
-        )
+        columns = replace(columns, names=[*columns.names[:after], "phi_o", *columns.names[after:]])
         notes.append(
             f"VARS names {width - 1} columns, rows have {width}: the one after theta_s is taken as phi_s"
         )
@@ -171,51 +168,33 @@ def _readings(
     notes: list[str],
     place: Place,
 ) -> Readings:
-    angle = {
-        key: table[:, columns.names.index(key)] if key in columns.names else np.zeros(len(table))
-        for key in _ANGLES
-    }
+    angle = {name: table[:, k] for k, name in enumerate(columns.names) if name not in columns.bands}
     is_degrees = columns.is_degrees
     if is_degrees is None:
-        is_degrees = bool(np.max(np.abs([angle["theta_i"], angle["theta_o"]])) > 0.5 * np.pi + 0.01)
+        is_degrees = exceed_radians(angle)
         if is_degrees:
-            notes.append("angles beyond pi / 2: taken as degrees")
+            notes.append("angles beyond pi: taken as degrees")
     if is_degrees:
         angle = {key: np.deg2rad(values) for key, values in angle.items()}
-    for key in ("theta_i", "theta_o"):
-        worst = float(np.max(np.abs(angle[key])))
-        if worst > np.pi + 1e-6:
-            raise place.error(f"{key} reaches {np.rad2deg(worst):.4g} degrees, expected at most 90")
-    keep = (np.abs(angle["theta_i"]) <= 0.5 * np.pi + 1e-4) & (np.abs(angle["theta_o"]) <= 0.5 * np.pi + 1e-4)
-    if not np.all(keep):
-        notes.append(f"{int((~keep).sum())} rows of transmitted light (beyond 90 degrees) are left out")
     if is_mini_diff:
-        padded = keep & (np.abs(angle["theta_o"]) > _PADDING_FROM + 1e-4)
-        keep &= ~padded
+        padded = (np.abs(angle["theta_o"]) > _PADDING_FROM + 1e-4) & (
+            np.abs(angle["theta_o"]) < 0.5 * np.pi + 1e-4
+        )
+        table, angle = table[~padded], {key: values[~padded] for key, values in angle.items()}
         if np.any(padded):
             notes.append(f"{int(padded.sum())} rows beyond 75 degrees are padding of the Mini-Diff, not data")
-    if not np.any(keep):
-        raise place.error("no rows of reflected light, expected theta below 90 degrees")
-    if "phi_i" not in columns.names:
-        notes.append("no phi_i: the mirror direction is taken at phi_s = 0")
-        angle["phi_i"] = np.full(len(table), np.pi)
-    wi, wo = (_upper(from_spherical(angle[f"theta_{s}"][keep], angle[f"phi_{s}"][keep])) for s in "io")
-    first = [k for k, head in enumerate(columns.names) if head not in _ANGLES]
-    nm, values = _bands(columns.bands, table[keep][:, first], notes, place)
+    keep, wi, wo = directions(angle, place, notes)
+    first = [k for k, head in enumerate(columns.names) if head in columns.bands]
+    values = as_brdf(table[keep][:, first], columns.kind, wo, notes)
+    nm, values = _bands(columns.bands, values, notes, place)
     weights = np.ones(len(wi))
     if is_mini_diff:
         weights[np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
     if np.any(values < 0):
         notes.append(
-            f"{int((values < 0).sum())} values are negative, down to {values.min():.3g}: noise, kept"
+            f"{int((values < 0).sum())} values are negative, down to {np.nanmin(values):.3g}: noise, kept"
         )
     return Readings(name, instrument, wi, wo, nm, values, weights, tuple(notes))
-
-
-def _upper(w: Array) -> Array:
-    """Directions with rounding below the horizon taken away."""
-    w[:, 2] = np.maximum(w[:, 2], 0.0)
-    return w
 
 
 def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> tuple[Array | None, Array]:

@@ -1,0 +1,100 @@
+"""Tables of directions as goniometers and people write them: units of angles, azimuths, what the values are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from instrument_files import smooth
+
+from manifold.directions import from_spherical
+from manifold.errors import FileFormatError
+from manifold.formats import registry
+from manifold.formats.angle_columns import RELATIVE, angle_name
+from manifold.records import Array, Bands
+
+BANDS = Bands((465.0, 525.0, 630.0))
+# theta_i, phi_i, theta_o, phi_o in degrees
+DIRECTIONS = np.array(
+    [
+        (i, 180.0, o, phi)
+        for i in (0.0, 20.0, 40.0, 60.0)
+        for o in (10.0, 40.0, 80.0)
+        for phi in (0.0, 75.0, 180.0)
+    ]
+)
+
+
+def truth(directions_deg: Array) -> Array:
+    """Values of `smooth` in 1/sr, (P, 3)."""
+    theta_i, phi_i, theta_o, phi_o = np.deg2rad(directions_deg).T
+    return smooth(BANDS).eval(from_spherical(theta_i, phi_i), from_spherical(theta_o, phi_o))
+
+
+def lines(*columns: Array, separator: str = ",") -> str:
+    """Rows of numbers."""
+    return "".join(separator.join(f"{x:.9g}" for x in row) + "\n" for row in np.hstack(columns))
+
+
+def assert_true(path, rtol=1e-6):
+    """All readings of a file are those of `smooth`, in the sense of the package's directions."""
+    found = registry.read_readings(path)
+    order = [BANDS.wavelengths_nm.index(nm) for nm in found.bands.wavelengths_nm]
+    expected = smooth(BANDS).eval(found.wi, found.wo)[:, order]
+    np.testing.assert_allclose(found.values, expected, rtol=rtol)
+    return found
+
+
+COSINE = np.cos(np.deg2rad(DIRECTIONS[:, 2:3]))
+
+
+@pytest.mark.parametrize("head", ["ARS", "CCBRDF", "BRDF*cos", "cos-corrected BRDF", "DSF"])
+def test_astm_values_that_include_the_cosine_are_divided_by_it(head, tmp_path):
+    path = tmp_path / "scan.astm"
+    values = truth(DIRECTIONS)[:, :1] * COSINE
+    path.write_text(
+        f"WAVELENGTH 465\nVARS theta_i,phi_i,theta_s,phi_s,{head}\n" + lines(np.deg2rad(DIRECTIONS), values)
+    )
+    assert any("cosine" in note for note in assert_true(path).notes)
+
+
+def test_transmission_in_radians_does_not_make_angles_degrees(tmp_path):
+    path = tmp_path / "both.astm"
+    behind = DIRECTIONS * [1, 1, -1, 1] + [0, 0, 180, 0]
+    both = np.vstack([DIRECTIONS, behind])
+    values = np.vstack([truth(DIRECTIONS), np.full((len(behind), 3), 0.01)])
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n" + lines(np.deg2rad(both), values))
+    found = assert_true(path)
+    assert len(found) == len(DIRECTIONS)
+    assert found.notes == (f"{len(behind)} rows of transmitted light (beyond 90 degrees) are left out",)
+
+
+def test_azimuths_beyond_a_turn_make_small_angles_degrees(tmp_path):
+    path = tmp_path / "near_the_normal.astm"
+    near = DIRECTIONS * [0.02, 1, 0.02, 1]
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n" + lines(near, truth(near)))
+    np.testing.assert_allclose(assert_true(path).wi[-1, 0], -np.sin(np.deg2rad(1.2)))
+
+
+def test_a_btdf_is_refused(tmp_path):
+    path = tmp_path / "glass.astm"
+    path.write_text(
+        'MEAS_NAME "BTDF"\nVARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n'
+        + lines(np.deg2rad(DIRECTIONS), truth(DIRECTIONS))
+    )
+    with pytest.raises(FileFormatError, match="MEAS_NAME is BTDF: transmitted light"):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "name"),
+    [
+        ("theta_i", "theta_i"), ("ThetaIn [rad]", "theta_i"), ("Incident angle (deg)", "theta_i"), ("AOI", "theta_i"),
+        ("theta_i_deg", "theta_i"), ("\u03b8i [\u00b0]", "theta_i"), ("SZA", "theta_i"), ("Source zenith", "theta_i"),
+        ("phi_in", "phi_i"), ("incident azimuth", "phi_i"), ("scatter_theta", "theta_o"), ("thetaR", "theta_o"),
+        ("Viewing zenith angle", "theta_o"), ("detector angle", "theta_o"), ("\u03c6_r", "phi_o"), ("phi", "phi_o"),
+        ("Viewing azimuth angle", "phi_o"), ("dphi", RELATIVE), ("relative azimuth", RELATIVE), ("theta_h", None),
+        ("theta_d", None), ("phi_d", None), ("Angle", None), ("465nm", None), ("R", None), ("time", None),
+    ],
+)  # fmt: skip
+def test_angles_are_known_in_every_spelling(head, name):
+    assert angle_name(head) == name

@@ -18,7 +18,7 @@ from manifold.directions import to_spherical
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
-from manifold.formats.table_cells import gloss_angle, parse_wavelength, plain_table
+from manifold.formats.table_cells import HEADER_ROWS, gloss_angle, parse_wavelength, plain_table
 from manifold.formats.table_layouts import names_both
 from manifold.formats.text import LARGEST_TEXT, Place, decode, number, read_bytes
 from manifold.records import Array
@@ -87,6 +87,7 @@ def read(path: Path) -> list[Readings]:
     except csv.Error as error:
         raise place.error(f"not a table ({error})") from None
     rows = [_repaired(row, separator) for row in rows]
+    _require_width(rows, place)
     texture = {
         line[1:].partition(":")[0].strip(): line.partition(":")[2].strip()
         for line in lines
@@ -154,6 +155,25 @@ def _repaired(row: list[str], separator: str) -> list[str]:
     while len(row) > 1 and not row[-1] and separator != ",":
         row = row[:-1]
     return row
+
+
+def _require_width(rows: list[list[str]], place: Place) -> None:
+    """Raise FileFormatError where a row has numbers beyond the end of the header.
+
+    Decimal commas that are not told from separators make such rows.
+    """
+    header = next(
+        (k for k, row in enumerate(rows[:HEADER_ROWS]) if row and _is_header([c.lower() for c in row])), None
+    )
+    if header is None:
+        return
+    width = len(rows[header])
+    for k, row in enumerate(rows[header + 1 :], start=header + 2):
+        if any(number(cell) is not None for cell in row[width:]):
+            raise place.error(
+                f"{len(row)} cells below a header of {width}: decimal commas need quotes, or another separator",
+                f"row {k}",
+            )
 
 
 def _line(text: str) -> str:

@@ -1,13 +1,14 @@
 """CxF3 files (ISO 17972-1): reflectance spectra of objects at multi-angle geometries, through colour-cxf.
 
-A geometry is a `BRDFAngle` (illumination angle, aspecular angle, optional azimuth) or a `SingleAngle` of the
-spectrum's colour specification, or the spectrum's own name. 1.0 is the perfect diffuser.
+A geometry is the spectrum's own name, or a `BRDFAngle` (illumination angle, aspecular angle, optional azimuth) or a
+`SingleAngle` of its colour specification. 1.0 is the perfect diffuser.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from manifold.formats.geometry_names import geometry_directions
-from manifold.formats.readings import Readings, aspecular_pair
+from manifold.formats.readings import Readings, aspecular_pair, mean_of_repeats
 from manifold.formats.spectro_table import TAKEN_AS_PERCENT, looks_like_percent
 from manifold.formats.text import Place, decode, read_bytes
 from manifold.records import Array
@@ -46,21 +47,47 @@ def read(path: Path) -> list[Readings]:
         raise place.error("no objects found, expected CxF3 resources with an ObjectCollection")
     collection = resources.color_specification_collection
     specifications = {s.id: s for s in collection.color_specification} if collection is not None else {}
-    found = []
     items = resources.object_collection.object_value
     if sum(len(_spectra(item)) for item in items) != len(attributes):
         raise place.error("spectra outside the ColorValues of one ObjectCollection, expected none")
     own = iter(attributes)
-    for item in items:
-        readings = _object(item, own, specifications, place, path.stem)
-        if readings is not None:
-            found.append(readings)
-    if not found:
+    found = [_object(item, own, specifications, place, path.stem) for item in items]
+    samples = _by_name([one for one in found if one is not None])
+    if not samples:
         raise place.error(
             "no reflectance at directional geometries, expected ReflectanceSpectrum with BRDFAngle or SingleAngle, or "
             "named by its geometry (45as15, 45/0)"
         )
-    return found
+    if any(looks_like_percent(one.wi, one.wo, one.values) for one in samples):
+        samples = [replace(s, values=s.values / 100.0).with_note(TAKEN_AS_PERCENT) for s in samples]
+    return [replace(one, values=one.values / np.pi) for one in samples]
+
+
+def _by_name(objects: list[Readings]) -> list[Readings]:
+    """One record per name: objects of one name hold a sample's geometries, or are measurements, which get numbers."""
+    samples: dict[str, list[Readings]] = {}
+    for one in objects:
+        own = samples.setdefault(one.name, [])
+        if own and not _share_geometry(own[-1], one):
+            own[-1] = _joined(own[-1], one)
+        else:
+            own.append(replace(one, name=f"{one.name} ({len(own) + 1})") if own else one)
+    return [one for own in samples.values() for one in own]
+
+
+def _share_geometry(first: Readings, second: Readings) -> bool:
+    keys = [{tuple(row) for row in np.round(np.hstack([r.wi, r.wo]), 6)} for r in (first, second)]
+    return not keys[0].isdisjoint(keys[1])
+
+
+def _joined(first: Readings, second: Readings) -> Readings:
+    rows = [(np.array(r.wavelengths_nm), row) for r in (first, second) for row in r.values]
+    bands, table = _common_bands([nm for nm, _ in rows], [row for _, row in rows])
+    wi, wo = np.concatenate([first.wi, second.wi]), np.concatenate([first.wo, second.wo])
+    return Readings(
+        first.name, first.instrument, wi, wo, bands, table,
+        notes=tuple(dict.fromkeys([*first.notes, *second.notes])), texture={**first.texture, **second.texture},
+    )  # fmt: skip
 
 
 def _parse(data: bytes, place: Place) -> tuple[Any, list[dict[str, str]]]:
@@ -104,7 +131,7 @@ def _object(
     place: Place,
     default: str,
 ) -> Readings | None:
-    """Readings of one object, or None where it has no directional reflectance."""
+    """Reflectance factors of one object as the file has them, or None where it has none at a geometry."""
     spectra = _spectra(item)
     if len(spectra) > _MOST_SPECTRA:
         raise place.error(f"{len(spectra)} spectra of one object, expected at most {_MOST_SPECTRA}")
@@ -132,19 +159,17 @@ def _object(
     if not values:
         return None
     bands, table = _common_bands(wavelengths, values)
-    directions = np.array(wi), np.array(wo)
+    wi_rows, wo_rows, table, repeats = mean_of_repeats(np.array(wi), np.array(wo), table)
     notes = [f"{left_out} spectra without a directional geometry are left out"] if left_out else []
-    is_percent = looks_like_percent(*directions, table)
-    if is_percent:
-        notes.append(TAKEN_AS_PERCENT)
+    if repeats:
+        notes.append(f"{repeats} spectra repeat a geometry: their means are taken")
     texture: dict[str, Any] = {
         collection.name or f"tags {k}": {tag.name: tag.value for tag in collection.tag}
         for k, collection in enumerate(item.tag_collection)
     }
     return Readings(
-        item.name or default, instrument, *directions, bands, table / (100.0 * np.pi if is_percent else np.pi),
-        notes=tuple(notes), texture=texture,
-    )  # fmt: skip
+        item.name or default, instrument, wi_rows, wo_rows, bands, table, notes=tuple(notes), texture=texture
+    )
 
 
 def _number(value: Any, place: Place, where: str) -> float:
@@ -155,7 +180,9 @@ def _number(value: Any, place: Place, where: str) -> float:
 def _geometry(
     spectrum: Any, measurement: Any, seen: dict[Any, int], place: Place, where: str
 ) -> tuple[Array, Array] | None:
-    """Directions of a spectrum. A specification of several angles is used one after the other."""
+    """Directions of a spectrum, by its own name first. A specification's angles are used one after the other."""
+    if (by_name := geometry_directions(spectrum.name or "")) is not None:
+        return by_name
     geometry = measurement.geometry_choice if measurement is not None else None
     choice: Any = geometry.choice if geometry is not None else None
     kind = type(choice).__name__
@@ -182,7 +209,7 @@ def _geometry(
         )
         # 45/0: the aspecular angle from the mirror direction to the other leg, on the normal's side.
         return aspecular_pair(lit, lit - seen_at) if max(lit, seen_at) < 90.0 else None
-    return geometry_directions(spectrum.name or "")
+    return None
 
 
 def _wavelengths(

@@ -20,7 +20,7 @@ from manifold.errors import FileFormatError
 from manifold.formats.geometry_names import can_be_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.sheet_images import sheet_images
-from manifold.formats.spectro_table import Header, find_header, read_rows
+from manifold.formats.spectro_table import TAKEN_AS_FACTORS, TAKEN_AS_PERCENT, Header, find_header, read_rows
 from manifold.formats.table_cells import Cell, Table, plain_table
 from manifold.formats.table_layouts import with_geometries
 from manifold.formats.text import Place, read_bytes
@@ -52,14 +52,25 @@ def read(path: Path) -> list[Readings]:
     found = _tables(sheets, place)
     instrument = _instrument(sheets)
     several = len(found) > 1
+
     readings = {
         title: read_rows(*table, place, title if several else path.stem, instrument)
         for title, table in found.items()
     }
+    if any(TAKEN_AS_PERCENT in one.notes for of in readings.values() for one in of):
+        readings = {title: [_as_percent(one) for one in of] for title, of in readings.items()}
     texture = _texture(sheets, data)
     return [
         replace(one, texture=texture.get(one.name, texture.get("", {}))) for one in _named_apart(readings)
     ]
+
+
+def _as_percent(readings: Readings) -> Readings:
+    """The readings in the unit of another sheet, which is percent, where their own sheet gave none."""
+    if TAKEN_AS_FACTORS not in readings.notes:
+        return readings
+    notes = tuple(TAKEN_AS_PERCENT if note == TAKEN_AS_FACTORS else note for note in readings.notes)
+    return replace(readings, values=readings.values / 100.0, notes=notes)
 
 
 def _tables(sheets: Mapping[str, list[list[Cell]]], place: Place) -> dict[str, tuple[Table, Header]]:

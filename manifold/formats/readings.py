@@ -161,6 +161,23 @@ def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float =
     return wi, np.cos(offset) * mirror + np.sin(offset) * turned
 
 
+def mean_of_repeats(wi: Array, wo: Array, values: Array) -> tuple[Array, Array, Array, int]:
+    """Readings with one row per direction pair, in order of first appearance, and how many rows went into others."""
+    keys = np.round(np.hstack([wi, wo]), 9)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    if first.size == len(keys):
+        return wi, wo, values, 0
+    measured = np.isfinite(values)
+    totals = np.zeros((first.size, values.shape[1]))
+    counts = np.zeros_like(totals)
+    np.add.at(totals, inverse, np.where(measured, values, 0.0))
+    np.add.at(counts, inverse, measured)
+    means = np.divide(totals, counts, out=np.full_like(totals, np.nan), where=counts > 0)
+    order = np.argsort(first)
+    return wi[first[order]], wo[first[order]], means[order], len(keys) - first.size
+
+
 def _frozen(array: Array) -> Array:
     """A read-only contiguous copy."""
     copy = np.array(array, order="C")

@@ -21,7 +21,7 @@ from manifold.formats.geometry_names import (
     is_geometry,
     resolve,
 )
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, mean_of_repeats
 from manifold.formats.stacked_tables import stacked
 from manifold.formats.table_cells import (
     HEADER_ROWS,
@@ -55,6 +55,7 @@ NO_TABLE = (
     "no table of reflectance found, expected columns of wavelengths beside a column of geometries such as 45as15, "
     "columns of both such as '45as15 400', or theta_i, phi_i, theta_o, phi_o"
 )
+TAKEN_AS_FACTORS = "no unit given: taken as reflectance factors, 1 being the perfect diffuser"
 TAKEN_AS_PERCENT = (
     "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
 )
@@ -71,7 +72,7 @@ class Header:
     geometry: int | None
     angles: dict[str, int]
     name: int | None
-    unit: str  # `f`, `percent` or `unknown`
+    unit: str  # `f`, `percent`, `factor` or `unknown`
     gloss: dict[int, float]  # column: angle in degrees
 
 
@@ -139,9 +140,14 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
         raise place.error(
             "a header but no rows of readings, expected one per geometry", table.where(header.row, None)
         )
+    notes = list(geometries.notes)
+    if header.unit == "unknown":
+        header = replace(
+            header, unit=_unit_by_values([row for found in samples.values() for row in found], notes)
+        )
     return [
         replace(
-            _sample(key, instrument, readings, header, nm, geometries.notes, place),
+            _sample(key, instrument, readings, header, nm, notes, place),
             gloss={angle: float(np.mean(units)) for angle, units in gloss.get(key, {}).items()},
         )
         for key, readings in samples.items()
@@ -191,15 +197,15 @@ def _sample(
     rows: list[tuple[Array, Array, list[float]]],
     header: Header,
     nm: list[float],
-    geometry_notes: tuple[str, ...],
+    table_notes: Sequence[str],
     place: Place,
 ) -> Readings:
     wi, wo = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
     values = np.array([row[2] for row in rows])
     if not np.any(np.isfinite(values)):
         raise place.error(f"sample '{name[:40]}' has no values, expected reflectance")
-    notes = list(geometry_notes)
-    wi, wo, values, repeats = _mean_of_repeats(wi, wo, values)
+    notes = list(table_notes)
+    wi, wo, values, repeats = mean_of_repeats(wi, wo, values)
     if repeats:
         notes.append(f"{repeats} rows repeat a geometry: their means are taken")
     if (
@@ -213,13 +219,7 @@ def _sample(
             "expected reflectance"
         )
     if header.unit != "f":
-        percent = header.unit == "percent"
-        if not percent and looks_like_percent(wi, wo, values):
-            percent = True
-            notes.append(TAKEN_AS_PERCENT)
-        elif header.unit == "unknown" and not percent:
-            notes.append("no unit given: taken as reflectance factors, 1 being the perfect diffuser")
-        values = values / (100.0 * np.pi if percent else np.pi)
+        values = values / (100.0 * np.pi if header.unit == "percent" else np.pi)
     if np.any(np.isnan(values)):
         notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
     return Readings(
@@ -227,28 +227,19 @@ def _sample(
     )
 
 
+def _unit_by_values(rows: Sequence[tuple[Array, Array, list[float]]], notes: list[str]) -> str:
+    """`percent` or `factor`, for all samples of a table together, and a note of it."""
+    wi, wo, values = (np.array(part) for part in zip(*rows, strict=True))
+    percent = looks_like_percent(wi, wo, values)
+    notes.append(TAKEN_AS_PERCENT if percent else TAKEN_AS_FACTORS)
+    return "percent" if percent else "factor"
+
+
 def looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
     """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
     return bool(np.max(off, initial=0.0) > PERCENT_FROM or np.max(np.nan_to_num(values)) > PERCENT_ANYWHERE)
-
-
-def _mean_of_repeats(wi: Array, wo: Array, values: Array) -> tuple[Array, Array, Array, int]:
-    """Readings with one row per direction pair, in order of first appearance, and how many rows went into others."""
-    keys = np.round(np.hstack([wi, wo]), 9)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    if first.size == len(keys):
-        return wi, wo, values, 0
-    measured = np.isfinite(values)
-    totals = np.zeros((first.size, values.shape[1]))
-    counts = np.zeros_like(totals)
-    np.add.at(totals, inverse, np.where(measured, values, 0.0))
-    np.add.at(counts, inverse, measured)
-    means = np.divide(totals, counts, out=np.full_like(totals, np.nan), where=counts > 0)
-    order = np.argsort(first)
-    return wi[first[order]], wo[first[order]], means[order], len(keys) - first.size
 
 
 def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell]]) -> Header | None:

@@ -57,7 +57,7 @@ def export(
     ] = None,
     target: Annotated[
         TargetName | None,
-        typer.Option(help="The target, where the suffix is ambiguous. [default for folders: gltf]"),
+        typer.Option(help="The target, where neither the suffix nor the fit tells it. [default for folders: gltf]"),
     ] = None,
     against: Annotated[
         Path | None,
@@ -78,7 +78,7 @@ def export(
     specification. It is shown beside that of Mitsuba's principled, from whose parameters the target's are
     computed.
     """
-    from manifold.fitting.exports.targets import TARGETS, target_of
+    from manifold.fitting.exports.targets import TARGETS
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
@@ -100,7 +100,7 @@ def export(
         _show_all(results, outcomes, folder)
         return
     path = or_default(output, "material.glb", "export", force)
-    chosen = target_of(target, path)
+    chosen = exports.target_for(target, path, source)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
         stages = Stages(step, {"": 8, "evaluating the target's model": 2})

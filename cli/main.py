@@ -90,7 +90,7 @@ def run(arguments: list[str] | None = None) -> None:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, its permissions and the free space", debug)
     except Exception as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # while numba was about to call a compiled function
+        if isinstance(error.__cause__, KeyboardInterrupt):  # in the moment of a call into compiled code
             _say_interrupted()
             sys.exit(_EXIT_INTERRUPTED)
         if _is_in_cache_of_numba(error):

@@ -102,6 +102,24 @@ def test_targets_of_one_model_share_its_fits(folder, tmp_path, fitted, exported)
     assert made["parameters"] == values
 
 
+@pytest.mark.parametrize(
+    ("fitted", "suffix", "expected"),
+    [
+        ("unreal", ".json", "unreal"),
+        ("blender", ".json", "blender-json"),
+        ("standard-surface", ".mtlx", "standard-surface"),
+        ("usd-materialx", ".usda", "usd-materialx"),
+        ("usd", ".usda", "usd"),
+        ("gltf", ".mtlx", "openpbr"),  # which is refused then, as another model
+    ],
+)
+def test_without_a_target_the_fit_s_is_written(folder, tmp_path, fitted, suffix, expected):
+    fit = changed(folder, tmp_path / "x.fit.json", lambda entry: entry.update(name=fitted))
+    assert exports.target_for(None, tmp_path / f"x{suffix}", fit).name == expected
+    with pytest.raises(UsageError, match="several targets are JSON"):
+        exports.target_for(None, tmp_path / "x.json", folder / "felt.fit.json")
+
+
 def test_the_errors_of_a_fit_that_somebody_changed_are_measured_again(folder, tmp_path):
     fit = changed(
         folder, tmp_path / "x.fit.json", lambda entry: entry["parameters"].update(roughnessFactor=0.05)

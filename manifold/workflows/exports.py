@@ -15,7 +15,7 @@ from manifold.fitting.exports import loss, target_fit
 from manifold.fitting.exports.direct import NOTICEABLE, fit_target
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.principled_values import Principled
-from manifold.fitting.exports.targets import Target
+from manifold.fitting.exports.targets import Target, target_of
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
@@ -67,6 +67,17 @@ class ExportOutcome:
     was_there: bool = False
     failure: str | None = None
     notes: tuple[str, ...] = ()
+
+
+def target_for(name: str | None, path: Path, source: Path | None) -> Target:
+    """The target of that name, or else the one that the file's suffix and the model of a fit tell.
+
+    Raises:
+        UsageError, FileFormatError: there is none, or the fit cannot be used.
+    """
+    is_fit = name is None and source is not None and source.suffix.lower() == ".json"
+    entry = fit_json.read(source).get("target") if is_fit and source is not None else None
+    return target_of(name, path, None if entry is None else entry["name"])
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:

@@ -114,9 +114,13 @@ TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}
 """The targets by name."""
 
 
-def target_of(name: str | None, path: Path) -> Target:
+def target_of(name: str | None, path: Path, fitted: str | None = None) -> Target:
     """The target of that name, or the one that a file's suffix tells.
 
+    Args:
+        name: of the target, if it was named.
+        path: of the file.
+        fitted: name of the target whose model a fit has: among those of the suffix, it or one of the same model.
     Raises:
         UsageError: there is none, or the suffix is another's.
     """
@@ -127,7 +131,10 @@ def target_of(name: str | None, path: Path) -> Target:
         if not fitting:
             known = ", ".join(dict.fromkeys(target.suffix for target in _ALL))
             raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected one of {known}")
-        if path.suffix.lower() == ".json":
+        if (own := TARGETS.get(fitted or "")) is not None:
+            alike = [target for target in fitting if target.brdf is own.brdf]
+            fitting = [own] if own in alike else alike or fitting
+        if path.suffix.lower() == ".json" and len(fitting) > 1:
             names = ", ".join(target.name for target in fitting)
             raise UsageError(f"{path}: several targets are JSON; say which with --target: {names}")
         return fitting[0]

@@ -155,11 +155,13 @@ def test_each_state_keeps_the_spectrum_that_it_was_shown_in(page):
         ("nm,R,deviation\n400,0.5,a\n700,0.25,b\n", [0.5, 0.25]),
         ("400 0.5\r700 0.25\r", [0.5, 0.25]),
         ("# of a lamp\n700\t0.25\n\n400\t0.5", [0.5, 0.25]),
-        ("400;0,5\n700;0,25", "decimal points"),
-        ("400 0.5\n700 0,25", "decimal points"),
+        ("400;0,5\n700;0,25", [0.5, 0.25]),
+        ('"400,0" 0.5\n700 , 0,25 0,1', [0.5, 0.25]),
+        ("400,0,5\n700,0,25", "at least two rows"),
+        ("400,0.5\n700,0,25", "in the line “700,0,25”"),
         ("400 50\n700 40", "percent"),
         ("0.4 0.5\n700 0.25", "wavelengths in nm"),
-        ("400 0.5\n700 nan", "decimal points"),
+        ("400 0.5\n700 nan", "in the line “700 nan”"),
     ],
 )
 def test_a_spectrum_is_read_as_the_command_reads_it(page, tmp_path, text, expected):

@@ -8,29 +8,33 @@ from pathlib import Path
 import numpy as np
 
 from manifold.errors import FileFormatError
-from manifold.formats.text import decode
+from manifold.formats.text import decode, number
 from manifold.records import Array
 from manifold.system import small_files
 
 
 def read_columns(path: Path, what: str) -> tuple[Array, Array]:
-    """Wavelengths in nm, increasing, and values of a text file of two columns."""
+    """Wavelengths in nm, increasing, and values of a text file of two columns, both of shape (B,).
+
+    Raises:
+        UsageError: the file cannot be read.
+        FileFormatError: it has no such columns.
+    """
     advice = f"expected a text file of wavelengths and {what}s"
     content = small_files.read_bytes(path, advice=advice, most=small_files.MOST_TEXT)
     lines = decode(content).splitlines()
     rows: list[tuple[float, float]] = []
-    for number, line in enumerate(lines, start=1):
+    for k, line in enumerate(lines, start=1):
         cells = _numbers(line)
         if cells is not None:
             rows.append(cells)
         elif rows and line.strip() and not line.lstrip().startswith("#"):
             raise FileFormatError(
-                f"{path}: line {number} is '{line.strip()[:40]}', expected a wavelength in nm and a {what} "
-                "with a decimal point"
+                f"{path}: line {k} is '{line.strip()[:40]}', expected a wavelength in nm and a {what}"
             )
     if len(rows) < 2:
         raise FileFormatError(
-            f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2, with decimal points"
+            f"{path}: found {len(rows)} rows of wavelength and {what}, expected at least 2, such as 400;0.1"
         )
     nm, values = np.array(sorted(rows)).T
     if np.any(np.diff(nm) <= 0) or not 100.0 <= nm[0] <= nm[-1] <= 10000.0:
@@ -41,12 +45,14 @@ def read_columns(path: Path, what: str) -> tuple[Array, Array]:
 
 
 def _numbers(line: str) -> tuple[float, float] | None:
-    """The first two numbers of a line, or None where it does not begin with two, or may hold decimal commas."""
-    if re.search(r"\d,\d", line) and re.search(r"[;\s]", line.strip()):
+    """The first two numbers of a line, with a decimal point or comma, or None where it does not begin with two.
+
+    Between blanks, tabs or semicolons, commas are decimal ones; elsewhere they separate. `400,0,5` could be either.
+    """
+    line = line.strip()
+    is_spaced = re.search(r"[;\s]", line) is not None
+    cells = [cell for cell in re.split(r",?[;\s]+", line) if cell] if is_spaced else line.split(",")
+    if len(cells) < 2 or (not is_spaced and re.fullmatch(r"\d+(,\d+){2,}", line)):
         return None
-    cells = line.replace(",", " ").replace(";", " ").split()
-    try:
-        first, second = float(cells[0]), float(cells[1])
-    except (ValueError, IndexError):
-        return None
-    return (first, second) if np.isfinite(first) and np.isfinite(second) else None
+    first, second = number(cells[0]), number(cells[1])
+    return None if first is None or second is None else (first, second)

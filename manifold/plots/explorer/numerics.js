@@ -354,11 +354,16 @@ export function fieldAt(field, x) {
   return sum;
 }
 
-/** The first two numbers of a line; null where it does not begin with two, or may hold decimal commas. */
+const NUMBER = /^[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?$/i;
+
+/** The first two numbers of a line; null where it does not begin with two. Beside blanks or semicolons, commas are decimal. */
 function firstNumbers(line) {
-  if (/\d,\d/.test(line) && /[;\s]/.test(line.trim())) return null;
-  const cells = line.trim().split(/[\s,;]+/).slice(0, 2).map((cell) => (cell ? Number(cell) : NaN));
-  return cells.length === 2 && cells.every(Number.isFinite) ? cells : null;
+  line = line.trim().replaceAll('"', "");
+  const spaced = /[;\s]/.test(line);
+  if (!spaced && /^\d+(,\d+){2,}$/.test(line)) return null;
+  const cells = (spaced ? line.split(/,?[;\s]+/).filter((cell) => cell) : line.split(",")).slice(0, 2);
+  if (cells.length < 2 || !cells.every((cell) => NUMBER.test(cell))) return null;
+  return cells.map((cell) => Number(cell.replace(",", ".")));
 }
 
 /** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws in words. */
@@ -368,12 +373,12 @@ export function parseSpectrum(text) {
     const numbers = firstNumbers(line);
     if (numbers) rows.push(numbers);
     else if (rows.length && line.trim() && !line.trimStart().startsWith("#")) {
-      throw new Error(`expected a wavelength in nm and a reflectance, with decimal points, in the line “${line.trim().slice(0, 40)}”`);
+      throw new Error(`expected a wavelength in nm and a reflectance in the line “${line.trim().slice(0, 40)}”`);
     }
   }
   rows.sort((a, b) => a[0] - b[0]);
   const nm = rows.map((row) => row[0]), values = rows.map((row) => row[1]);
-  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance, with decimal points");
+  if (rows.length < 2) throw new Error("expected at least two rows of wavelength in nm and reflectance, such as 400;0.1");
   if (nm.some((v, k) => k && v === nm[k - 1])) throw new Error("a wavelength is there twice");
   if (nm[0] < 100 || nm[nm.length - 1] > 10000) throw new Error("expected wavelengths in nm");
   if (Math.min(...values) < 0 || Math.max(...values) > 1) {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from instrument_files import smooth
@@ -98,3 +100,81 @@ def test_a_btdf_is_refused(tmp_path):
 )  # fmt: skip
 def test_angles_are_known_in_every_spelling(head, name):
     assert angle_name(head) == name
+
+
+RADIANS = np.deg2rad(DIRECTIONS)
+HEAD = "theta_i,phi_i,theta_o,phi_o,465,525,630"
+VALUES = truth(DIRECTIONS)
+TABLES = {
+    "degrees, not said": f"{HEAD}\n" + lines(DIRECTIONS, VALUES),
+    "radians, not said": f"{HEAD}\n" + lines(RADIANS, VALUES),
+    "radians in heads": re.sub(r"(theta|phi)_\w", r"\g<0> (rad)", HEAD) + "\n" + lines(RADIANS, VALUES),
+    "radians in names": re.sub(r"(theta|phi)_\w", r"\g<0>_rad", HEAD) + "\n" + lines(RADIANS, VALUES),
+    "degrees in names": re.sub(r"(theta|phi)_\w", r"\g<0>_deg", HEAD) + "\n" + lines(DIRECTIONS, VALUES),
+    "other words": "Incident angle,Incident azimuth,Viewing angle,Viewing azimuth,465 nm,525 nm,630 nm\n"
+    + lines(DIRECTIONS, VALUES),
+    "zenith angles": "SZA;SAA;VZA;VAA;465;525;630\n"
+    + lines(DIRECTIONS, VALUES, separator=";").replace(".", ","),
+    "blanks": HEAD.replace(",", " ") + "\n" + lines(DIRECTIONS, VALUES, separator="  "),
+    "a head in a comment": "# " + HEAD.replace(",", " ") + "\n" + lines(DIRECTIONS, VALUES, separator=" "),
+    "micrometres": HEAD.replace("465,525,630", "0.465 um,0.525 um,0.630 um")
+    + "\n"
+    + lines(DIRECTIONS, VALUES),
+    "percent": HEAD.replace("465", "465 (%)") + "\n" + lines(DIRECTIONS, 100.0 * np.pi * VALUES),
+    "percent, not said": f"{HEAD}\n" + lines(DIRECTIONS, 100.0 * np.pi * VALUES),
+    "factors": f"# Bidirectional reflectance factor\n{HEAD}\n" + lines(DIRECTIONS, np.pi * VALUES),
+    "BRF": HEAD.replace(",465", ",BRF 465") + "\n" + lines(DIRECTIONS, np.pi * VALUES),
+    "times the cosine": HEAD.replace(",465", ",BRDF*cos 465") + "\n" + lines(DIRECTIONS, COSINE * VALUES),
+    "differences of azimuths": "theta_i,theta_o,dphi,465,525,630\n"
+    + lines(DIRECTIONS[:, [0, 2]], DIRECTIONS[:, 3:] - 180.0, VALUES),
+    "a row per wavelength": "wavelength,theta_i,phi_i,theta_o,phi_o,BRDF\n"
+    + "".join(
+        lines(np.full((len(VALUES), 1), BANDS.wavelengths_nm[k]), DIRECTIONS, VALUES[:, k : k + 1])
+        for k in (2, 0, 1)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_directions_are_read_however_they_are_spelt(name, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(TABLES[name], encoding="utf-8")
+    found = assert_true(path)
+    assert found.bands == BANDS
+    mirror = np.einsum("pi,pi->p", found.wi * [-1.0, -1.0, 1.0], found.wo)
+    assert np.max(mirror) == pytest.approx(1.0)  # 40 degrees is among both elevations
+    assert np.argmax(found.values[:, 0]) == np.argmax(smooth(BANDS).eval(found.wi, found.wo)[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("head", "expected"),
+    [("BRDF", None), ("value", "no unit given: taken as BRDF in 1/sr"), ("Reflectance", "divided by pi")],
+)
+def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
+    path = tmp_path / "one.csv"
+    scale = np.pi if head == "Reflectance" else 1.0
+    path.write_text(f"theta_i,phi_i,theta_r,phi_r,{head}\n" + lines(DIRECTIONS, scale * VALUES[:, 1:2]))
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values[:, 0], smooth(BANDS).eval(found.wi, found.wo)[:, 1], rtol=1e-6)
+    said = [note for note in found.notes if "1/sr" in note or "pi" in note]
+    assert said == [] if expected is None else expected in said[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("theta_i,phi_i,theta_o,phi_o,u,v\n1,2,3,4,5,6\n", "expected values beside the directions"),
+        ("theta_i,theta_i,theta_o,phi_o,465\n1,2,3,4,5\n", "theta_i appears twice"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n1,2,x,4,5\n", "row 2, theta_o: found 'x'"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n1,2,3,4,5\n,,,,6\n", "row 3: values without directions"),
+        ("theta_i,phi_i,theta_o,phi_o,465,525\n1,2,3,4,0.5,O.3\n", "row 2, column 6: found 'O.3'"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n", "a header but no rows"),
+        ("theta_i,phi_i,theta_o,phi_o,465,465\n1,2,3,4,5,6\n", "two columns of '465'"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n10,0,170,0,0.5\n", "no rows of reflected light"),
+    ],
+)
+def test_tables_of_directions_that_cannot_be_read_say_why(table, words, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text(table)
+    with pytest.raises(FileFormatError, match=words):
+        registry.read_all(path)

@@ -1,9 +1,9 @@
-"""Columns of directions in tables: what heads call the angles, their unit, and what the values beside them are."""
+"""Columns of directions in tables: what heads call the angles, and their unit."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -11,9 +11,6 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.formats.text import Place
 from manifold.records import Array
-
-Quantity = Literal["f", "f_cos", "factor"]
-"""BRDF in 1/sr; BRDF times cos theta_o; reflectance factor, pi times the BRDF."""
 
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o")
 RELATIVE = "phi_o - phi_i"
@@ -24,7 +21,7 @@ _AZIMUTH = r"(phi|azimuth(al)?|azi|az|azimuth(al)?angle)"
 _LIGHT = r"(i|in|inc|incident|incidence|incoming|light|lighting|illumination|source|sun|solar)"
 _SEEN = (
     r"(o|out|outgoing|s|sc|scat|scatter|scattered|scattering|r|refl|reflected|reflection|v|view|viewing|observer|"
-    r"observation|det|detector|receiver|e|exit)"
+    r"observation|det|detector|detection|receiver|e|exit|emission|emergence|emergent)"
 )
 _SPELLINGS = {
     "theta_i": rf"{_LIGHT}{_POLAR}|{_POLAR}{_LIGHT}|ti|sza|aoi|incidence|angleofincidence",
@@ -38,11 +35,6 @@ _GREEK = str.maketrans(
 )
 _DEGREES, _RADIANS = r"deg|°|º", r"rad(ian)?s?(?![a-z])"
 _UNITS = re.compile(r"\(.*?\)|\[.*?\]|(degrees?|deg|radians?|rad)$|°|º")
-_COSINE = re.compile(
-    r"\b(ARS|DSF|CC_?BS?[RST]?DF)(?![a-z])|BS?[RST]?DF\W*\(?cos|\bf_cos|cos(ine)?[ -]?(corrected|weighted)",
-    re.IGNORECASE,
-)
-_FACTOR = re.compile(r"\bB?BRR?F(?![a-z])|(reflectance|radiance|reflection)[ _-]*factor", re.IGNORECASE)
 _ROUNDING = 0.01  # radians
 
 
@@ -67,28 +59,6 @@ def exceed_radians(angles: Mapping[str, Array]) -> bool:
         > (np.pi if name.startswith("theta") else 2.0 * np.pi) + _ROUNDING
         for name, values in angles.items()
     )
-
-
-def quantity(texts: Iterable[str]) -> Quantity:
-    """What heads of values, and what stands above them, say that the values are; f where they say nothing."""
-    for text in texts:
-        if _COSINE.search(text):
-            return "f_cos"
-        if _FACTOR.search(text):
-            return "factor"
-    return "f"
-
-
-def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str]) -> Array:
-    """f in 1/sr of values (P, B) of a quantity at directions wo (P, 3); NaN where the cosine is 0, and a note."""
-    if kind == "factor":
-        notes.append("reflectance factors, divided by pi")
-        return values / np.pi
-    if kind == "f_cos":
-        notes.append("values include the cosine of theta_o, and are divided by it")
-        cosine = wo[:, 2:]
-        return np.divide(values, cosine, out=np.full_like(values, np.nan), where=cosine > 1e-3)
-    return values
 
 
 def directions(angles: Mapping[str, Array], place: Place, notes: list[str]) -> tuple[Array, Array, Array]:

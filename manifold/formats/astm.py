@@ -13,18 +13,15 @@ import numpy as np
 
 from manifold.errors import ShapeError
 from manifold.formats.angle_columns import (
-    Quantity,
     angle_name,
-    as_brdf,
     directions,
     exceed_radians,
-    quantity,
     stated_unit,
 )
 from manifold.formats.csv_table import angles_deg, band_heads
 from manifold.formats.readings import Readings
 from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
-from manifold.formats.tristimulus import converted, unnamed_band
+from manifold.formats.value_columns import Quantity, as_brdf, bands_of, quantity, wavelength_of
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -32,8 +29,6 @@ _REMEDY = "export the table again"
 _MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
-_LEAST_NM = 150.0
-_BAND = re.compile(r"(?P<number>\d+(\.\d+)?)\s*(?P<unit>nm|um|µm|micron)?", re.IGNORECASE)
 _PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
 
 
@@ -122,7 +117,7 @@ def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns
     """The columns, a single band called by the wavelength that the header says: micrometres where it is below 100."""
     found = re.match(r"[\d.]+", header.get("WAVELENGTH", ""))
     said = number(found[0]) if found else None
-    if said is None or said <= 0.0 or len(columns.bands) != 1 or _wavelength(columns.bands[0]):
+    if said is None or said <= 0.0 or len(columns.bands) != 1 or wavelength_of(columns.bands[0]):
         return columns
     band = f"{said if said >= 100.0 else 1000.0 * said:g}nm"
     names = [band if name in columns.bands else name for name in columns.names]
@@ -186,7 +181,7 @@ def _readings(
     keep, wi, wo = directions(angle, place, notes)
     first = [k for k, head in enumerate(columns.names) if head in columns.bands]
     values = as_brdf(table[keep][:, first], columns.kind, wo, notes)
-    nm, values = _bands(columns.bands, values, notes, place)
+    nm, values = bands_of(columns.bands, values, notes, place)
     weights = np.ones(len(wi))
     if is_mini_diff:
         weights[np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
@@ -195,39 +190,6 @@ def _readings(
             f"{int((values < 0).sum())} values are negative, down to {np.nanmin(values):.3g}: noise, kept"
         )
     return Readings(name, instrument, wi, wo, nm, values, weights, tuple(notes))
-
-
-def _bands(heads: list[str], values: Array, notes: list[str], place: Place) -> tuple[Array | None, Array]:
-    """Wavelengths, increasing, or None for linear sRGB, and the values in their order."""
-    letters = [re.sub(r"[^a-z]", "", head.lower()).removeprefix("brdf") for head in heads]
-    for space in ("rgb", "xyz"):
-        words = [{"red": "r", "green": "g", "blue": "b"}.get(letter, letter) for letter in letters]
-        if sorted(words) == sorted(space):
-            values = values[:, [words.index(letter) for letter in space]]
-            if space == "xyz":
-                values = converted(values, notes)
-            return None, values
-    nm = []
-    for head in heads:
-        wavelength = _wavelength(head)
-        if wavelength is None and len(heads) == 1:
-            return unnamed_band(notes), values
-        if wavelength is None:
-            raise place.error(f"band '{head[:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z")
-        nm.append(wavelength)
-    order = np.argsort(nm)
-    ascending = np.array(nm)[order]
-    if np.any(np.diff(ascending) <= 0) or ascending[0] <= 0:
-        raise place.error(f"bands {', '.join(heads[:6])}, expected different wavelengths")
-    return ascending, values[:, order]
-
-
-def _wavelength(head: str) -> float | None:
-    """The wavelength in nm of a band's head; numbers without a unit are nm, or numbers of bands where too small."""
-    found = _BAND.search(head)
-    if found is None or (found["unit"] is None and float(found["number"]) < _LEAST_NM):
-        return None
-    return float(found["number"]) * (1.0 if (found["unit"] or "nm").lower() == "nm" else 1000.0)
 
 
 def write(path: Path, readings: Readings) -> None:

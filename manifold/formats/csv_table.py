@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import to_spherical
+from manifold.formats.direction_table import names_directions, read_directions
 from manifold.formats.geometry_names import can_be_geometry, is_geometry
 from manifold.formats.readings import Readings
 from manifold.formats.spectro_table import read_table
@@ -39,10 +40,12 @@ def sniff(head: bytes) -> bool:
         words = line.lower()
         separator = _separator(line)
         titles += is_geometry(line.strip(' ";,|\t'))
+        if names_directions(_cells(_uncommented(line))) or _names_wavelength(line):
+            return True
         if separator is None:
             continue
-        if "geometr" in words or re.search(r"theta\W?_?i", words):
-            return "vars" not in words
+        if "geometr" in words:
+            return True
         cells = [cell.strip(' "') for cell in words.split(separator)]
         if _is_header(cells) or (sum(c.isdigit() for c in line) > 20 and "as" in line):
             return True
@@ -75,25 +78,15 @@ def read(path: Path) -> list[Readings]:
     """
     place = Place(path, _REMEDY)
     text = decode(read_bytes(path, LARGEST_TEXT))
-    lines = text.splitlines()
-    candidates = [_separator(line) for line in lines[:60] if line.strip() and not line.startswith("#")]
-    found = [s for s in candidates if s is not None]
-    if not found:
-        raise place.error("no separated cells found, expected a table")
-    separator = max(set(found), key=found.count)
-    try:
-        plain = io.StringIO("\n".join("" if line.startswith("#") else line for line in lines))
-        rows = [[cell.strip() for cell in row] for row in csv.reader(plain, delimiter=separator)]
-    except csv.Error as error:
-        raise place.error(f"not a table ({error})") from None
-    rows = [_repaired(row, separator) for row in rows]
+    lines = [_uncommented(line) for line in text.splitlines()]
+    rows = _rows(lines, place)
     _require_width(rows, place)
     texture = {
         line[1:].partition(":")[0].strip(): line.partition(":")[2].strip()
         for line in lines
         if line.startswith("#") and any(word in line.lower() for word in _TEXTURE)
     }
-    name, instrument = path.stem, "spectrophotometer (CSV)"
+    name, instrument = path.stem, ""
     for line in lines[:40]:
         key, _, value = line.lstrip("# ").partition(":")
         if line.startswith("#") and value.strip():
@@ -107,11 +100,56 @@ def read(path: Path) -> list[Readings]:
         and (angle := gloss_angle(key)) is not None
         and (units := number(value.strip())) is not None  # not `gloss: matt`
     }
-    found_readings = read_table(plain_table(rows), place, name, instrument)
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and not _names_sample(line)]
+    table = plain_table(rows)
+    found_readings = read_directions(table, place, name, instrument or "goniometer (CSV)", comments)
+    found_readings = found_readings or read_table(table, place, name, instrument or "spectrophotometer (CSV)")
     if len(found_readings) == 1:
         (only,) = found_readings
         return [replace(only, texture=texture or only.texture, gloss={**gloss, **only.gloss})]
     return found_readings
+
+
+def _uncommented(line: str) -> str:
+    """The line; without its mark if it is a comment that is the head of a table of directions."""
+    bare = line.lstrip("#% ")
+    return bare if line.startswith(("#", "%")) and names_directions(_cells(bare)) else line
+
+
+def _names_sample(line: str) -> bool:
+    return line.lstrip("# ").lower().startswith(("name:", "instrument:"))
+
+
+def _cells(line: str) -> list[str]:
+    """Cells of a line by its own separator, blanks where there is no other."""
+    separator = _separator(line)
+    return line.split() if separator is None else line.split(separator)
+
+
+def _rows(lines: list[str], place: Place) -> list[list[str]]:
+    """Cells of all lines, none in comments."""
+    plain = ["" if line.startswith("#") else line for line in lines]
+    head = [line for line in plain[:HEADER_ROWS] if line.strip()]
+    found = [s for line in head if (s := _separator(line)) is not None]
+    found = found or [s for line in head for s in ";\t|," if s in line and _names_wavelength(line)]
+    if not found and any(names_directions(line.split()) for line in head):
+        return [line.split() for line in plain]
+    if not found:
+        raise place.error("no separated cells found, expected a table")
+    separator = max(set(found), key=found.count)
+    try:
+        table = [
+            [cell.strip() for cell in row]
+            for row in csv.reader(io.StringIO("\n".join(plain)), delimiter=separator)
+        ]
+    except csv.Error as error:
+        raise place.error(f"not a table ({error})") from None
+    return [_repaired(row, separator) for row in table]
+
+
+def _names_wavelength(line: str) -> bool:
+    """Whether a line is the head of columns of which the first holds wavelengths."""
+    return re.match(r'[ "]*(wave ?length|lambda|nm)[^;,|\t]{0,12}[;,|\t]', line, re.IGNORECASE) is not None
 
 
 def write(path: Path, readings: Readings) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import FileFormatError
+from manifold.formats.direction_table import read_directions
 from manifold.formats.geometry_names import can_be_geometry
 from manifold.formats.readings import MA_T12_NAMES, Readings
 from manifold.formats.sheet_images import sheet_images
@@ -49,8 +50,15 @@ def read(path: Path) -> list[Readings]:
     data = read_bytes(path, _LARGEST_FILE)
     _check_archive(data, place)
     sheets = _sheets(data, place)
-    found = _tables(sheets, place)
     instrument = _instrument(sheets)
+    measured = [
+        one
+        for title in sheets
+        for one in read_directions(plain_table(sheets[title], title), place, path.stem, instrument)
+    ]
+    if measured:
+        return measured
+    found = _tables(sheets, place)
     several = len(found) > 1
 
     readings = {

@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from manifold.directions import from_spherical
 from manifold.formats.geometry_names import (
     AmbiguousGeometryError,
     GeometryNames,
@@ -40,14 +39,10 @@ from manifold.formats.table_layouts import layouts, with_geometries
 from manifold.formats.text import Place, number, plain_float
 from manifold.records import Array
 
-_TITLE_IN_PERCENT = re.compile(r"\b(reflectance|unit)\w*\W{0,4}(in )?(%|per ?cent)|% ?reflect", re.IGNORECASE)
-_ONE_GEOMETRY = re.compile(r"(?<![\d.,/:])(45\s*°?[a-z]?\s*[/:]\s*0|0\s*°?\s*[/:]\s*45)\s*°?(?![\d.,/:])")
-_ANGLES = (
-    ("theta_i", ("thetai", "thetain", "incidenttheta", "intheta", "aoi", "incidence")),
-    ("phi_i", ("phii", "phiin", "incidentphi", "inphi", "poi")),
-    ("theta_o", ("thetao", "thetas", "thetar", "thetaout", "outgoingtheta", "theta")),
-    ("phi_o", ("phio", "phis", "phir", "phiout", "outgoingphi", "phi")),
+TITLE_IN_PERCENT = re.compile(
+    r"\b(reflectance|unit)\w*( factors?)?\W{0,4}(in )?(%|per ?cent)|% ?reflect", re.IGNORECASE
 )
+_ONE_GEOMETRY = re.compile(r"(?<![\d.,/:])(45\s*°?[a-z]?\s*[/:]\s*0|0\s*°?\s*[/:]\s*45)\s*°?(?![\d.,/:])")
 PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
 PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
 
@@ -69,8 +64,7 @@ class Header:
     row: int
     bands: dict[int, float]  # column: nm; RGB channels are 0, 1, 2 with is_rgb
     is_rgb: bool
-    geometry: int | None
-    angles: dict[str, int]
+    geometry: int
     name: int | None
     unit: str  # `f`, `percent`, `factor` or `unknown`
     gloss: dict[int, float]  # column: angle in degrees
@@ -107,7 +101,7 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
             "two columns of the same wavelength, expected different ones", table.where(header.row, None)
         )
     titles = [text_of(cell) for row in rows[: header.row] for cell in row]
-    if header.unit == "unknown" and any(map(_TITLE_IN_PERCENT.search, titles)):
+    if header.unit == "unknown" and any(map(TITLE_IN_PERCENT.search, titles)):
         header = replace(header, unit="percent")
     geometries = _geometries(table, header, place, " ".join([instrument, *titles]))
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
@@ -125,7 +119,7 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
             continue  # a footnote, a title
         if header.name is not None and header.name < len(row) and text_of(row[header.name]):
             last = text_of(row[header.name])
-        values = [_value(table, index, column, header.unit == "percent", place) for column in order]
+        values = [value_at(table, index, column, header.unit == "percent", place) for column in order]
         samples.setdefault(last, []).append((*directions, values))
         for column, angle in header.gloss.items():
             units = number(text_of(cell_at(row, column)))
@@ -182,8 +176,6 @@ def _stated_geometry(table: Table) -> str | None:
 
 def _geometries(table: Table, header: Header, place: Place, titles: str) -> GeometryNames:
     """What the names of all geometries mean, together."""
-    if header.geometry is None:
-        return GeometryNames({}, ())
     cells = (cell_at(row, header.geometry) for row in table.rows[header.row + 1 :])
     try:
         return resolve(filter(None, map(text_of, cells)), titles)
@@ -245,16 +237,13 @@ def looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
 def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell]]) -> Header | None:
     texts = [text_of(cell) for cell in row]
     plain = list(map(plain_head, texts))
-    angles = {name: k for name, spellings in _ANGLES for k, text in enumerate(plain) if text in spellings}
-    has_angles = {"theta_i", "theta_o"} <= set(angles)
     geometry = _geometry_column(plain, below)
-    if geometry is None and not has_angles:
+    if geometry is None:
         return None
-    if geometry is not None and is_geometry(texts[geometry]):
+    if is_geometry(texts[geometry]):
         return None  # a row of readings
-    taken = {geometry, *angles.values()}
     bands = {
-        k: nm for k, text in enumerate(texts) if k not in taken and (nm := parse_wavelength(text)) is not None
+        k: nm for k, text in enumerate(texts) if k != geometry and (nm := parse_wavelength(text)) is not None
     }
     if bands and len(bands) <= sum(number(t) is not None for k, t in enumerate(texts) if k not in bands):
         return None  # a row of values, few of which could be wavelengths
@@ -265,30 +254,24 @@ def _parse_header(index: int, row: Sequence[Cell], below: Sequence[Sequence[Cell
         if not is_rgb:
             return None
     name = name_column(plain)
-    if name is None and geometry is not None:
+    if name is None:
         name = _untitled_names(texts[:geometry], below)
     joined = " ".join(texts).lower()
-    if "1/sr" in joined or "sr^-1" in joined or "sr-1" in joined or (has_angles and "brdf" in joined):
+    if any(word in joined for word in ("1/sr", "sr^-1", "sr-1", "brdf", "bsdf")):
         unit = "f"
     elif (
         "%" in joined
         or "percent" in joined
         or any(text_of(c).endswith("%") for cells in below for c in cells)
-        or any(
-            "%" in text_of(cells[geometry])
-            for cells in below
-            if geometry is not None and geometry < len(cells)
-        )
+        or any("%" in text_of(cells[geometry]) for cells in below if geometry < len(cells))
     ):
         unit = "percent"
     else:
-        unit = "f" if has_angles and geometry is None else "unknown"
+        unit = "unknown"
     gloss = {
-        k: angle
-        for k, text in enumerate(texts)
-        if k not in taken and (angle := gloss_angle(text)) is not None
+        k: angle for k, text in enumerate(texts) if k != geometry and (angle := gloss_angle(text)) is not None
     }
-    return Header(index, bands, is_rgb, geometry, angles, name, unit, gloss)
+    return Header(index, bands, is_rgb, geometry, name, unit, gloss)
 
 
 def _untitled_names(texts: Sequence[str], below: Sequence[Sequence[Cell]]) -> int | None:
@@ -313,43 +296,27 @@ def _geometry_column(heads: list[str], below: Sequence[Sequence[Cell]]) -> int |
 
 
 def _geometry_text(row: Sequence[Cell], header: Header) -> str:
-    text = text_of(row[header.geometry]) if header.geometry is not None and header.geometry < len(row) else ""
+    text = text_of(cell_at(row, header.geometry))
     return f"at geometry '{text[:24]}'" if text else "without a geometry"
 
 
 def _directions(
     row: Sequence[Cell], header: Header, geometries: GeometryNames, place: Place, where: str
 ) -> tuple[Array, Array] | None:
-    if header.geometry is not None and header.geometry < len(row):
-        text = text_of(row[header.geometry])
-        if text not in geometries.angles:
-            if any(c.isdigit() for c in text) and "as" in text.lower():
-                raise place.error(f"found geometry '{text[:24]}', expected one such as 45as15", where)
-            return None
-        found = directions_of(geometries.angles[text])
-        if found is None:
-            raise place.error(
-                f"geometry '{text[:24]}' lies below the horizon, expected one such as 45as15", where
-            )
-        return found
-    if not header.angles:
+    text = text_of(cell_at(row, header.geometry))
+    if text not in geometries.angles:
+        if any(c.isdigit() for c in text) and "as" in text.lower():
+            raise place.error(f"found geometry '{text[:24]}', expected one such as 45as15", where)
         return None
-    texts = {name: text_of(row[k]) if k < len(row) else "" for name, k in header.angles.items()}
-    if not any(texts.values()):
-        return None
-    angle = {name: np.deg2rad(place.number(text, f"{where}, {name}")) for name, text in texts.items()}
-    for name in ("theta_i", "theta_o"):
-        if abs(angle[name]) > 0.5 * np.pi + 1e-6:
-            raise place.error(
-                f"{name} is {np.rad2deg(angle[name]):g}, expected degrees from -90 to 90", where
-            )
-    wi = from_spherical(angle["theta_i"], angle.get("phi_i", np.pi))
-    wo = from_spherical(angle["theta_o"], angle.get("phi_o", 0.0))
-    wi[2], wo[2] = max(wi[2], 0.0), max(wo[2], 0.0)
-    return wi, wo
+    found = directions_of(geometries.angles[text])
+    if found is None:
+        raise place.error(
+            f"geometry '{text[:24]}' lies below the horizon, expected one such as 45as15", where
+        )
+    return found
 
 
-def _value(table: Table, index: int, column: int, percent: bool, place: Place) -> float:
+def value_at(table: Table, index: int, column: int, percent: bool, place: Place) -> float:
     row = table.rows[index]
     if column >= len(row) and not table.is_sheet:
         raise place.error(

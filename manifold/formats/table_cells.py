@@ -17,7 +17,9 @@ NO_VALUE = ("", "-", "n/a", "---")
 
 _LEAST_NM, _MOST_NM = 200.0, 5000.0
 _WAVELENGTH = re.compile(
-    r"^\D{0,12}?(?P<nm>\d{3,4}([.,]\d+)?)\s*(nm|\(nm\)|\[nm\])?\s*(\(.*\)|\[.*\]|%)?$", re.IGNORECASE
+    r"^\D{0,12}?((?P<nm>\d{3,4}([.,]\d+)?)\s*(nm|\(nm\)|\[nm\])?|(?P<um>\d{0,2}[.,]\d+)\s*[(\[]?(um|µm|μm|microns?)[)\]]?)"
+    r"\s*(\(.*\)|\[.*\]|%)?$",
+    re.IGNORECASE,
 )
 _GLOSS = re.compile(
     r"\W*((?P<before>\d+)\W*(deg(rees?)?)?\W*)?(gloss|glanz|GU)(\s*(units?|value))?"
@@ -88,7 +90,8 @@ def parse_wavelength(text: str) -> float | None:
     found = _WAVELENGTH.match(text)
     if found is None:
         return None
-    nm = float(found["nm"].replace(",", "."))
+    value = float((found["nm"] or found["um"]).replace(",", "."))
+    nm = value if found["nm"] else 1000.0 * value
     return nm if _LEAST_NM <= nm <= _MOST_NM else None
 
 

@@ -9,13 +9,14 @@ MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo kernels test test-slow check attack bench clean help
+.PHONY: demo kernels test test-slow test-lowest check attack bench clean help
 
 help:
 	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
 	@echo "make kernels     compile what Numba would compile at first use"
 	@echo "make test        run the tests, all but the slow ones"
 	@echo "make test-slow   run the slow ones"
+	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
 	@echo "make check       ruff, mypy, import-linter"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
@@ -40,6 +41,12 @@ test: kernels
 test-slow: .venv/readydev
 	$(BIN)/python -m pytest -m slow
 
+test-lowest: .venv/readydev
+	$(BIN)/python -m venv .venv-lowest
+	$(BIN)/python tools/lowest.py > .venv-lowest/lowest.txt
+	.venv-lowest/bin/pip install --quiet --constraint .venv-lowest/lowest.txt --editable ".[dev]"
+	OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1 .venv-lowest/bin/python -m pytest -m "not slow" $(SHARED)
+
 check: .venv/readydev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -53,4 +60,4 @@ bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py
 
 clean:
-	rm -rf .venv build dist *.egg-info
+	rm -rf .venv .venv-lowest build dist *.egg-info

@@ -178,3 +178,31 @@ def test_tables_of_directions_that_cannot_be_read_say_why(table, words, tmp_path
     path.write_text(table)
     with pytest.raises(FileFormatError, match=words):
         registry.read_all(path)
+
+
+def pab_opto(directions_deg: Array, values: Array, quantity: str = "BSDF") -> str:
+    """A file of one incidence, that of the first row."""
+    theta, phi = directions_deg[0, :2]
+    head = f"#format: theta phi {quantity}\n" if quantity else ""
+    return f"#incident_angle {theta:g} {phi:g}\n#wavelength 465\n{head}" + lines(
+        directions_deg[:, 2:], values[:, :1], separator="\t"
+    )
+
+
+def test_a_pab_opto_sample_lit_from_behind_is_turned_over_not_mirrored(tmp_path):
+    """A rotation about the x axis: azimuths change their sense with the side."""
+    path = tmp_path / "back.txt"
+    path.write_text(pab_opto(np.array([[140.0, 30.0, 120.0, 250.0]]), np.array([[0.2]])))
+    found = registry.read_readings(path)
+    turned = [from_spherical(np.deg2rad(t), np.deg2rad(p)) * [1, -1, -1] for t, p in ((140, 30), (120, 250))]
+    np.testing.assert_allclose([found.wi[0], found.wo[0]], turned, atol=1e-12)
+
+
+def test_pab_opto_quantities_are_said_or_refused(tmp_path):
+    rows, values = DIRECTIONS[9:18], VALUES[9:18]
+    path = tmp_path / "one.txt"
+    path.write_text(pab_opto(rows, values, ""))
+    assert registry.read_readings(path).notes == ("no line #format: values are taken as BSDF in 1/sr",)
+    path.write_text(pab_opto(rows, values, "BTDF"))
+    with pytest.raises(FileFormatError, match="transmitted light"):
+        registry.read_all(path)

@@ -51,6 +51,21 @@ def test_black_is_in_percent_where_white_of_another_sheet_is(tmp_path):
     assert_both(tmp_path / "both.xlsx")
 
 
+@pytest.mark.parametrize("numbers", [False, True])
+def test_samples_under_a_head_in_another_language_are_not_averaged(numbers, tmp_path):
+    names = {"white": "1", "black": "2"} if numbers else {"white": "\u767d", "black": "\u9ed2"}
+    rows = [
+        [names[row[0]], 50.0 + k, *row[1:]]
+        for k, row in enumerate([*sample_rows("white"), *sample_rows("black")])
+    ]
+    head = ["\u6837\u54c1", "L*", "\u51e0\u4f55\u6761\u4ef6", *HEAD[2:]]
+    path = tmp_path / "both.csv"
+    path.write_text("\n".join(",".join(map(str, row)) for row in [head, *rows]), encoding="utf-8")
+    found = registry.read_all(path)
+    assert [one.name for one in found] == list(names.values())
+    np.testing.assert_allclose(found[1].values, 0.01 * SPECTRO.values, rtol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def cxf(tmp_path_factory) -> str:
     """A CxF3 document of one object; values are factors."""

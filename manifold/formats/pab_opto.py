@@ -46,21 +46,22 @@ def read(path: Path) -> list[Readings]:
     theta_i, phi_i = _incidence(header, place)
     quantity = (header.get("format", "theta phi BSDF").split() or ["BSDF"])[-1].upper()
     if quantity not in ("DSF", "BSDF", "BRDF"):
+        why = " (transmitted light)" if quantity == "BTDF" else ""
         raise place.error(
-            f"format '{header.get('format', '')[:40]}', expected theta phi DSF or theta phi BSDF"
+            f"format '{header.get('format', '')[:40]}'{why}, expected theta phi DSF or theta phi BSDF"
         )
     table = _rows(lines, place)
-    notes: list[str] = []
+    notes = [] if "format" in header else ["no line #format: values are taken as BSDF in 1/sr"]
     theta, phi = np.deg2rad(table[:, 0]), np.deg2rad(table[:, 1])
     values = table[:, 2:]
     if theta_i > 90.0:  # lit from behind: the sample is turned over
-        theta_i, theta = 180.0 - theta_i, np.pi - theta
+        theta_i, phi_i, theta, phi = 180.0 - theta_i, -phi_i, np.pi - theta, -phi
         notes.append("incidence beyond 90 degrees: the sample is turned over")
     above = np.cos(theta) > _LEAST_COSINE
     if not np.all(above):
         notes.append(f"{int((~above).sum())} rows at or below the horizon are left out")
     if not np.any(above):
-        raise place.error("no reflected light, expected rows on the side of incidence")
+        raise place.error("nothing but transmitted light, expected rows on the side of incidence")
     theta, phi, values = theta[above], phi[above], values[above]
     if quantity == "DSF":
         values = values / np.cos(theta)[:, None]

@@ -104,6 +104,8 @@ def read_rows(table: Table, header: Header, place: Place, name: str, instrument:
     if header.unit == "unknown" and any(map(TITLE_IN_PERCENT.search, titles)):
         header = replace(header, unit="percent")
     geometries = _geometries(table, header, place, " ".join([instrument, *titles]))
+    if header.name is None:
+        header = replace(header, name=_dividing_column(rows[header.row + 1 :], header, geometries))
     samples: dict[str, list[tuple[Array, Array, list[float]]]] = {}
     gloss: dict[str, dict[float, list[float]]] = {}
     last = name
@@ -279,6 +281,20 @@ def _untitled_names(texts: Sequence[str], below: Sequence[Sequence[Cell]]) -> in
     for k, head in enumerate(texts):
         if not head and all_cells(below, k, lambda text: number(text) is None):
             return k
+    return None
+
+
+def _dividing_column(rows: Sequence[Sequence[Cell]], header: Header, geometries: GeometryNames) -> int | None:
+    """The first column before the geometries that divides rows which repeat these: names of samples in any language."""
+    readings = [row for row in rows if text_of(cell_at(row, header.geometry)) in geometries.angles]
+    names = [text_of(cell_at(row, header.geometry)) for row in readings]
+    if len(set(names)) == len(names):
+        return None
+    for column in range(header.geometry):
+        texts = [text_of(cell_at(row, column)) for row in readings]
+        is_whole = len(set(zip(texts, names, strict=True))) == len(names)
+        if all(texts) and is_whole and 1 < len(set(texts)) <= len(names) / 2:
+            return column
     return None
 
 

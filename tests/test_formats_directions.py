@@ -206,3 +206,10 @@ def test_pab_opto_quantities_are_said_or_refused(tmp_path):
     path.write_text(pab_opto(rows, values, "BTDF"))
     with pytest.raises(FileFormatError, match="transmitted light"):
         registry.read_all(path)
+
+
+@pytest.mark.parametrize("text", ["465", "465 nm", "0.465", "0.465 um", "465.0nm", "0,465"])
+def test_wavelengths_of_pab_opto_files_are_nanometres_or_micrometres(text, tmp_path):
+    path = tmp_path / "one.txt"
+    path.write_text(pab_opto(DIRECTIONS[9:18], VALUES[9:18]).replace("wavelength 465", f"wavelength: {text}"))
+    assert registry.read_readings(path).bands == Bands((465.0,))

@@ -100,8 +100,12 @@ def _incidence(header: dict[str, str], place: Place) -> tuple[float, float]:
 
 
 def _wavelength(header: dict[str, str], notes: list[str]) -> Array:
-    nm = number(header.get("wavelength", "").lower().removesuffix("nm"))
-    return unnamed_band(notes) if nm is None or nm <= 0 else np.array([nm])
+    """The wavelength (1,) in nm; below 100 it is in micrometres."""
+    found = re.match(r"[\d.,]+", header.get("wavelength", ""))
+    value = number(found[0]) if found else None
+    if value is None or value <= 0:
+        return unnamed_band(notes)
+    return np.array([value if value >= 100.0 else 1000.0 * value])
 
 
 def _rows(lines: list[str], place: Place) -> Array:

@@ -73,6 +73,44 @@ def test_what_is_neither_numbers_nor_a_name_is_refused(model, text):
         Manifold.load(model).require_latent(text)
 
 
+def test_names_are_places_for_weights_and_errors_too(model):
+    loaded, name = Manifold.load(model), NAMES[1]
+    loaded.calibrate()
+    for ask in (loaded.weights, loaded.std, loaded.is_extrapolation):
+        np.testing.assert_array_equal(ask(name), ask(loaded.latent(name)))
+    assert loaded.expected_error(name).ball == loaded.expected_error(loaded.latent(name)).ball
+    halfway = f"{NAMES[0]}:{NAMES[1]}:0.5"
+    np.testing.assert_array_equal(loaded.weights(halfway), loaded.weights(loaded.between(*NAMES[:2], 0.5)))
+
+
+@pytest.mark.parametrize("x", [["a", "b"], [[0, 1], [2]], [{}, 0]])
+def test_latents_that_are_no_numbers_are_told_so(model, x):
+    loaded = Manifold.load(model)
+    for ask in (loaded.predict, loaded.weights):
+        with pytest.raises(LatentError, match=r"latent \[.*: expected numbers"):
+            ask(x)
+
+
+@pytest.mark.parametrize("t", [-0.1, 1.5, float("nan")])
+def test_a_place_between_two_materials_is_between_them(model, t):
+    loaded = Manifold.load(model)
+    for ask in (loaded.between, loaded.interpolate, loaded.blend):
+        with pytest.raises(UsageError, match=f"t = {t:g}, expected a number from 0"):
+            ask(*NAMES[:2], t)
+
+
+def test_parts_of_a_model_say_what_they_are_in_a_line(model):
+    loaded = Manifold.load(model)
+    parts = [loaded, loaded.space, loaded.materials]
+    if loaded.space.takes_colours:
+        parts.append(loaded.colours)
+    for part in parts:
+        said = repr(part)
+        assert said.startswith(f"<{type(part).__name__}: ")
+        assert "6 materials" in said
+        assert len(said) < 200
+
+
 @pytest.mark.parametrize("text", ["0,nan", "inf,1", "1", "1,2,3"])
 def test_coordinates_as_text_are_finite_and_as_many_as_dimensions(model, text):
     with pytest.raises(LatentError, match=r"expected (finite|2)"):

@@ -62,7 +62,10 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
         ShapeError: the colour is not three values in [0, 1].
     Source: as `srgb_spectra`.
     """
-    display = np.asarray(display, dtype=np.float64)
+    try:
+        display = np.asarray(display, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ShapeError(f"an sRGB colour is {display!r:.40}, expected three values from 0 to 1") from None
     if display.shape != (3,) or not np.all((display >= 0) & (display <= 1)):
         raise ShapeError(f"an sRGB colour is {display.tolist()}, expected three values from 0 to 1")
     linear = decode_srgb(display)

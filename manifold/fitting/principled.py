@@ -101,7 +101,9 @@ class FitResult:
 
     def __repr__(self) -> str:
         residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
-        return f"<FitResult: {self.family.type}, {residual}, {len(self.minima)} minima, values {self.values}>"
+        return (
+            f"<FitResult: {self.family.type}, {residual}, minima: {len(self.minima)}, values {self.values}>"
+        )
 
 
 @backend.variant_kept()

@@ -41,7 +41,7 @@ _FIRST_COORDINATE = 0.05
 _LEAST_NORM = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BlendSpace(LatentSpace):
     """Materials as points; a place between them is a blend of whole materials, in their colours or in others.
 

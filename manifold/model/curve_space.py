@@ -17,7 +17,7 @@ from manifold.models.per_band import join_latents
 from manifold.records import Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CurveSpace(ProcessSpace):
     """Materials as curves over their bands: structure is shared by the bands, colour is a band's own.
 

@@ -9,7 +9,15 @@ from numpy.typing import ArrayLike
 
 from manifold.errors import UsageError
 from manifold.model.latent_space import LatentSpace
-from manifold.model.latents import OnPath, Place, coordinates_of, on_path, require_latent, require_latents
+from manifold.model.latents import (
+    OnPath,
+    Place,
+    coordinates_of,
+    on_path,
+    require_between,
+    require_latent,
+    require_latents,
+)
 from manifold.model.left_out import ExpectedErrors, LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
@@ -51,24 +59,26 @@ class LatentMap:
         """The Gaussian process on the latents of the materials, or of the monochrome samples."""
         return self.space.gp
 
-    def weights(self, x: ArrayLike, colours: Array | None = None) -> Array:
-        """Weights of the materials at latents x (M, Q) or (Q,), shape (M, N) or (N,); they sum to 1.
+    def weights(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
+        """Weights of the materials at a place (Q,) or latents x (M, Q), shape (M, N) or (N,); they sum to 1.
 
         Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
         given, or in the colours of the surrounding materials.
         """
         return self._at(x, lambda X: self.space.material_weights(X, colours))
 
-    def std(self, x: ArrayLike, colours: Array | None = None) -> Array:
-        """Posterior over prior standard deviation at latents x (M, Q) or (Q,), in [0, 1].
+    def std(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
+        """Posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1].
 
         Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
         over the sample bands in the colours of the surrounding materials.
         """
         return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
 
-    def is_extrapolation(self, x: ArrayLike, colours: Array | None = None) -> Array:
-        """Whether the data do not support predictions at latents x (M, Q) or (Q,); see `LeftOut.is_unsupported`.
+    def is_extrapolation(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
+        """Whether the data do not support predictions at a place (Q,) or latents x (M, Q).
+
+        See `LeftOut.is_unsupported`.
 
         For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
         """
@@ -80,14 +90,14 @@ class LatentMap:
 
         return self._at(x, is_unsupported)
 
-    def expected_error(self, x: ArrayLike, colours: Array | None = None) -> ExpectedErrors | None:
-        """Expected errors of predictions at latents x (M, Q) or (Q,); None if the model is not calibrated.
+    def expected_error(self, x: ArrayLike | Place, colours: Array | None = None) -> ExpectedErrors | None:
+        """Expected errors of predictions at a place (Q,) or latents x (M, Q); None if the model is not calibrated.
 
         0 at a material's own latent, where the prediction is its file.
         """
         if self.left_out is None:
             return None
-        X = require_latents(x, self.settings.latent_dim)
+        X = self._latents(x)
         found = self.left_out.expected(X)
         is_predicted = self.space.training_indices(np.atleast_2d(X), colours).reshape(X.shape[:-1]) < 0
         return ExpectedErrors(found.ball * is_predicted, found.cube_root * is_predicted)
@@ -118,7 +128,12 @@ class LatentMap:
         return self.X[self.materials.index(name)].copy()
 
     def between(self, a: str, b: str, t: float) -> Array:
-        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,)."""
+        """The latent on the straight line from material a (t = 0) to b (t = 1), shape (Q,).
+
+        Raises:
+            UsageError: the model has no such material, or t is not from 0 to 1.
+        """
+        require_between(t)
         start, end = self.latent(a), self.latent(b)
         way = end - start
         # exact at both ends, and where they agree
@@ -150,6 +165,9 @@ class LatentMap:
         """The path that a place `FROM:TO:T` lies on; None for other places."""
         return on_path(x, self.names) if isinstance(x, str) else None
 
-    def _at(self, x: ArrayLike, function: Callable[[Array], Array]) -> Array:
-        X = require_latents(x, self.settings.latent_dim)
+    def _latents(self, x: ArrayLike | Place) -> Array:
+        return require_latents(self.require_latent(x) if isinstance(x, str) else x, self.settings.latent_dim)
+
+    def _at(self, x: ArrayLike | Place, function: Callable[[Array], Array]) -> Array:
+        X = self._latents(x)
         return function(X[None])[0] if X.ndim == 1 else function(X)

@@ -74,6 +74,10 @@ class LatentSpace(ABC):
     kernel: Kernel
     sample_bands: Array | None
 
+    def __repr__(self) -> str:
+        N, Q = self.X.shape
+        return f"<{type(self).__name__}: {N} materials, {Q} dimensions, kernel {self.kernel.name}>"
+
     @cached_property
     def gp(self) -> GPWeights:
         """The Gaussian process of the training samples."""

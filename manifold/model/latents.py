@@ -53,6 +53,12 @@ def on_path(text: str, names: Collection[str]) -> OnPath | None:
     return OnPath(*(known or ways[-1:])[0], t)
 
 
+def require_between(t: float) -> None:
+    """Raise UsageError where t is no place between two materials: from 0 to 1."""
+    if not 0.0 <= t <= 1.0:
+        raise UsageError(f"t = {t:g}, expected a number from 0 (the first material) to 1 (the second)")
+
+
 def coordinates_of(text: str) -> list[float] | None:
     """The numbers of `-0.3,1.2`; None where the text is something else."""
     try:
@@ -67,7 +73,7 @@ def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
     Raises:
         LatentError: it has not so many finite coordinates, or far larger ones than materials have.
     """
-    x = np.asarray(x, dtype=np.float64)
+    x = _numbers(x)
     if x.ndim > 1:
         raise LatentError(
             f"latents of shape {x.shape}, expected one, ({latent_dim},); call once for each of several"
@@ -93,9 +99,16 @@ def require_latents(x: ArrayLike, latent_dim: int) -> Array:
     Raises:
         LatentError: they have another shape, or are not finite.
     """
-    x = np.asarray(x, dtype=np.float64)
+    x = _numbers(x)
     if x.ndim not in (1, 2) or x.shape[-1] != latent_dim or not np.all(np.isfinite(x)):
         raise LatentError(
             f"latents have shape {x.shape}, expected ({latent_dim},) or (M, {latent_dim}), finite"
         )
     return x
+
+
+def _numbers(x: ArrayLike) -> Array:
+    try:
+        return np.asarray(x, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise LatentError(f"latent {x!r:.60}: expected numbers") from None

@@ -18,7 +18,7 @@ from manifold.model.decoding import encoder_at
 from manifold.model.fitting import fit_space
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.latents import Place
+from manifold.model.latents import Place, require_between
 from manifold.model.left_out import LEAST_MATERIALS, LeftOut, leave_out
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import ModelRecord, read_model, write_model
@@ -200,7 +200,7 @@ class Manifold(LatentMap):
         colours are fixed by latents, it is the prediction at the latent.
 
         Raises:
-            UsageError: the model has no such material.
+            UsageError: the model has no such material, or t is not from 0 to 1.
         """
         x = self.between(a, b, t)
         if not self.space.takes_colours:
@@ -218,7 +218,8 @@ class Manifold(LatentMap):
         return PredictedBRDF([*self.materials.filled([a, b]), coloured], Combination(self.mapping, weights))
 
     def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23."""
+        """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23; as `interpolate`."""
+        require_between(t)
         ends = self.materials.filled([a, b]) if 0 < t < 1 else [self.material(a), self.material(b)]
         return PredictedBRDF(ends, Combination(mapping_named("identity"), np.array([1.0 - t, t])))
 

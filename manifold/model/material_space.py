@@ -18,7 +18,7 @@ from manifold.records import Array, evenly_spaced
 _EMBEDDING_BANDS = 20  # of a whole material that serve to embed it, evenly spaced
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MaterialSpace(ProcessSpace):
     """Whole materials as points, the method of Hikichi & Iwasaki.
 

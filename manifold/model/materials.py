@@ -36,6 +36,9 @@ class MaterialCache:
         self._unmeasured_shares: dict[str, float] = {}
         self._cut: set[str] = set()  # names of materials whose negative values were taken for 0
 
+    def __repr__(self) -> str:
+        return f"<MaterialCache: {len(self.names)} materials of {self.library.path.name}>"
+
     @cached_property
     def is_isotropic(self) -> bool:
         """Whether all materials are; others need direction pairs of all azimuths."""

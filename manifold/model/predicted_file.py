@@ -142,5 +142,5 @@ def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> 
     synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
     at = ", ".join(model.space.printed(x))
-    how = (f", coloured {colour}" if colour else "") + ", projected to be physical" * physical
-    return f"{PREDICTED} ({at}){how} from {origin} by manifold {__version__}"
+    how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
+    return f"{PREDICTED} ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"

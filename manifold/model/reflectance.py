@@ -32,6 +32,9 @@ class ReflectanceColours:
         self._own, self._reflectances = space.colour_table()
         self._space, self._materials, self._settings = space, materials, settings
 
+    def __repr__(self) -> str:
+        return f"<ReflectanceColours: of {len(self._own)} materials>"
+
     def reflectance(self, name: str) -> Array:
         """Reflectance of a material, shape (B,).
 

@@ -75,8 +75,7 @@ def complete(
 ) -> None:
     """Complete readings of one material to a full BRDF, with a library of materials as prior.
 
-    Reports the expected error, the residual of the readings, and other materials that agree with them equally
-    well.
+    Reports the expected error, the residual of the readings, and the mixtures of materials that explain them.
     """
     from manifold.workflows import completions
 

@@ -89,7 +89,7 @@ def walk(
         between = ball_pictures.walk(
             model, start, end, output, steps=steps, library=library, on_progress=step
         )
-    diagnosed = [f"t = {step.t:.2g}: {said}" for step in between for said in step.diagnosis.diagnostics]
+    diagnosed = tuple(f"t = {step.t:.2g}: {said}" for step in between for said in step.diagnosis.diagnostics)
     expected = [
         f"t = {step.t:.2g}: {step.diagnosis.expected_ball:.1f}"
         for step in between

@@ -149,7 +149,12 @@ def printable(text: str) -> str:
 
 
 def _row(head: str, value: object) -> str:
-    """A label and its value, whose lines begin below each other; paths stay whole, whatever their length."""
+    """A label and its value, whose lines begin below each other; paths stay whole, whatever their length.
+
+    The items of a list follow each other, sentences of a tuple begin on lines of their own.
+    """
+    if isinstance(value, tuple):
+        return "\n".join(_row(" " * len(head) if k else head, item) for k, item in enumerate(value))
     if isinstance(value, Path):
         return f"{head}{value}"
     if isinstance(value, list):

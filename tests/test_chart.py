@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,21 @@ def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two
         for name in ("title", "family", "delta_e", "rmse", "p90", "bytes", "warnings", "is_held_out"):
             assert getattr(row, name) == getattr(other, name)
         assert isinstance(row.predict, RelativeTime)
+
+
+def test_a_chart_of_few_settings_has_numbers_that_do_not_overlap(made):
+    few = tuple(row for row in made.rows if row.key in ("nearest", "pca_2_identity"))
+    figure = plot_chart.chart(replace(made, rows=few, fronts=fronts(few)))
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            shown = [
+                tick.label1.get_window_extent()
+                for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]
+                if limits[0] <= tick.get_loc() <= limits[1] and tick.label1.get_text()
+            ]
+            assert shown
+            assert not any(a.overlaps(b) for k, a in enumerate(shown) for b in shown[:k])
 
 
 def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):

@@ -163,6 +163,16 @@ def test_a_format_of_binary_values_replaces_its_own_kind(tmp_path):
         require_replaceable("convert", {"output": path, "to": None})
 
 
+def test_sentences_of_a_tuple_begin_on_their_own_lines(capsys):
+    terminal.Results(None).rows(
+        "Title", {"nearest": ["a (1)", "b (2)"], "diagnostics": ("word, " * 20, "second")}
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1] == "  nearest      a (1), b (2)"
+    assert lines[-1] == "               second"
+    assert max(map(len, lines)) <= 80
+
+
 def test_sentences_are_broken_at_80_columns_and_paths_are_not(capsys):
     words = "a sentence of more words than one line of a terminal has room for, which readers would have to scroll"
     results = terminal.Results()

@@ -61,7 +61,7 @@ class Diagnosis:
             "reciprocity error": f"{physical.reciprocity_error:.2%}",
             "largest albedo": f"{physical.max_albedo:.3f}",
         }
-        return rows | ({"diagnostics": list(self.diagnostics)} if self.diagnostics else {})
+        return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
 
 
 def diagnose(

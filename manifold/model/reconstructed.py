@@ -57,7 +57,7 @@ class Reconstruction:
         rows: dict[str, object] = {"reconstruction error": errors}
         if self.plausibility is not None:
             rows |= {"written to": str(self.output), "largest albedo": f"{self.plausibility.max_albedo:.3f}"}
-        return rows | ({"diagnostics": list(self.diagnostics)} if self.diagnostics else {})
+        return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
@@ -64,7 +65,10 @@ def chart(made: Chart) -> Figure:
         for axes, error in zip(axis_row, _ERRORS, strict=True):
             _points(axes, made, error, cost)
             axes.set_xlabel(_COSTS[cost])
-        _widen(axis_row[0], [cost_of(row, cost) for row in _with(made, cost)])
+        costs = [cost_of(row, cost) for row in _with(made, cost)]
+        _widen(axis_row[0], costs)
+        if costs and max(costs) < 30.0 * min(costs):
+            _number_ticks(axis_row[0].xaxis, axis_row[0].get_xlim())
     for axes, error in zip(grid[0], _ERRORS, strict=True):
         axes.set_title(f"{ERRORS[error]}, median", fontsize=11)
         _error_ticks(axes, [_error_of(row, error) for row in made.rows])
@@ -127,14 +131,20 @@ def _widen(axes: Axes, costs: Sequence[float]) -> None:
 
 
 def _error_ticks(axes: Axes, values: Sequence[float]) -> None:
-    """Numbers at 1, 2 and 5 where the errors span less than two decades."""
+    """Numbers where the errors span less than three decades."""
     if max(values) / min(values) < 1e3:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
+        _number_ticks(axes.yaxis, values)
     else:
         axes.yaxis.set_major_formatter(LogFormatterSciNotation())
         axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _number_ticks(axis: Axis, values: Sequence[float]) -> None:
+    """Numbers at 1, 2 and 5, and between them where the values span less than a decade."""
+    is_short = max(values) < 10.0 * min(values)
+    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if is_short else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(lambda value, _: f"{value:g}" if value < 1e5 else f"{value / 1e6:g}M")
+    axis.set_minor_locator(NullLocator())
 
 
 def _legend(made: Chart) -> list[Line2D]:

@@ -46,9 +46,10 @@ def test_the_coordinates_that_info_prints_give_the_materials_back(model):
 def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(model, tmp_path):
     loaded = Manifold.load(model)
     file = model.parent / "files" / f"{NAMES[2]}_rgb.bsdf"
-    located = locate(model, file)
+    located = locate(loaded, str(file))
+    assert locate(str(model), file).latent == located.latent
     x = loaded.X.mean(axis=0) + 0.012345678
-    made = predict(loaded, x, tmp_path / "middle.bsdf", resolution=8)
+    made = predict(str(model), x, str(tmp_path / "middle.bsdf"), resolution=8)
     for latent, coordinates in ((located.latent, located.coordinates), (x, made.coordinates)):
         printed = ",".join(coordinates)
         assert distance(loaded.predict(printed), loaded.predict(np.array(latent))) <= MOST

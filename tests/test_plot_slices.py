@@ -72,6 +72,7 @@ def test_the_image_is_bright_where_gloss_mirrors_and_dark_for_felt(felt, gloss):
     near, away = (slice(30, 90), slice(0, 10)), (slice(30, 90), slice(100, 140))
     assert left[near].mean() > 3 * left[away].mean()
     assert right[near].mean() < 2 * right[away].mean() + 0.05
+    assert np.median(left.max(axis=-1)) > 0.3  # the colour beside the highlight is seen
 
 
 def test_every_material_has_its_line_its_style_and_its_name(felt, gloss):

@@ -48,11 +48,11 @@ class Located:
 
 
 def locate(
-    model: Path,
-    path: Path,
-    output: Path | None = None,
+    model: Manifold | Path | str,
+    path: Path | str,
+    output: Path | str | None = None,
     *,
-    library: Path | None = None,
+    library: Path | str | None = None,
     physical: bool = False,
     force: bool = False,
     on_progress: Progress | None = None,
@@ -60,7 +60,7 @@ def locate(
     """Embed a measured file, with its unmeasured cells filled, in a fitted manifold.
 
     Args:
-        model: path of the manifold.
+        model: a fitted manifold, or the path of one.
         path: the measured file.
         output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
         library: where the model's library is now, if not where the model remembers it.
@@ -71,10 +71,11 @@ def locate(
         BandMismatchError: its bands are not the library's.
         UsageError: the output cannot be written, or its albedo would exceed 1.05.
     """
+    path, output = Path(path), None if output is None else Path(output)
     if output is not None:
         require_bsdf_output(output, "reconstructions")
     brdf, notes = read_filled(path)
-    loaded = Manifold.load(model, library)
+    loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = loaded.embed(brdf)
     coordinates = loaded.space.printed(found.latent)

@@ -67,11 +67,11 @@ class Prediction:
 
 
 def predict(
-    model: Manifold | Path,
+    model: Manifold | Path | str,
     latent: Place,
-    output: Path,
+    output: Path | str,
     *,
-    library: Path | None = None,
+    library: Path | str | None = None,
     colour: ColourChoice = NEAREST,
     physical: bool = False,
     force: bool = False,
@@ -83,7 +83,7 @@ def predict(
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, the name of a material, or `FROM:TO:T` between two.
+        latent: Q coordinates, or another `Place`.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
@@ -97,8 +97,9 @@ def predict(
             would exceed 1.05.
         LatentError: the latent does not have Q finite coordinates.
     """
+    output = Path(output)
     require_bsdf_output(output, "predictions")
-    if isinstance(model, Path):
+    if not isinstance(model, Manifold):
         model = Manifold.load(model, library)
     x = model.require_latent(latent)
     stages = Stages(on_progress, {"reading materials": 4, "writing": 1})

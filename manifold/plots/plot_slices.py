@@ -24,6 +24,7 @@ GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
 # Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (docs/design/goniometer.md).
 _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
 _DECADES = 5.0  # that a logarithmic axis shows at most
+_BRIGHTEST = 3.0  # white of a Rusinkiewicz image, in times the median cube root
 _IMAGE = 180  # pixels of a Rusinkiewicz image per side
 # Okabe & Ito: told apart by people who see colours differently; line styles tell them apart without colour.
 _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
@@ -74,7 +75,7 @@ def draw_slices(
             for row, axes in enumerate(grid[:, column]):
                 axes.plot(_ELEVATIONS_DEG, values[:, row], color=colour, linestyle=style, linewidth=1.6)
         grid[0, column].set_title(f"incidence {incidence:g}°", fontsize=11)
-        grid[-1, column].set_xlabel("outgoing elevation (°), mirror side negative")
+        grid[-1, column].set_xlabel("outgoing elevation (°)" + ", mirror side negative" * (column == 1))
     for row, name in enumerate(rows):
         _logarithmic(grid[row])
         grid[row, 0].set_ylabel(f"{name}: $f$ (1/sr)")
@@ -88,7 +89,8 @@ def draw_slices(
 def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
     """Colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
 
-    All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds.
+    All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds, or thrice
+    their median, so that colours beside highlights are seen.
     """
     _require_sources(sources)
     figure = new_figure(3.1 * len(sources) + 0.6, 3.7)
@@ -103,7 +105,10 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
         rgb[above] = np.maximum(to_srgb(source.brdf.eval(wi[above], wo[above]), source.brdf.bands), 0.0)
         images.append(np.cbrt(rgb))
     seen = above & (theta_d.ravel() < np.deg2rad(75.0))
-    white = max(float(np.percentile(image[seen], 99.5)) for image in images)
+    white = max(
+        min(float(np.percentile(image[seen], 99.5)), _BRIGHTEST * float(np.median(image[seen].max(axis=1))))
+        for image in images
+    )
     grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
     ticks = np.array([0.0, 5.0, 20.0, 45.0, 90.0])
     for axes, image, source in zip(grid, images, sources, strict=True):

@@ -99,7 +99,7 @@ class MethodResult:
     rms_standardised_error: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report:
     """What `manifold report` prints and writes.
 
@@ -132,6 +132,9 @@ class Report:
     expected_errors: dict[str, CalibrationResult] | None
     left_out: tuple[str, ...]
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"<Report: {len(self.names)} materials, {self.bands}, {len(self.methods)} methods>"
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values, with the program's version; numbers that are not finite become None."""

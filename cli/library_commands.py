@@ -193,12 +193,15 @@ def import_(
 
 @app.command(
     "info",
-    short_help="Show what a file, a library or a model contains.",
+    short_help="Show what a file, a library, a model or a fit contains.",
     epilog="Example: manifold info library.zarr --verify",
 )
 def info(
     path: Annotated[
-        Path, typer.Argument(help="A .bsdf or instrument's file, a library, or a model.", metavar="PATH")
+        Path,
+        typer.Argument(
+            help="A .bsdf or instrument's file, a library, a model, or a fit's JSON.", metavar="PATH"
+        ),
     ] = options.DEFAULT_LIBRARY,
     verify: Annotated[
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
@@ -209,7 +212,7 @@ def info(
     library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Show what a file, a library, or a model contains.
+    """Show what a file, a library, a model, or a fit contains.
 
     Files may be RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12
     workbooks, CSV and CxF3; formats are recognised by their content.

@@ -12,6 +12,8 @@ import pytest
 from small_library import NAMES, measured, small_model
 
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, ModelError, UsageError
+from manifold.fitting import fit_json, fit_samples
+from manifold.fitting.principled import fit_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
@@ -119,6 +121,38 @@ def test_verification_names_what_is_damaged(copy):
 def test_only_libraries_can_be_verified(folder):
     with pytest.raises(UsageError, match="only libraries"):
         inspect(folder / "model.h5", verify=True)
+
+
+def test_a_fit_shows_its_material_parameters_and_target(tmp_path):
+    samples = fit_samples.from_file(measured(NAMES[0]))
+    content = fit_json.document(fit_bsdf(samples), fit_json.Source("felt", file="felt_rgb.bsdf"))
+    fit_json.write_document(tmp_path / "felt.fit.json", content)
+    found = inspect(tmp_path / "felt.fit.json")
+    assert found.rows["material"] == "felt"
+    assert found.rows["fitted to"] == "felt_rgb.bsdf"
+    (values,) = found.tables
+    assert [name for name, _ in values.rows] == list(content["values"])
+    roughness = dict(values.rows)["roughness"]
+    assert float(roughness) == pytest.approx(content["values"]["roughness"], rel=1e-3)
+    json.dumps(found.document, allow_nan=False)
+
+    entry = {"name": "gltf", "ciede2000": 1.25, "against": "prediction", "parameters": {"ior": 1.4}}
+    source = content["source"] | {"file": None, "latent": [0.5, -1.0], "model": "model.h5"}
+    spectral = content["values"] | {"base_color": [0.1, 0.2, 0.5, 0.4, 0.3]}
+    changed = content | {"source": source, "target": entry, "values": spectral}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit_json, "read", lambda _: changed)
+        found = inspect(tmp_path / "felt.fit.json")
+    assert found.rows["fitted to"] == "the prediction of model.h5 at latent 0.5, -1"
+    assert found.rows["target"] == "gltf, 1.25 CIEDE2000 on the ball against the prediction"
+    assert dict(found.tables[0].rows)["base_color"] == "0.1 to 0.5 in 5 bands"
+    assert found.tables[1].rows == (("ior", "1.4"),)
+
+
+def test_another_json_is_no_fit(tmp_path):
+    (tmp_path / "x.json").write_text('{"format": "another"}')
+    with pytest.raises(FileFormatError, match="found a text file, expected an RGL file or one of"):
+        inspect(tmp_path / "x.json")
 
 
 def test_nothing_at_a_path_is_a_usage_error(tmp_path):

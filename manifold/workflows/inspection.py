@@ -24,6 +24,7 @@ from manifold.workflows.instrument_inspection import inspect_instrument_file
 if TYPE_CHECKING:
     from manifold.library.store import Library
 
+_FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
     "monochrome": "monochrome: structure on the map, a colour per band",
     "blend": "blends of whole materials",
@@ -34,7 +35,7 @@ _KINDS = {
 def inspect(
     path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
 ) -> Inspection:
-    """Inspect a file of a BRDF or an instrument, a library or a model, recognised by content.
+    """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
 
     Args:
         path: what to look at.
@@ -47,7 +48,7 @@ def inspect(
     """
     if not path.exists():
         raise UsageError(
-            f"{path}: no such path; name a file of a BRDF or an instrument, a library, or a model"
+            f"{path}: no such path; name a file of a BRDF or an instrument, a library, a model, or a fit"
         )
     if path.is_dir():
         return _inspect_library(path, verify, on_progress)
@@ -55,6 +56,8 @@ def inspect(
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
     if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC, HDF5_MAGIC):
         return _inspect_model(path, library)
+    if begins_with(path, _FIT):
+        return _inspect_fit(path)
     if path.is_file() and (known := registry.identify(path)) is not None:
         return inspect_instrument_file(path, known.name)
     if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
@@ -117,6 +120,45 @@ def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
         "unmeasured_share": share,
     }
     return Inspection(f"{path.name}: RGL material", rows, document)
+
+
+def _inspect_fit(path: Path) -> Inspection:
+    from manifold.fitting import fit_json
+
+    content = fit_json.read(path)
+    source, metric, entry = content["source"], content["metric"], content.get("target")
+    of = source["file"] or "a BRDF"
+    if source["latent"] is not None:
+        of = f"the prediction of {source['model']} at latent {_words(source['latent'])}"
+    rows: dict[str, object] = {
+        "material": source["name"],
+        "fitted to": of,
+        "BSDF": content["bsdf"]["type"],
+        "relative residual": f"{metric} {content['residuals'][metric]:.3f}",
+    }
+    if content["notes"]:
+        rows["notes"] = tuple(content["notes"])
+    tables = [("parameter", content["values"])]
+    if entry is not None:
+        ball = f"{entry['ciede2000']:.2f} CIEDE2000 on the ball"
+        rows["target"] = f"{entry['name']}, {ball} against the {entry['against']}"
+        tables.append((f"parameter of {entry['name']}", entry["parameters"]))
+    return Inspection(
+        f"{path.name}: fit by {content['program']}",
+        rows,
+        content | {"path": str(path)},
+        tuple(
+            Table((head, "value"), tuple((k, _words(v)) for k, v in found.items())) for head, found in tables
+        ),
+    )
+
+
+def _words(value: float | list[float]) -> str:
+    """A number, a colour, or the range of a value per band."""
+    values = value if isinstance(value, list) else [value]
+    if len(values) > 4:
+        return f"{min(values):.4g} to {max(values):.4g} in {len(values)} bands"
+    return ", ".join(f"{v:.4g}" for v in values)
 
 
 def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:

@@ -19,6 +19,7 @@ from manifold.model.manifold import Manifold, Settings
 from manifold.plots.explorer import tables
 from manifold.plots.explorer.direction_grid import AngleGrid, tabulated_pairs
 from manifold.plots.explorer.page import make_page, page_script, widget_module
+from manifold.plots.explorer.uncertainty import error_field
 from manifold.workflows import explore
 
 
@@ -92,6 +93,14 @@ def test_a_ball_from_packed_tables_is_the_ball_of_the_prediction(model, tabulate
         expected = model.predict(x).eval(ball.wi, ball.wo)
         errors.append(ball_colours.delta_e(ball.xyz(f, model.bands), ball.xyz(expected, model.bands)))
     assert np.mean(errors) < 0.5  # measured 0.1 on real files; the target of the page is 1.0
+
+
+def test_expected_errors_of_few_materials_are_called_coarse_on_the_page(model, monkeypatch):
+    loaded = Manifold.load(model.library.path.parent / "model.h5")
+    loaded.calibrate()
+    assert error_field(loaded)["unit"] == f"CIEDE2000 of the ball; coarse, known from {len(NAMES)} materials"
+    monkeypatch.setattr("manifold.plots.explorer.uncertainty.COARSE_BELOW", len(NAMES))
+    assert error_field(loaded)["unit"] == "CIEDE2000 of the ball"
 
 
 def test_only_maps_of_blends_have_a_page(tmp_path):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from manifold.model.manifold import Manifold
+from manifold.models.expected_error import COARSE_BELOW
 
 _NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
 _MARGIN = 0.25  # of the materials' extent, beyond them
@@ -32,7 +33,8 @@ def error_field(model: Manifold) -> dict[str, Any] | None:
         words = {"what": "uncertainty", "unit": "posterior over prior standard deviation", "most": 1.0}
         values = model.std(places)
     else:
-        words = {"what": "expected error", "unit": "CIEDE2000 of the ball", "most": _MOST_BALL}
+        coarse = f"; coarse, known from {len(X)} materials" if len(X) < COARSE_BELOW else ""
+        words = {"what": "expected error", "unit": f"CIEDE2000 of the ball{coarse}", "most": _MOST_BALL}
         values = expected.ball
     return words | {
         "low": low.tolist(), "high": high.tolist(), "nodes": _NODES[Q], "values": np.round(values, 3).tolist(),

@@ -399,3 +399,15 @@ def test_names_of_xml_defaults_are_followed(tmp_path):
     mi = backend.mitsuba("rgb", backend.Backend("scalar"))
     loaded = mi.load_file(str(target))
     assert "Diffuse" in str(loaded.shapes()[0].bsdf())
+
+
+@pytest.mark.parametrize("name", ["felt", "paint"])
+def test_the_name_of_the_choice_is_not_written_over_other_candidates(examples, name):
+    blank = np.zeros((8, 16, 3))
+    figure = budget_figure(blank, blank, blank[..., 0], [vars(one) for one in examples[name].chosen], 1.0)
+    figure.draw_without_rendering()
+    axis = next(a for a in figure.findobj(Axes) if a.get_xscale() == "log")
+    (text,) = axis.texts
+    box = text.get_window_extent()
+    (predicted,) = (line for line in axis.lines if line.get_label() == "predicted")
+    assert not any(box.contains(x, y) for x, y in axis.transData.transform(predicted.get_xydata()))

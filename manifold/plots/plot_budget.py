@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
 from manifold.plots.figures import new_figure, shortened
@@ -68,7 +69,8 @@ def _costs(axis: Axes, material: Mapping[str, Any], tolerance: float) -> None:
     axis.plot(rendered[k]["bytes"], found[k], "*", color=_ORANGE, ms=15, label="chosen")
     axis.annotate(
         f"{material['representation']}, {_bytes(rendered[k]['bytes'])}",
-        (rendered[k]["bytes"], found[k]), xytext=(8, 10), textcoords="offset points", fontsize=9,
+        (rendered[k]["bytes"], found[k]), xytext=(8, -18 if found[k] > 5.0 * _LEAST else 10),
+        textcoords="offset points", fontsize=9, path_effects=[withStroke(linewidth=2.5, foreground="white")],
         ha="left" if rendered[k]["bytes"] < np.sqrt(sizes.min() * sizes.max()) else "right",
     )  # fmt: skip
     axis.set_xscale("log")

@@ -25,7 +25,7 @@ _NAME = 16  # columns of a material's name in the table; below it stands in full
 )
 def budget(
     scene: Annotated[
-        Path | None, typer.Argument(help="Mitsuba scene, .xml or .json.", metavar="[SCENE]")
+        Path | None, typer.Argument(help="Mitsuba scene, .xml or .json.", metavar="SCENE")
     ] = None,
     example: Annotated[
         str | None,

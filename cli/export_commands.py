@@ -42,7 +42,7 @@ def export(
         Path | None,
         typer.Argument(
             help="The JSON of a fit, or a .bsdf file, which is fitted; or a library or folder of them.",
-            metavar="[SOURCE]",
+            metavar="SOURCE",
         ),
     ] = None,
     latent: options.PlaceOption = None,

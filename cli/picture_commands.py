@@ -113,7 +113,7 @@ def walk(
 def slices(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="[NAME ...]"),
+        typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="NAME"),
     ] = None,
     latent: Annotated[
         list[str] | None,

@@ -43,7 +43,7 @@ SeedOption = Annotated[
 )
 def render(
     file: Annotated[
-        Path | None, typer.Argument(help="A .bsdf file, or the JSON of a fit.", metavar="[FILE]")
+        Path | None, typer.Argument(help="A .bsdf file, or the JSON of a fit.", metavar="FILE")
     ] = None,
     latent: Annotated[
         str | None,

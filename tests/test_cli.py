@@ -74,6 +74,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     status, out, _ = run(command, "--help", cwd=tmp_path)
     assert status == 0
     assert f"Example: manifold {command}" in out
+    assert "[[" not in out  # brackets around optional words are Typer's own
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -18,7 +18,7 @@ from manifold.errors import UsageError
 from manifold.models.criteria import Products
 from manifold.models.encoder import Encoder
 from manifold.models.gp_weights import GPWeights
-from manifold.models.kernels import kernel_named, require_mu
+from manifold.models.kernels import Kernel, kernel_named, require_mu
 from manifold.models.objective import (
     LatentObjective,
     blas_threads,
@@ -46,7 +46,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         n_components: Q, the number of latent dimensions.
         mu: noise filter of the kernel, at least 1e-10.
         length_scale: l > 0. It only sets the unit of the latents, unless there is a prior.
-        kernel: its name, see `kernel_named`.
+        kernel: its name, or a class of your own, see `kernel_named`.
         optimizer: `dls`, the direct local search of Hooke & Jeeves from the start, without gradients, as Hikichi &
             Iwasaki publish it (section 3.4); `l-bfgs`, descent along the gradient from the start; `multistart`, the
             best of several searches and descents, then of random relocations of groups of latents.
@@ -79,7 +79,7 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
         *,
         mu: float = 1e-4,
         length_scale: float = 1.0,
-        kernel: str = "se",
+        kernel: str | type[Kernel] = "se",
         optimizer: str = "dls",
         prior: float = 0.0,
         start_scale: float = 1.0,

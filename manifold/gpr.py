@@ -12,7 +12,7 @@ from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.models.gp_weights import FlatModelWarning, GPWeights, IsolatedLatentsWarning, LengthScaleBound
-from manifold.models.kernels import first_equal_row, kernel_named
+from manifold.models.kernels import Kernel, first_equal_row, kernel_named
 from manifold.records import Array
 
 __all__ = ["FlatModelWarning", "GPRegressor", "GPWeights", "IsolatedLatentsWarning", "LengthScaleBound"]
@@ -24,7 +24,7 @@ class GPRegressor(RegressorMixin, BaseEstimator):
     Args:
         mu: noise filter, >= 0.
         length_scale: l > 0, in units of the inputs.
-        kernel: its name, see `kernel_named`.
+        kernel: its name, or a class of your own, see `kernel_named`.
 
     Attributes:
         gp_: the `GPWeights` of the training inputs.
@@ -32,7 +32,9 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         output_variance_: `s^2 = tr(K^-1 S) / (N D)`, the output variance that maximises the likelihood.
     """
 
-    def __init__(self, mu: float = 1e-4, length_scale: float = 1.0, kernel: str = "se") -> None:
+    def __init__(
+        self, mu: float = 1e-4, length_scale: float = 1.0, kernel: str | type[Kernel] = "se"
+    ) -> None:
         self.mu = mu
         self.length_scale = length_scale
         self.kernel = kernel

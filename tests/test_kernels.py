@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 import reference
 from hypothesis import given
 from hypothesis import strategies as st
+from sklearn.base import clone
 
 from manifold.errors import UsageError
+from manifold.model.settings import Settings
+from manifold.models import GPLVM, GPRegressor, SparseGPLVM
 from manifold.models.kernels import (
     KERNELS,
+    Kernel,
     SquaredExponential,
     equal_rows,
     first_equal_row,
@@ -115,3 +120,29 @@ def test_impossible_parameters_are_refused(mu, length_scale):
 def test_an_unknown_kernel_is_refused_with_those_that_there_are():
     with pytest.raises(UsageError, match=r"'cubic', expected one of se, matern32, .*rq\+linear"):
         kernel_named("cubic")
+
+
+class Own(Kernel):
+    """The squared exponential again, as somebody's own class."""
+
+    family, steepest = "own", math.exp(-0.5)
+
+    def radial(self, squared, xp=np):
+        g = xp.exp(-0.5 * squared)
+        return g, -0.5 * g
+
+
+def test_estimators_take_kernels_of_ones_own(rng):
+    X, Y = rng.normal(size=(12, 2)), rng.normal(size=(12, 2)) @ rng.normal(size=(2, 20))
+    own, named = (GPRegressor(1e-3, 2.0, kernel).fit(X, Y).predict(X + 0.1) for kernel in (Own, "se"))
+    np.testing.assert_array_equal(own, named)
+    for make in (partial(GPLVM, optimizer="l-bfgs"), SparseGPLVM):
+        own, named = (make(kernel=kernel).fit(Y).embedding_ for kernel in (Own, "se"))
+        np.testing.assert_array_equal(own, named)
+    assert clone(GPLVM(kernel=Own)).kernel is Own
+    with pytest.raises(
+        UsageError, match=r"kernel 'own' is your own, expected one of se, .* use the optimizer l-bfgs"
+    ):
+        GPLVM(kernel=Own, optimizer="dls").fit(Y)
+    with pytest.raises(UsageError, match="expected a name, which a model's file can hold"):
+        Settings(kind="material", kernel=Own)

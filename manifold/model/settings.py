@@ -81,6 +81,8 @@ class Settings:
             if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
                 raise UsageError(f"{name} is {value!r}, expected a whole number from {least}")
         RusinkiewiczGrid.named(self.grid)  # checks it
+        if not isinstance(self.kernel, str):
+            raise UsageError(f"kernel {self.kernel!r}, expected a name, which a model's file can hold")
         self.covariance()  # checks it
 
     def covariance(self) -> Kernel:

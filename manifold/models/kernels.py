@@ -68,7 +68,16 @@ class Kernel(ABC):
 
     @property
     def numbers(self) -> tuple[int, float, float]:
-        """What compiled loops need: which family, `1 / l^2`, `linear / l^2`."""
+        """What compiled loops need: which family, `1 / l^2`, `linear / l^2`.
+
+        Raises:
+            UsageError: it is none of this package's.
+        """
+        if self.family not in _FAMILIES:
+            raise UsageError(
+                f"kernel '{self.family}' is your own, expected one of {', '.join(_FAMILIES)} for direct local search; "
+                "use the optimizer l-bfgs"
+            )
         return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2, self.slope_of_linear
 
     @property
@@ -195,12 +204,18 @@ KERNELS = tuple(family + suffix for suffix in ("", _LINEAR) for family in _FAMIL
 """Names that `kernel_named` takes."""
 
 
-def kernel_named(name: str, mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
-    """A kernel by its name, such as `se` or `matern32+linear`; the linear term has weight 1.
+def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
+    """A kernel by its name, such as `se` or `matern32+linear`, where the linear term has weight 1; or one of your own.
 
+    Args:
+        name: of the kernel, or a class derived from `Kernel` that has `family`, `steepest` and `radial`.
+        mu: noise filter.
+        length_scale: l.
     Raises:
         UsageError: no kernel has that name, or mu or the length scale cannot be used.
     """
+    if isinstance(name, type) and issubclass(name, Kernel):
+        return name(mu, length_scale)
     if name not in KERNELS:
         raise UsageError(f"no kernel is called '{name}', expected one of {', '.join(KERNELS)}")
     family = name.removesuffix(_LINEAR)

@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import ShapeError, UsageError
-from manifold.models.kernels import kernel_named
+from manifold.models.kernels import Kernel, kernel_named
 from manifold.models.objective import fix_gauge, require_start
 from manifold.models.search import FitCallback
 from manifold.models.sparse_objective import (
@@ -38,7 +38,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         n_inducing: M, the number of inducing points; N where that is fewer.
         mu: noise filter of the kernel, at least 1e-6.
         length_scale: l > 0.
-        kernel: its name, see `kernel_named`.
+        kernel: its name, or a class of your own, see `kernel_named`.
         prior: weight of the Gaussian prior on the latents per output.
         start_scale: standard deviation of the start along every axis.
         move_inducing: whether the inducing points are optimised; else they stay a subset of the start.
@@ -65,7 +65,7 @@ class SparseGPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimat
         n_inducing: int = 50,
         mu: float = 1e-4,
         length_scale: float = 1.0,
-        kernel: str = "se",
+        kernel: str | type[Kernel] = "se",
         prior: float = 0.0,
         start_scale: float = 1.0,
         move_inducing: bool = True,

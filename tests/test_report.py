@@ -31,6 +31,7 @@ from manifold.metrics import (
     relative_error,
     rmse,
 )
+from manifold.model.appearance import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import MaterialCache
 from manifold.plots import figures, plot_latents
@@ -43,7 +44,9 @@ def small_grid():
     """The default grid with a tenth of its pairs: what holds for these holds for all."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(metrics.NAMED_GRIDS, "default", RusinkiewiczGrid(20, 11, 6))
+        appearance_pairs.cache_clear()
         yield
+    appearance_pairs.cache_clear()  # other modules have the whole grid again
 
 
 @pytest.fixture(scope="module")

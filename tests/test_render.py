@@ -184,6 +184,12 @@ def test_the_same_seed_gives_the_same_picture_and_another_seed_another():
     assert np.abs(a - c).max() > 1e-3
 
 
+def test_renders_say_nothing_where_the_sampler_rounds_their_samples(capfd):
+    """Mitsuba's warning went to stdout, into the JSON of `--json -`."""
+    render_bsdf(GREY, True, RenderSettings(size=16, samples=17))
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_glossy_ball_has_a_highlight_at_the_upper_left_and_a_felt_has_none(folder):
     peaks = {}
     for name in ("syn_gloss_red", "syn_felt_green"):

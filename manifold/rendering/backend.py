@@ -245,6 +245,18 @@ def mitsuba_of_any_variant() -> Any:
     return mi
 
 
+@contextmanager
+def only_errors() -> Iterator[None]:
+    """Mitsuba without its warnings, such as that of a rounded number of samples, which it prints on stdout."""
+    mi = mitsuba_of_any_variant()
+    before = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
+    finally:
+        mi.set_log_level(before)
+
+
 def on_variant(callback: Callable[[str], None]) -> None:
     """Call back with the variant that is set, if any, and with every one that is set later; never without Mitsuba."""
     if not is_available():

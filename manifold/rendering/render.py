@@ -129,9 +129,10 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Pro
     seeds = np.random.SeedSequence(settings.seed).generate_state(n_passes)
     ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
     total: Array | float = 0.0
-    for k, count in with_progress(enumerate(np.diff(ends, prepend=0)), on_progress):
-        picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
-        total = total + int(count) * np.array(picture, dtype=np.float64)
+    with backend.only_errors():
+        for k, count in with_progress(enumerate(np.diff(ends, prepend=0)), on_progress):
+            picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
+            total = total + int(count) * np.array(picture, dtype=np.float64)
     return np.asarray(total) / settings.samples
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from manifold.errors import UsageError
 from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
 from manifold.experiments.budget.output_folder import OutputFolder
-from manifold.experiments.budget.pictures import Pictures, only_errors
+from manifold.experiments.budget.pictures import Pictures
 from manifold.experiments.budget.representations import Candidate
 from manifold.experiments.budget.scene_document import SceneDocument, SceneMaterial
 from manifold.experiments.budget.scene_survey import MaterialLighting
@@ -180,7 +180,7 @@ def budget_scene(
         read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
         output_folder.require_apart(output, read)
     step = on_progress or (lambda _done, _total, _what: None)
-    with temporary.folder() as folder, only_errors():
+    with temporary.folder() as folder, backend.only_errors():
         step(0, 4, "reading")
         files = {}
         for k, material in enumerate(document.materials):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,6 @@ from manifold.experiments.budget.scene_survey import Survey
 from manifold.experiments.budget.search import Choice, Difference
 from manifold.records import Array
 from manifold.rendering import backend, image_metrics, render
-
-
-@contextmanager
-def only_errors() -> Iterator[None]:
-    """Mitsuba without its warnings, which say what users of a scene know, and say it on stdout."""
-    mi = backend.mitsuba_of_any_variant()
-    before = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        yield
-    finally:
-        mi.set_log_level(before)
 
 
 class Pictures:

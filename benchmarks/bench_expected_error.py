@@ -22,12 +22,12 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
-from manifold.model.decoding import encoding_pairs
 from manifold.model.fitting import fit_space
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import KINDS, Settings
 from manifold.model.spaces import SPACES
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
 PLACES = 2000  # inside the convex hull, of which some are not supported
@@ -71,7 +71,7 @@ def hold_out(
 
 def errors(truth: MeasuredBRDF, predicted: BRDF) -> tuple[float, float]:
     """Mean CIEDE2000 of the ball, and the error of cube roots."""
-    ball, pairs = ball_colours.ball(), encoding_pairs()
+    ball, pairs = ball_colours.ball(), EncodingPairs.default()
     xyz = (ball.xyz(brdf.eval(ball.wi, ball.wo), truth.bands) for brdf in (truth, predicted))
     f, f_star = (brdf.eval(pairs.wi, pairs.wo) for brdf in (truth, predicted))
     return ball_colours.delta_e(*xyz), cube_root_error(f, f_star, pairs.cosines)

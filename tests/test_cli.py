@@ -24,8 +24,8 @@ from manifold.directions import from_spherical
 from manifold.formats.tensor_file import read_tensors, write_tensors
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import relative_error
-from manifold.model.decoding import encoding_pairs
 from manifold.model.manifold import Manifold
+from manifold.models.decoder import EncodingPairs
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
@@ -485,7 +485,7 @@ def _some_pairs():
 
 def _two_materials(*files):
     """Values of two files on the grid of reports, and the weights of its pairs."""
-    pairs = encoding_pairs()
+    pairs = EncodingPairs.default()
     return *(MeasuredBRDF(read_bsdf(file)).eval(pairs.wi, pairs.wo) for file in files), pairs.cosines
 
 

@@ -31,11 +31,11 @@ from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
 from manifold.model import gram, model_file
-from manifold.model.decoding import encoding_pairs
 from manifold.model.fitting import BrightMaterialWarning
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Bands
 
 
@@ -354,7 +354,7 @@ def test_a_material_of_the_library_is_embedded_where_it_lies(model):
 @pytest.mark.parametrize("kind", ["monochrome", "material"])
 def test_the_criterion_of_an_embedding_is_what_it_is_best_at(library, kind):
     model = Manifold.fit(library, Settings(kind=kind, optimizer="l-bfgs"))
-    brdf, pairs = MeasuredBRDF(measured("syn_metallic_gold")), encoding_pairs()
+    brdf, pairs = MeasuredBRDF(measured("syn_metallic_gold")), EncodingPairs.default()
     f, errors = brdf.eval(pairs.wi, pairs.wo), {}
     for criterion in ("decoded", "cube-root"):
         found = model.embed(brdf, criterion)

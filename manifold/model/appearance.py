@@ -10,7 +10,6 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
-from manifold.model.decoding import encoding_pairs
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
@@ -45,7 +44,7 @@ class AppearancePairs:
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
     """What blends are compared with new materials by; cosines, numbers and light do not depend on isotropy."""
-    grid, ball = encoding_pairs(is_isotropic), ball_colours.ball()
+    grid, ball = EncodingPairs.default(is_isotropic), ball_colours.ball()
     some = slice(None, None, _BALL_STRIDE)
     pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[some]]), np.vstack([grid.wo, ball.wo[some]]))
     amplitude = np.cbrt(np.concatenate([grid.cosines, ball.light[some]]))

@@ -13,8 +13,9 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.model.appearance import roots_at
-from manifold.model.decoding import encoding_pairs, integrating_sphere
+from manifold.model.decoding import integrating_sphere
 from manifold.models.blending import Layout, blend_layout
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
@@ -73,7 +74,7 @@ def appearance_distances(
 ) -> AppearanceDistances:
     """Compare materials by their balls, by their logarithms, and by the profiles of their blends in cube roots."""
     bands = evenly_spaced(materials[0].bands.count, _BANDS).tolist()
-    ball, pairs = ball_colours.ball(), encoding_pairs(all_isotropic(materials))
+    ball, pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
     wi, wo = profile_pairs()
     colours, logs, profiles = [], [], []
     for material in with_progress(materials, on_progress, "looks"):

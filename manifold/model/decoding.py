@@ -8,7 +8,6 @@ from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
 from manifold.mapping import mapping_named
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
@@ -17,15 +16,6 @@ from manifold.models.encoder import Encoder
 from manifold.records import Array
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
-
-
-def encoding_pairs(is_isotropic: bool = True) -> EncodingPairs:
-    """The direction pairs at which new materials are compared with what latents decode to.
-
-    Args:
-        is_isotropic: whether all of them are; for others half vectors have all azimuths.
-    """
-    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tuple[EncodingPairs, Array]:

@@ -16,12 +16,13 @@ from manifold.model.appearance import roots_at
 from manifold.model.blend_fitting import albedo_samples, appearance_distances
 from manifold.model.blend_space import BlendSpace
 from manifold.model.curve_space import CurveSpace
-from manifold.model.decoding import encoder_at, encoding_pairs, integrating_sphere
+from manifold.model.decoding import encoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.colour_paths import fit_paths
+from manifold.models.decoder import EncodingPairs
 from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
@@ -107,7 +108,7 @@ def _fit_curves(
     )  # all bands' colours follow: decoding needs the samples only
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
     # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
-    pairs = encoding_pairs(materials.is_isotropic)
+    pairs = EncodingPairs.default(materials.is_isotropic)
     encoder = encoder_at(pairs, space, materials, s, "decoded")
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
@@ -128,7 +129,7 @@ def _fit_blends(
     layout = appearance_distances(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
     samples = [brdf.select_bands(bands.tolist()) for brdf in brdfs]
-    pairs = encoding_pairs(materials.is_isotropic)
+    pairs = EncodingPairs.default(materials.is_isotropic)
     sphere, measure = integrating_sphere()
     paths = fit_paths(
         roots_at(samples, pairs), pairs.cosines, len(bands), (roots_at(samples, sphere), measure),

@@ -18,7 +18,6 @@ import numpy as np
 
 from manifold.errors import ShapeError, UsageError
 from manifold.mapping import Mapping
-from manifold.metrics import RusinkiewiczGrid
 from manifold.model.combination import Combination
 from manifold.models.colour_table import ColourTable
 from manifold.models.decoder import Decoder, EncodingPairs
@@ -164,7 +163,7 @@ class LatentSpace(ABC):
         Args:
             is_isotropic: whether both are.
         """
-        return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
+        return EncodingPairs.default(is_isotropic)
 
     @abstractmethod
     def embed(self, encoder: Encoder, f: Array) -> Embedded:

@@ -10,7 +10,7 @@ from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.colour import ball_colours
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.model.decoding import encoding_pairs
+from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Bands
 
 
@@ -26,7 +26,7 @@ class MaterialTable:
         """Select the bands of all materials."""
         self.bands = bands
         self.materials = [material.select_bands(bands.tolist()) for material in materials]
-        self._ball, self._pairs = ball_colours.ball(), encoding_pairs(all_isotropic(materials))
+        self._ball, self._pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
 
     @property
     def _axis(self) -> Bands:

@@ -8,9 +8,9 @@ from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
 from manifold.model.combination import Combination, Values
-from manifold.model.decoding import encoding_pairs
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
+from manifold.models.decoder import EncodingPairs
 from manifold.models.dictionary import Dictionary
 from manifold.models.picture_terms import picture_rows
 from manifold.models.reconstruction_weights import reconstruction_weights
@@ -29,7 +29,7 @@ def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> Pr
     """
     dictionary, mapping = Dictionary(), CubeRoot()
     sampled = materials.in_bands(sample_bands.tolist())
-    pairs = encoding_pairs(all_isotropic([brdf, *sampled]))
+    pairs = EncodingPairs.default(all_isotropic([brdf, *sampled]))
     wi, wo = pairs.wi, pairs.wo
     values = Values(np.stack([material.eval(wi, wo) for material in sampled]), wi, wo)
     roots = values.mapped_samples(mapping, np.arange(len(sample_bands)))

@@ -27,9 +27,18 @@ class EncodingPairs:
 
     @classmethod
     def of_grid(cls, grid: RusinkiewiczGrid, stride: int = PAIR_STRIDE) -> EncodingPairs:
-        """Some of the pairs of a grid: every so manieth."""
+        """The pairs of a grid above the horizon, one in every `stride` of them."""
         wi, wo, above = grid.directions()
         return cls(wi[above][::stride], wo[above][::stride])
+
+    @classmethod
+    def default(cls, is_isotropic: bool = True) -> EncodingPairs:
+        """Those of the default grid, at which new materials are compared with predictions.
+
+        Args:
+            is_isotropic: whether all of them are; for others half vectors have all azimuths.
+        """
+        return cls.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic))
 
     @property
     def cosines(self) -> Array:

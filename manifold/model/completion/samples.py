@@ -15,7 +15,6 @@ from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
 from manifold.model.appearance import roots_at
 from manifold.model.combination import Combination
-from manifold.model.decoding import encoding_pairs
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
@@ -31,7 +30,7 @@ LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 ball_pairs = cache(ball_colours.ball)
 """The pairs that light a ball; the same for every material."""
 
-grid_pairs = cache(encoding_pairs)
+grid_pairs = cache(EncodingPairs.default)
 """All directions, in which materials are compared; turned where one of them is anisotropic."""
 
 ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))

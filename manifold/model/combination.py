@@ -12,6 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.pairs import DirectionPairs
 from manifold.errors import ShapeError
 from manifold.mapping import Mapping
 from manifold.metrics import cosine_weight
@@ -35,6 +37,14 @@ class Values:
     _mapped: dict[str, Array] = field(default_factory=dict, repr=False, kw_only=True)
     _samples: dict[tuple[str, tuple[int, ...]], Array] = field(default_factory=dict, repr=False, kw_only=True)
     _lobes: dict[Lobes, Array] = field(default_factory=dict, repr=False, kw_only=True)
+
+    @classmethod
+    def at(cls, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
+        """Those of N materials of the same bands at direction pairs."""
+        f = np.empty((len(materials), len(pairs), materials[0].bands.count))
+        for k, material in enumerate(materials):
+            material.eval_into(pairs, f[k])
+        return Values(f, pairs.wi, pairs.wo)
 
     @cached_property
     def cosines(self) -> Array:

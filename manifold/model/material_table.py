@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
 from manifold.models.decoder import EncodingPairs
-from manifold.records import Array, Bands
+from manifold.records import Array
 
 
 class MaterialTable:
@@ -28,25 +27,19 @@ class MaterialTable:
         self.materials = [material.select_bands(bands.tolist()) for material in materials]
         self._ball, self._pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
 
-    @property
-    def _axis(self) -> Bands:
-        return self.materials[0].bands
-
     @cached_property
     def _on_ball(self) -> Values:
-        wi, wo = self._ball.wi, self._ball.wo
-        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
+        return Values.at(self.materials, DirectionPairs(self._ball.wi, self._ball.wo))
 
     @cached_property
     def _in_grid(self) -> Values:
-        wi, wo = self._pairs.wi, self._pairs.wo
-        return Values(np.stack([material.eval(wi, wo) for material in self.materials]), wi, wo)
+        return Values.at(self.materials, DirectionPairs(self._pairs.wi, self._pairs.wo))
 
     def errors(self, i: int, combination: Combination) -> tuple[float, float]:
         """Ball CIEDE2000 and cube-root error of a prediction of material i."""
         here = combination.in_bands(self.bands)
         on_ball, in_grid = (evaluate([here], values)[0] for values in (self._on_ball, self._in_grid))
         return (
-            self._ball.difference(self._on_ball.f[i], on_ball, self._axis),
+            self._ball.difference(self._on_ball.f[i], on_ball, self.materials[0].bands),
             cube_root_error(self._in_grid.f[i], in_grid, self._pairs.cosines),
         )

@@ -18,10 +18,10 @@ from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.synthetic import corpus
 from manifold.experiments.chart import storage_forms
 from manifold.experiments.chart.storage_forms import Storage
-from manifold.experiments.evaluation.ball_errors import BallErrors, values_at
+from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model.combination import Combination, evaluate
+from manifold.model.combination import Combination, Values, evaluate
 from manifold.records import Array, BsdfFile
 
 REFERENCE = "syn_satin_gold"
@@ -174,7 +174,7 @@ class StoredMaterials:
         else:
             self.back = storage_forms.interpolation(files[0].bands, storage.bands)
             self._some_back = self.back[target.data.bands]
-        self._at = [values_at(sampled, pairs) for pairs in (target.pairs, target.balls.pairs)]
+        self._at = [Values.at(sampled, pairs) for pairs in (target.pairs, target.balls.pairs)]
 
     def file_bytes(self, band_share: float) -> int:
         """What predictions read of all files, values in a share of the bands."""

@@ -15,14 +15,6 @@ from manifold.records import Array
 _AT_ONCE = 8  # predictions evaluated together
 
 
-def values_at(materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
-    """Measured values of N materials of the same bands at direction pairs."""
-    f = np.empty((len(materials), len(pairs), materials[0].bands.count))
-    for k, material in enumerate(materials):
-        material.eval_into(pairs, f[k])
-    return Values(f, pairs.wi, pairs.wo)
-
-
 class BallErrors:
     """Balls of N materials in some of their bands, and how predictions of them differ.
 
@@ -36,7 +28,7 @@ class BallErrors:
         self._ball = ball_colours.ball()
         self._bands = materials[0].bands.select(bands)
         self.pairs = DirectionPairs(self._ball.wi, self._ball.wo)
-        self.values = values_at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
+        self.values = Values.at([material.select_bands(bands.tolist()) for material in materials], self.pairs)
         self._chosen = bands
         self._xyz = [self._ball.xyz(f, self._bands) for f in self.values.f]
 

@@ -11,7 +11,6 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import Plausibility, plausibilities
 from manifold.colour.difference import colour_differences, illuminants_for, multi_angle_pairs
-from manifold.experiments.evaluation.ball_errors import values_at
 from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.library.store import Library
@@ -50,7 +49,7 @@ def colour_results(
     materials: Sequence[MeasuredBRDF], predictions: Predictions
 ) -> list[tuple[ColourResult, ...]]:
     """Colour errors of all predictions, method by method, illuminant by illuminant."""
-    values, bands = values_at(materials, DirectionPairs(*multi_angle_pairs())), materials[0].bands
+    values, bands = Values.at(materials, DirectionPairs(*multi_angle_pairs())), materials[0].bands
     results = []
     for each in predictions:
         predicted = evaluate(each, values)
@@ -77,7 +76,7 @@ def plausibility_results(
     here = [[c.in_bands(bands) for c in each] for each in predictions]
 
     def predict(wi: Array, wo: Array) -> Array:
-        values = values_at(selected, DirectionPairs(wi, wo))
+        values = Values.at(selected, DirectionPairs(wi, wo))
         return np.concatenate([evaluate(each, values) for each in here])
 
     found = plausibilities(predict, all(material.is_isotropic for material in materials))

@@ -1,10 +1,10 @@
 """Direct local search: the pattern search of Hooke & Jeeves.
 
-Two faces of one search:
+One search with two interfaces:
 
 - `hooke_jeeves` is a method for `scipy.optimize.minimize`;
-- `direct_local_search` works on a `MoveObjective`, which moves a single coordinate more cheaply than it
-  evaluates a whole new point (the likelihood of a latent variable model does, by rank-two updates).
+- `direct_local_search` minimises a `MoveObjective`, for which a move of one coordinate costs less than an evaluation
+  at a new point (for the likelihood of a latent variable model a rank-two update).
 
 Source: Hooke & Jeeves 1961.
 """
@@ -52,8 +52,8 @@ class MoveObjective(Protocol):
             budget: most moves to try.
         """
 
-    def move_to(self, x: Array) -> float:
-        """Jump to x (n,) and return the value there."""
+    def move_to(self, x: Array) -> None:
+        """Make x (n,) the current point."""
 
 
 class _OutOfEvaluations(Exception):
@@ -73,7 +73,7 @@ def direct_local_search(
     """Minimise by exploratory moves along coordinates and pattern moves along what they achieved.
 
     A sweep tries `x_j + step` and `x_j - step` for every j and keeps each improvement at once. After a sweep
-    that improved, the same displacement is added once more and explored from there, for as long as that pays.
+    that improved, the same displacement is added once more and explored from there, for as long as that improves.
     After one that did not, the step halves, until it falls below the tolerance.
 
     Args:
@@ -136,27 +136,27 @@ class _Search:
     ) -> None:
         self.objective = objective
         self.steps = steps
-        self.heading = np.ones(steps.shape[0])  # the sense that succeeded last is tried first
+        self.heading = np.ones(steps.shape[0])  # the sign that succeeded last is tried first
         self.limits = limits
         self.maxfev = maxfev
         self.nfev = 1
         self.best_x, self.best = objective.x.copy(), objective.value
 
     def round(self) -> None:
-        """One sweep from the best point, then pattern moves while they pay; smaller steps if it did not improve."""
+        """One sweep from the best point, then pattern moves while these improve; smaller steps if it did not."""
         origin = self.best_x
         self._explore()
-        paying = self._keep_if_better()
-        if not paying:
+        improved = self._keep_if_better()
+        if not improved:
             self.steps *= 0.5
-        while paying:
+        while improved:
             pattern = np.clip(2.0 * self.best_x - origin, *self.limits)
             origin = self.best_x
             self.objective.move_to(pattern)
             self._spend(1)
             # Explored even if the jump itself made things worse: that is what lets it follow curved valleys.
             self._explore()
-            paying = self._keep_if_better()
+            improved = self._keep_if_better()
         self.settle()
 
     def settle(self) -> None:
@@ -230,9 +230,8 @@ class _WholeEvaluations:
                     break
         return tried
 
-    def move_to(self, x: Array) -> float:
+    def move_to(self, x: Array) -> None:
         self.x, self.value = x.copy(), self._evaluate(x)
-        return self.value
 
     def _evaluate(self, x: Array) -> float:
         # A copy: functions handed to scipy may keep or change their argument.

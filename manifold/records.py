@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -19,21 +18,8 @@ from manifold.system.stages import Progress as Progress
 Array = NDArray[Any]
 
 
-def _read_only(fields: dict[str, Any]) -> MappingProxyType[str, Any]:
-    return MappingProxyType(fields)
-
-
 # Python pickles no read-only mappings, which some records have: as copies they travel between processes.
-copyreg.pickle(MappingProxyType, lambda fields: (_read_only, (dict(fields),)))
-
-Stage = Callable[[str], AbstractContextManager[Progress | None]]
-"""Opens one stage of a long command by its title and gives the progress callback for it, or None."""
-
-
-def no_stage(title: str) -> AbstractContextManager[None]:
-    """A stage without a progress display."""
-    return nullcontext()
-
+copyreg.pickle(MappingProxyType, lambda fields: (MappingProxyType, (dict(fields),)))
 
 RGB_NAMES = ("R", "G", "B")
 

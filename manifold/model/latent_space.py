@@ -10,9 +10,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from collections.abc import Mapping as Fields
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -81,10 +81,6 @@ class LatentSpace(ABC):
     def gp(self) -> GPWeights:
         """The Gaussian process of the training samples."""
         return GPWeights(self.latents_of(np.arange(len(self.X))), self.kernel)
-
-    def with_kernel(self, kernel: Kernel) -> Self:
-        """The same latents under another kernel."""
-        return replace(self, kernel=kernel)  # type: ignore[type-var]
 
     @property
     @abstractmethod

@@ -14,7 +14,7 @@ from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.blending import widest_gap
-from manifold.models.expected_error import LEAST_MATERIALS, ExpectedError
+from manifold.models.expected_error import ExpectedError
 from manifold.records import Array, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
@@ -22,8 +22,6 @@ _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the 
 _PREFIX = "left_out_"
 _MOST_BALL = 10.0  # CIEDE2000: another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
-
-__all__ = ["LEAST_MATERIALS", "CalibrationResult", "ExpectedErrors", "LeftOut", "leave_out"]
 
 
 @dataclass(frozen=True, eq=False)

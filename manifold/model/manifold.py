@@ -19,7 +19,7 @@ from manifold.model.fitting import fit_space
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import Place, require_between
-from manifold.model.left_out import LEAST_MATERIALS, LeftOut, leave_out
+from manifold.model.left_out import LeftOut, leave_out
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
@@ -28,6 +28,7 @@ from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.spaces import SPACES
+from manifold.models.expected_error import LEAST_MATERIALS
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
 _ONE = np.ones(1)

@@ -112,14 +112,18 @@ class GPWeights:
             ShapeError: X_new is no finite (M, Q) array.
         """
         X_new = _require_latents(X_new, self.X.shape[1], "X_new")
-        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
-        V = W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
+        V = self.smooth_weights(X_new)
         # K^-1 K[:, i] is a unit vector only to rounding: with equal coordinates it is written down instead.
         match = first_equal_row(X_new, self.X)
         hit = np.flatnonzero(match >= 0)
         V[hit] = 0.0
         V[hit, match[hit]] = 1.0
         return V
+
+    def smooth_weights(self, X_new: Array) -> Array:
+        """`weights` without the delta, (M, N): at a training latent X_new (M, Q) those of its surroundings."""
+        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
+        return W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
 
     def variance(self, X_new: Array) -> Array:
         """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).

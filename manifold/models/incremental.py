@@ -30,7 +30,7 @@ class IncrementalObjective:
 
     Args:
         objective: F.
-        X: where to stand, shape (N, Q); copied.
+        X: the start, shape (N, Q); copied.
     Attributes:
         n_refactorisations: how often P was computed afresh since the start, jumps not counted.
     Source: Woodbury; Hikichi & Iwasaki, section 3.4, for the search it serves.
@@ -55,11 +55,10 @@ class IncrementalObjective:
         """F here."""
         return float(self._state[_VALUE])
 
-    def move_to(self, x: Array) -> float:
-        """Stand at x (N Q,), by a fresh factorisation."""
+    def move_to(self, x: Array) -> None:
+        """Make x (N Q,) the current point, by a fresh factorisation."""
         self._X = np.array(x, dtype=np.float64).reshape(-1, self._Q)
         self._factorise()
-        return self.value
 
     def _factorise(self) -> None:
         self._K = self.objective.kernel.training(self._X)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
 Progress = Callable[[int, int, str], None]
@@ -11,7 +12,15 @@ Progress = Callable[[int, int, str], None]
 PROGRESS_VARIABLE = "MANIFOLD_PROGRESS"
 """Names the file descriptor into which a program that runs a command wants its progress, as JSON lines."""
 
+Stage = Callable[[str], AbstractContextManager[Progress | None]]
+"""Opens one stage of a long command by its title and gives the progress callback for it, or None."""
+
 T = TypeVar("T")
+
+
+def no_stage(title: str) -> AbstractContextManager[None]:
+    """A stage without a progress display."""
+    return nullcontext()
 
 
 class Stages:

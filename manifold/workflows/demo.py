@@ -15,10 +15,10 @@ from manifold.library.importing import import_files
 from manifold.model.manifold import Settings
 from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
-from manifold.records import Stage, no_stage
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
 from manifold.system import atomic
+from manifold.system.stages import Stage, no_stage
 from manifold.workflows import ball_pictures, budgets, charts, failures, fits, pipeline, renders
 from manifold.workflows.budgets import BudgetSettings
 from manifold.workflows.fit_pictures import picture_of_fit

@@ -13,10 +13,9 @@ from manifold.errors import ManifoldError, UsageError
 from manifold.library.identity import file_sha256, hash_arrays
 from manifold.model import predicted_file
 from manifold.model.manifold import Manifold
-from manifold.records import Progress, Stage, no_stage
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, require_d65
-from manifold.system.stages import with_progress
+from manifold.system.stages import Progress, Stage, no_stage, with_progress
 from manifold.workflows import renders
 from manifold.workflows.output_index import OutputIndex
 from manifold.workflows.point_table import Point, PointTable

@@ -16,9 +16,8 @@ from manifold.errors import UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import names_without
-from manifold.records import Progress, Stage, no_stage
 from manifold.system import atomic
-from manifold.system.stages import with_progress
+from manifold.system.stages import Progress, Stage, no_stage, with_progress
 
 if TYPE_CHECKING:
     from manifold.experiments.evaluation.report import Report

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from manifold.experiments.evaluation.baselines import fit_pca
 from manifold.experiments.evaluation.latent_models import fit_settings
@@ -96,12 +95,10 @@ def _fit_smooth(model: Manifold) -> Fit:
 
     def fit(data: Data, training: Array) -> Encode:
         process = _process(model, data, training)
-        gp = process.gp
 
         def encode(i: int) -> Combination:
             latents = model.space.own_latents(i)
-            W = cho_solve((gp.L, True), gp.kernel.smooth(latents, gp.X).T).T
-            return process.at(latents, W + (1.0 - W.sum(axis=1, keepdims=True)) / gp.n_samples)
+            return process.at(latents, process.gp.smooth_weights(latents))
 
         return encode
 

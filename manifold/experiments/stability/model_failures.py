@@ -65,9 +65,8 @@ def _rescaled(bed: TestBed, length_scale: float, kind: str) -> Measurement:
     """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
     truth, fitted = held_out(bed), bed.model(kind)
     known = fitted.embed(truth)
-    model = in_space(
-        fitted, fitted.space.with_kernel(replace(fitted.space.kernel, length_scale=length_scale))
-    )
+    kernel = replace(fitted.space.kernel, length_scale=length_scale)
+    model = in_space(fitted, replace(fitted.space, kernel=kernel))  # type: ignore[type-var]
     brdf, messages = predict(model, known.latent, known.colours)
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 

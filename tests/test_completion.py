@@ -342,9 +342,9 @@ def test_expected_errors_are_learned_from_the_other_materials(samples):
     for m in (0, 5):
         made = leave_out(samples, m, at, readings(np.ones((12, 3))))
         np.testing.assert_allclose(found.errors[m], completion_errors(samples, m, made))
-        np.testing.assert_allclose(found.signs[m], indicators_of(made))
+        np.testing.assert_allclose(found.indicators[m], indicators_of(made))
         others = np.arange(len(NAMES)) != m
-        learned = Calibration(found.errors[others], found.signs[others]).expected(made)
+        learned = Calibration(found.errors[others], found.indicators[others]).expected(made)
         np.testing.assert_allclose(found.left_out[m], list(learned.values()))
 
 
@@ -378,7 +378,7 @@ def test_expected_errors_are_the_line_of_their_logarithms(rng):
     x = (x - x.mean(axis=0)) @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T, bias=True)).T)  # uncorrelated
     slopes = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -1.0]])
     held = Calibration(np.exp(1.0 + x @ slopes), np.exp(x))
-    # Ridge regression on standardised, uncorrelated signs divides slopes by 1 + 0.1; negative ones are 0.
+    # Ridge regression on standardised, uncorrelated indicators divides slopes by 1 + 0.1; negative ones are 0.
     line = np.array([[1.0 / 1.1, 0.0, 0.0], [0.0, 0.5 / 1.1, 0.0]])
     above = x @ (slopes - line)
     # Twice the expected is enough for 90 %: only the third kind, which no sign tells, needs more than the median.

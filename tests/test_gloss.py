@@ -138,7 +138,7 @@ def test_gloss_is_compared_in_the_luminance_of_each_hypothesis():
     luminous = (0.25 * 1.0 + 0.75 * 8.0) ** (1.0 / 3.0)
     variance = (0.02**2 + 0.04**2) * (1.5**2 + 0.5**2)
     assert gloss.misfit(green, 0.5) == pytest.approx((luminous - 1.5) ** 2 / variance)
-    met = gloss.met_by(green @ samples)
+    met = gloss.scaled(green @ samples)
     assert np.cbrt(gloss.luminance @ met**3) == pytest.approx(1.5)
     assert met[1] / met[0] == pytest.approx(2.0)
 

@@ -1,7 +1,7 @@
 """Mixtures of two materials, updated band by band with the colours of the readings.
 
-A coat's highlight is white and a metal's is not; bodies keep their hue. Which materials a sample is a mixture of shows
-in every band, not in the mean alone.
+The highlight of a coat is white and that of a metal coloured: single bands tell more of which materials a sample
+resembles than their mean.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from manifold.records import Array
 
 _COUNT = 100  # of hypotheses
 _CONSIDERED = 4000  # most probable mixtures of samples, of which many are of the same materials
-_ALIKE = 0.07  # by how much the bands of a material may differ in the shares of the materials it is like
-_COLOUR = 0.7  # how much the differences between bands count, besides their mean
+_ALIKE = 0.07  # standard deviation between bands of the shares of materials
+_COLOUR = 0.7  # weight of the differences between bands against their mean
 
 
 @dataclass(frozen=True, eq=False)
 class BandMixtures:
-    """Hypotheses: mixtures of one or two materials that may be what was read.
+    """Hypotheses about the material that was read: mixtures of one or two materials.
 
     Attributes:
         probability: of H hypotheses, of sum 1, most probable first, shape (H,).
-        weights: of samples in the mean over bands of each, shape (H, n + 1).
-        mean: of all hypotheses in every band, shape (B, n + 1).
+        weights: of samples, mean over bands, shape (H, n + 1).
+        mean: weights in every band, averaged over hypotheses, shape (B, n + 1).
     """
 
     probability: Array
@@ -55,20 +55,20 @@ def band_mixtures(
     group: Array,
     gloss: GlossReadings | None = None,
 ) -> BandMixtures:
-    """How likely mixtures of two materials are, given readings in B bands.
+    """Posterior probabilities of mixtures of two materials, given readings in B bands.
 
-    Weights >= 0 of the samples of both materials and of the Lambertian meet every band, while the shares of materials
-    stay about those that meet the mean of all bands. The likelihood is that of `mixtures.posterior`.
+    Weights >= 0 of the samples of both materials and of the Lambertian are fitted to every band, with shares of
+    materials near those in the mean of all bands. The likelihood is that of `mixtures.posterior`.
 
     Args:
-        mixtures: of samples that meet the mean over bands, see `mixtures.posterior`.
+        mixtures: of samples, fitted to the mean over bands, see `mixtures.posterior`.
         samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
         targets: cube roots of the material there, NaN where not measured, shape (B, P).
         weights: of the readings, shape (P,).
-        where: places of the readings, see `nearby.places`, shape (P, 3).
+        where: coordinates of the readings, see `nearby.places`, shape (P, 3).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
         group: which material a sample is of, from 0, shape (n + 1,); the Lambertian's is the number of materials.
-        gloss: of the material, besides.
+        gloss: readings of gloss, if there are any.
     """
     chosen = _of_different_materials(mixtures, group)
     found = np.zeros((len(chosen), len(targets), len(samples)))
@@ -81,7 +81,7 @@ def band_mixtures(
         part = len(rows) / any_read.sum()
         count += part * (1.0 + _COLOUR) * y.shape[1]
         for k, mixture in enumerate(chosen):
-            found[k, rows], missed = _meet(X, y, mixtures.weights(mixture[None])[0], group)
+            found[k, rows], missed = _fit_bands(X, y, mixtures.weights(mixture[None])[0], group)
             misfit[k] += part * missed
     of_mean = found[:, any_read].mean(axis=1)
     found[:, ~any_read] = of_mean[:, None]
@@ -113,8 +113,8 @@ def _of_different_materials(mixtures: Mixtures, group: Array) -> Array:
     return np.array(list(seen.values()))
 
 
-def _meet(X: Array, y: Array, structure: Array, group: Array) -> tuple[Array, float]:
-    """Weights (b, n + 1) in some bands of the samples of a mixture's materials, and what they miss."""
+def _fit_bands(X: Array, y: Array, structure: Array, group: Array) -> tuple[Array, float]:
+    """Weights (b, n + 1) in some bands of the samples of a mixture's materials, and their misfit."""
     totals = np.bincount(group, structure)
     used = np.flatnonzero((totals[group] > 0.0) | (group == group[-1]))
     share = (group[used] == np.flatnonzero(totals[:-1] > 0.0)[:, None]) / _ALIKE

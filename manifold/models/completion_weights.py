@@ -7,12 +7,14 @@ import numpy as np
 from manifold.models.nonnegative import nonnegative_weights
 from manifold.records import Array
 
-_STAY = 0.1  # of what may change in all directions, against what is missed at readings
-FEW = 12.0  # sum of the weights of readings, cosines in them, at which this holds; more readings speak louder
+_STAY = 0.1  # weight of changes over all directions against residuals at readings
+FEW = (
+    12.0  # sum of the weights of readings, cosines included, up to which that holds; more readings weigh more
+)
 
 
 def completion_weights(samples: Array, targets: Array, weights: Array, gram: Array, supposed: Array) -> Array:
-    """Weights v >= 0 of samples in every band that meet readings better by the least change, shape (B, n).
+    """Weights v >= 0 of samples in every band that fit the readings, and differ little from prior weights: (B, n).
 
     They minimise `sum_p w (v g - t)^2 / |t|^2 + stay (v - s) G (v - s)`.
 
@@ -21,7 +23,7 @@ def completion_weights(samples: Array, targets: Array, weights: Array, gram: Arr
         targets: cube roots t of the material there, NaN where not measured, shape (B, P).
         weights: of the readings, w, shape (P,).
         gram: G, inner products of samples averaged over all directions, shape (n, n).
-        supposed: s, weights of the samples that hypotheses have, shape (B, n).
+        supposed: s, the prior weights, those of the mean hypothesis, shape (B, n).
     """
     is_read = np.isfinite(targets)
     known = np.where(is_read, targets, 0.0)

@@ -11,25 +11,25 @@ from manifold.models.blending import blend_weights
 from manifold.records import Array
 
 LEAST_MATERIALS = 4
-"""Fewer tell nothing of each other."""
+"""With fewer, left-out errors predict nothing."""
 
 BELOW_TWICE = 0.9
 """Share of the left-out errors that are below twice the expected."""
 
 COARSE_BELOW = 8
-"""Materials, fewer than which hardly tell where errors are larger, nor how large within a factor of three."""
+"""Number of materials below which expected errors are uncertain by a factor of three, and hardly vary with place."""
 
-_LIKE = 2.0  # materials; of as many, errors tell half of what surrounds them (docs/design/expected-error.md)
-_FAR = 0.25  # power of the distance to the nearest material, in length scales, beyond which errors grow
+_LIKE = 2.0  # number of materials at which the power a is one half (docs/design/expected-error.md)
+_FAR = 0.25  # power with which errors grow with the distance to the nearest material, in length scales
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError:
     """`e(x) = c m prod (e_i / m)^(a u_i(x)) hypot(1, d(x))^(1/4)`, a = N / (N + 2): one number, `c`, is fitted.
 
-    The leave-one-out errors e_i of the surrounding materials, averaged in logarithms by the weights u of a blend,
-    and growing where the nearest material is farther than a length scale, by d. The fewer materials there are, the less
-    their errors tell of their surroundings: the power a draws them to their geometric mean m.
+    The logarithms of the leave-one-out errors e_i of the surrounding materials are averaged with the weights u of a
+    blend. Errors grow with the distance d to the nearest material, in length scales. The power a shrinks the e_i to
+    their geometric mean m, the more the fewer materials there are.
 
     Attributes:
         X: places of the materials, shape (N, Q).
@@ -47,7 +47,7 @@ class ExpectedError:
     def calibrate(
         cls, X: Array, places: Array, errors: Array, length_scale: float, floor: float
     ) -> ExpectedError:
-        """Fit c: the expected error of a left-out material is right in the median, and twice it is enough for 90 %.
+        """Fit c: at least half of the left-out errors are below the expected one, and 90 % below twice that.
 
         Args:
             X: places of the materials, shape (N, Q).

@@ -18,7 +18,7 @@ class GlossReadings:
         samples: cube roots of the means over the apertures of n samples and, last, of the Lambertian, (n + 1, G).
         target: cube roots of the material's luminance there, shape (G,).
         luminance: what the bands of the readings contribute to it, shape (B,).
-        where: places of the mirror directions, see `nearby.places`, shape (G, 3).
+        where: coordinates of the mirror directions, see `nearby.places`, shape (G, 3).
     """
 
     samples: Array
@@ -28,16 +28,16 @@ class GlossReadings:
 
     @property
     def weights(self) -> Array:
-        """Of these readings, shape (G,)."""
+        """Weights of these readings, shape (G,)."""
         return np.ones(len(self.target))
 
     def misfit(self, weights: Array, level: float) -> float:
-        """Squared error of weights (B, n + 1) in units of its variance, beside readings of a root mean square."""
+        """Squared error of weights (B, n + 1) over its variance; `level`: root mean square of the other readings."""
         variance = (NOISE**2 + MISSED**2) * (self.target**2 + level**2)
         return float(np.sum((self._luminous(weights @ self.samples) - self.target) ** 2 / variance))
 
-    def met_by(self, roots: Array) -> Array:
-        """Cube roots in bands, shape (B, G), multiplied so that their luminance is that of the material."""
+    def scaled(self, roots: Array) -> Array:
+        """Cube roots in bands, shape (B, G), scaled to have the luminance of the target."""
         return np.asarray(roots * self.target / np.maximum(self._luminous(roots), np.finfo(float).tiny))
 
     def _luminous(self, roots: Array) -> Array:

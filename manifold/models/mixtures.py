@@ -1,7 +1,7 @@
 """Posterior over mixtures of two samples, given a few readings of a material.
 
-Which samples a material resembles, and thus its highlight between the readings, is not determined by a dozen
-readings: many mixtures meet them. They are all tried, and averaged by how well they do.
+A dozen readings do not determine which samples a material resembles, and thus its highlight between the readings:
+many mixtures fit them. All are evaluated, and averaged by their posterior probability.
 """
 
 from __future__ import annotations
@@ -17,36 +17,34 @@ from manifold.records import Array
 
 SHARES = (0.5, 0.2, 0.8)  # of the first sample, besides 1
 _MOST_PAIRS = 40_000  # pairs of samples of two materials; of larger libraries as many at random
-_REACH = 2.0  # how far that reaches, in lengths of `nearby`
-_FREEDOM = (
-    3.0  # degrees of freedom of both: where no mixture meets the readings, they were larger than thought
-)
-_LAMBERTIAN_SPREAD = 0.5
+_REACH = 2.0  # correlation length of the residual of mixtures, in lengths of `nearby`
+_FREEDOM = 3.0  # degrees of freedom of Student's t: the variances of noise and residual are estimates
+_LAMBERTIAN_SPREAD = 0.5  # standard deviation of the weight of the Lambertian, before anything is read
 _RELATIVE = 5.0  # exponent of the norm
 
 NOISE = 0.02
-"""Of cube roots that are read, as a share of them and of their root mean square."""
+"""Standard deviation of the noise of cube roots, relative to them and their root mean square."""
 
 MISSED = 0.04
-"""By which mixtures miss materials, as a share of the same."""
+"""Standard deviation of the residual of the best mixture, relative to the same."""
 
 LIKE_ONE = 0.8
-"""How likely a material is like one of the library, in one band or between two, before anything is read."""
+"""Prior probability that a material is like a single one of the library, in one band or between two."""
 
 SCALE_SPREAD = 0.15
-"""Samples are met at their own level, give or take this."""
+"""Standard deviation of the scale of samples about 1, before anything is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mixtures:
-    """H mixtures `a (x g_i + (1 - x) g_j) + l L` of two samples and a Lambertian, in cube roots, and their odds.
+    """H mixtures `a (x g_i + (1 - x) g_j) + l L` of two samples and a Lambertian, in cube roots.
 
     Attributes:
         first, second: i and j, shape (H,).
         share: x, shape (H,).
         scale: a, shape (H,).
         lambertian: l, shape (H,).
-        probability: shape (H,), of sum 1.
+        probability: posterior, shape (H,), of sum 1.
         n_samples: n; the Lambertian is sample n.
     """
 
@@ -77,19 +75,18 @@ class Mixtures:
 def posterior(
     samples: Array, target: Array, weights: Array, where: Array, gram: Array, group: Array
 ) -> Mixtures:
-    """How likely mixtures of two samples are, given readings of a material.
+    """Posterior probabilities of mixtures of two samples, given readings of a material.
 
-    Scale and Lambertian of every mixture are those that meet the readings best, near the level of the samples. The
-    likelihood is Student's t in cube roots: what mixtures miss is alike at directions nearby, so that readings there
-    are not independent, and its size is not quite known: where no mixture meets the readings, none is certain. It is
-    divided by the fifth power of the mixture's norm: errors are relative, and a highlight that is not there costs more
-    than one that is missed.
+    Scale and Lambertian of every mixture are those of largest posterior density. The likelihood is Student's t in cube
+    roots, with residuals that are correlated at nearby directions; its heavy tails keep several mixtures probable where
+    none fits the readings. It is divided by the fifth power of the mixture's norm: errors are relative, so that a
+    predicted highlight that does not exist costs more than one that is missing.
 
     Args:
         samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
         target: cube roots of the material there, shape (P,).
         weights: of the readings, shape (P,).
-        where: places of the readings, see `nearby.places`, shape (P, 3).
+        where: coordinates of the readings, see `nearby.places`, shape (P, 3).
         gram: inner products of samples over all directions, shape (n + 1, n + 1).
         group: which material a sample is of, shape (n + 1,).
     """
@@ -99,7 +96,7 @@ def posterior(
     with_target = X @ y
     at_readings, everywhere = (_Products.of(inner, first, second, share) for inner in (X @ X.T, gram))
     a_target = share * with_target[first] + (1.0 - share) * with_target[second]
-    # What is known of scale and Lambertian beforehand.
+    # Gaussian priors of scale and Lambertian, as terms of the normal equations.
     of_scale, of_lambertian = SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
     told = _Products(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
     scale, lambertian = _two_nonnegative(
@@ -115,14 +112,14 @@ def posterior(
 
 
 def log_likelihood(misfit: Array, count: float) -> Array:
-    """Of Student's t, up to a constant: of squared errors in units of their variance, and how many they are."""
+    """Log density of Student's t up to a constant, at the sum of `count` squared errors over their variance."""
     return np.asarray(-0.5 * (_FREEDOM + count) * np.log1p(misfit / _FREEDOM))
 
 
 def log_of_norm(norm: Array) -> Array:
-    """What a mixture's squared norm over all directions costs it: errors are relative.
+    """Penalty on the squared norm of mixtures over all directions, since errors are relative.
 
-    Readings with light are not of a mixture without any: it costs infinitely much, unless all are without.
+    Infinite for black mixtures, unless all are black.
     """
     is_black = norm <= np.finfo(float).tiny
     if is_black.all():
@@ -131,21 +128,21 @@ def log_of_norm(norm: Array) -> Array:
 
 
 def normalised(log_probability: Array) -> Array:
-    """Probabilities of sum 1."""
+    """Probabilities of sum 1 from their logarithms up to a constant."""
     probability = np.exp(log_probability - log_probability.max())
     return np.asarray(probability / probability.sum())
 
 
 def independent(samples: Array, targets: Array, weights: Array, where: Array) -> tuple[Array, Array]:
-    """Samples (n + 1, C) and targets (B, C), of which the differences are independent and of variance 1.
+    """Samples (n + 1, C) and targets (B, C), whitened: their differences are independent and of variance 1.
 
-    C readings, or averages of some that are nearer to each other than mixtures tell apart.
+    C is the number of readings, or of averages of those that share a cell.
 
     Args:
         samples: cube roots of n samples and, last, of the Lambertian at the readings, shape (n + 1, P).
         targets: cube roots of the material there, shape (B, P).
         weights: of the readings, shape (P,).
-        where: places of the readings, see `nearby.places`, shape (P, 3).
+        where: coordinates of the readings, see `nearby.places`, shape (P, 3).
     """
     cell = cells(where)
     total = np.bincount(cell, weights)
@@ -185,7 +182,7 @@ class _Products:
 
 @lru_cache(maxsize=4)
 def _pairs(group: bytes, dtype: str) -> tuple[Array, Array, Array, Array]:
-    """Indices, shares and logarithms of the prior of all mixtures: each sample alone, and every pair in every share."""
+    """Indices, shares and log priors of all mixtures: each sample alone, and every pair in every share."""
     of = np.frombuffer(group, dtype)[:-1]
     i, j = np.triu_indices(len(of), 1)
     is_one = of[i] == of[j]

@@ -14,11 +14,11 @@ from manifold.directions import half_vector
 from manifold.records import Array
 
 NOISE = 0.3
-"""Of a reading, as a share of the variance of what is missed."""
+"""Variance of the noise of a reading, as a share of the variance of the residual."""
 
-_LENGTHS = np.array([0.12, 0.3, 0.3])  # of what `places` are
-_FLOOR = 0.1  # of the mean cube root over readings: less is not divided by
-_MOST = 0.5  # more than that is a wrong mixture, which says nothing of its neighbourhood
+_LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates of `places`
+_FLOOR = 0.1  # of the mean cube root over readings: the least that residuals are divided by
+_MOST = 0.5  # relative: larger residuals come from a wrong mixture, and say nothing of nearby directions
 _CELL = 0.5  # in lengths: readings in one cell are averaged
 _MOST_CELLS = 256
 _BLOCK = 4096  # of places at a time
@@ -46,10 +46,10 @@ class NearbyFactors:
 
 
 def places(wi: Array, wo: Array) -> Array:
-    """Where direction pairs (P, 3) stand to each other, in lengths of correlation, shape (P, 3).
+    """Coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
 
-    The root of the half vector's elevation, the difference angle, and how much one direction is lower than the other:
-    pairs that isotropic, reciprocal, bilaterally symmetric materials cannot tell apart are one place.
+    Square root of the half vector's elevation, difference angle, and difference of the directions' cosines: pairs at
+    which isotropic, reciprocal, bilaterally symmetric materials have the same value have the same coordinates.
     """
     half = half_vector(wi, wo)
     elevation, difference = (
@@ -60,7 +60,7 @@ def places(wi: Array, wo: Array) -> Array:
 
 
 def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Array) -> NearbyFactors:
-    """What readings say of their neighbourhood, beyond what is predicted.
+    """Factors by which the cube roots near readings differ from their prediction.
 
     Args:
         targets: cube roots read, NaN where not measured, shape (B, P).
@@ -72,9 +72,7 @@ def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Arra
     cell = cells(where)
     count = int(cell.max()) + 1
     missed = (targets - predicted) / np.maximum(predicted, _FLOOR * predicted.mean(axis=1, keepdims=True))
-    missed = np.clip(
-        missed, -_MOST, _MOST
-    )  # 0 / 0 is NaN: a band that is black in the prediction is not told
+    missed = np.clip(missed, -_MOST, _MOST)  # 0 / 0 is NaN, which is left out: no factor changes black
     is_told = np.isfinite(missed) & (weights > 0.0)
     totals, sums = (
         np.array([np.bincount(cell, row, count) for row in rows])
@@ -93,13 +91,13 @@ def nearby_factors(targets: Array, predicted: Array, where: Array, weights: Arra
 
 
 def covariance(a: Array, b: Array) -> Array:
-    """Of what is missed at places (C, 3) and (M, 3), of variance 1; shape (C, M)."""
+    """Covariance of the residuals at places (C, 3) and (M, 3), of variance 1; shape (C, M)."""
     square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
 
 
 def cells(where: Array) -> Array:
-    """Which cell each place (P, 3) is in, shape (P,): half a length wide, or as wide as leaves 256 at most."""
+    """Index of the cell of each place (P, 3), shape (P,): half a length wide, wider where there were more than 256."""
     width = _CELL
     while True:
         _, cell = np.unique(np.floor(where / width), axis=0, return_inverse=True)

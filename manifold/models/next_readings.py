@@ -1,8 +1,9 @@
 """Suggested readings: those that reduce the expected error of a completion most.
 
-Hypotheses, colours and what no hypothesis meets are Gaussians, given by samples of zero mean: what they are at the
-readings that can be taken, and what is wanted of them. A reading leaves of every wanted value's variance
-`v - c^2 / (s + noise)`, s being the reading's own variance and c the covariance of both.
+Three deviations of a completion are unknown: which hypothesis is right, the colours, and the residual of all
+hypotheses. Each is a Gaussian, given by samples of zero mean at the candidate readings and at the values of interest.
+A reading reduces the variance v of such a value to `v - c^2 / (s + noise)`, s being the variance of the reading and c
+the covariance of both.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from scipy.linalg import solve_triangular
 from manifold.models.nearby import NOISE, covariance
 from manifold.records import Array
 
-_NOISE = 0.02  # of a reading's cube root in a hypothesis, as a share of it
+_NOISE = 0.02  # of a reading's cube root under a hypothesis, relative
 _COLOUR_NOISE = 0.05  # of a band's difference from the mean of all, as a share of the reading's cube root
-_FLOOR = 0.1  # of the root mean square over directions: where values are small, noise is of this
-_BALL = 3.0  # how much the ball counts besides all directions
-_MISSED = 0.1  # of cube roots: by how much no hypothesis meets a material
-_JITTER = 1e-6  # of covariances: candidates may be one place
-_LEAST = 1e-4  # of a pixel's standard deviation
+_FLOOR = 0.1  # of the root mean square over directions: the noise of smaller values is relative to this
+_BALL = 3.0  # weight of the ball against all directions
+_MISSED = 0.1  # standard deviation of the residual of all hypotheses, relative to cube roots
+_JITTER = 1e-6  # on the diagonal of covariances: candidates may coincide
+_LEAST = 1e-4  # added to the standard deviation of every pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +31,10 @@ class ErrorSamples:
     """Equally probable zero-mean samples of the unknown deviation of a completion.
 
     Attributes:
-        at_candidates: cube roots at the readings that can be taken, shape (H, D).
+        at_candidates: cube roots at the candidate readings, shape (H, D).
         on_ball: of the pixels of a ball, shape (H, K).
-        everywhere: at all directions, times the roots of their weights, shape (H, P); P may be 0.
-        noise: variance of the readings, shape (D,).
+        everywhere: at all directions, times the square roots of their weights, shape (H, P); P may be 0.
+        noise: variance of the noise of the candidates, shape (D,).
     """
 
     at_candidates: Array
@@ -42,16 +43,16 @@ class ErrorSamples:
     noise: Array
 
     def variance_reduction(self, wanted: Array) -> Array:
-        """By how much each reading lowers the variance of wanted values (H, W), shape (D, W)."""
+        """By how much each candidate reduces the variance of values with samples (H, W), shape (D, W)."""
         told = np.sum(self.at_candidates**2, axis=0) + self.noise
         return np.asarray((self.at_candidates.T @ wanted) ** 2 / told[:, None])
 
     def after(self, reading: Array, noise: float) -> ErrorSamples:
-        """What a reading, at which the samples are (H,), leaves unknown."""
+        """The samples conditioned on a reading, at which they are (H,) now."""
         variance = float(reading @ reading)
         if variance == 0.0:
             return self
-        # (1 - k c c') C, with k so that the covariance is that after it.
+        # (I - k r r^T) C, with k such that the covariance becomes the posterior one.
         k = (1.0 - np.sqrt(noise / (variance + noise))) / variance
         tables = (self.at_candidates, self.on_ball, self.everywhere)
         left = [table - k * np.outer(reading, reading @ table) for table in tables]
@@ -61,12 +62,12 @@ class ErrorSamples:
 def hypotheses(
     everywhere: Array, on_ball: Array, candidates: Array, probability: Array, weights: Array
 ) -> ErrorSamples:
-    """What hypotheses differ in.
+    """Deviations of H hypotheses from their mean.
 
     Args:
-        everywhere: cube roots of H hypotheses in all directions, shape (H, P).
+        everywhere: cube roots of the hypotheses in all directions, shape (H, P).
         on_ball: of pixels of a ball, shape (H, K).
-        candidates: at the readings that can be taken, shape (H, D).
+        candidates: at the candidate readings, shape (H, D).
         probability: of the hypotheses, of sum 1, shape (H,).
         weights: of the directions, shape (P,).
     """
@@ -80,13 +81,13 @@ def hypotheses(
 def colours(
     on_ball: Array, candidates: Array, square: Array, taken: Array, taken_square: Array
 ) -> ErrorSamples:
-    """What the bands of a material differ in, where some readings were taken.
+    """Deviations of bands from the mean over the bands of their material, given the readings that were taken.
 
     Args:
         on_ball: cube roots of pixels in single bands of materials, less those of the mean over bands, shape (M, K).
-        candidates: the same at the readings that can be taken, shape (M, D).
+        candidates: the same at the candidate readings, shape (M, D).
         square: expected squares of cube roots there, shape (D,).
-        taken: the same as `candidates` at readings that were taken, shape (M, T).
+        taken: as `candidates`, at readings that were taken, shape (M, T).
         taken_square: as `square` there, shape (T,).
     """
     root = 1.0 / np.sqrt(len(on_ball))
@@ -104,12 +105,12 @@ def colours(
 def missed(
     where: Array, taken: Array, level: Array, lit: Array, light: Array, starts: Array, pixels: Array
 ) -> ErrorSamples:
-    """What no hypothesis meets and readings nearby tell, as `nearby` carries it: relative to cube roots.
+    """Residuals of all hypotheses, relative to cube roots and correlated as in `nearby`, given the readings taken.
 
     Args:
-        where: places of the readings that can be taken, shape (D, 3).
-        taken: of those that were, shape (T, 3).
-        level: cube roots to be expected at the former, shape (D,).
+        where: places of the candidate readings, shape (D, 3).
+        taken: of the readings that were taken, shape (T, 3).
+        level: expected cube roots at the candidates, shape (D,).
         lit: places of the direction pairs that light the pixels of a ball, shape (P_b, 3).
         light: from each, shape (P_b,).
         starts: first pair of each pixel, shape (K,).
@@ -136,16 +137,15 @@ def missed(
 
 
 def _noise(square: Array, share: float) -> Array:
-    """Variance of readings of cube roots, of which the expected squares are (D,)."""
+    """Variance of the noise of cube roots whose expected squares are (D,)."""
     return np.asarray(share**2 * (square + _FLOOR**2 * square.mean()))
 
 
 def next_readings(unknowns: Sequence[ErrorSamples], count: int) -> Array:
-    """The readings that lower the expected errors most, one after the other.
+    """The readings that reduce the expected errors most, chosen greedily.
 
-    The errors are the root mean square over all directions and, three times as important, the mean over the pixels of a
-    ball of their standard deviation. Both are relative, so that the product of the first and the second's cube is
-    lowered.
+    The errors are the root mean square over all directions and the mean over the pixels of a ball of their standard
+    deviation. The product of the first and the cube of the second is minimised.
 
     Args:
         unknowns: independent of each other, all at the same D candidates.

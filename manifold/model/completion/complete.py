@@ -24,20 +24,20 @@ from manifold.models.nearby import NearbyFactors, nearby_factors, places
 from manifold.records import Array
 
 _SHOWN_ALTERNATIVES = 5
-_SEES_MIRRORS_DEG = 5.0  # highlights of what is not a mirror are wider
+_SEES_MIRRORS_DEG = 5.0  # from a mirror direction: readings this near measure all but the sharpest highlights
 _DARK = 0.1  # of the mean over readings: errors of darker ones are relative to this
 _ALIKE = 0.1  # relative difference on a ball below which two mixtures are one alternative
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """A mixture of materials that may have the readings.
+    """A mixture of materials that explains the readings.
 
     Attributes:
-        like: names of the materials that it is a mixture of, and their weights.
-        probability: of it and of what looks alike.
-        misfit: relative error of its mean over bands at the readings, which the completion is then adjusted to.
-        difference: from the completion, in cube roots on the ball, relative.
+        like: names of its materials, and their weights.
+        probability: of it and of mixtures that look alike.
+        misfit: relative error of its mean over bands at the readings, before it is adjusted to them.
+        difference: relative difference from the completion, in cube roots on the ball.
     """
 
     like: tuple[tuple[str, float], ...]
@@ -51,12 +51,12 @@ class Completion:
     """A material completed from readings.
 
     Attributes:
-        samples: what it is made of.
+        samples: of the library.
         readings: in the bands that were compared.
         at_readings: cube roots of samples there, shape (n + 1, P).
-        hypotheses: mixtures of materials that it may be, and how likely they are.
+        hypotheses: mixtures of materials, and their probabilities.
         weights: of samples in the bands of the library, shape (B, n + 1).
-        nearby: what the readings say of directions near them beyond that, in the bands of the library.
+        nearby: factors near the readings, in the bands of the library.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
     """
 
@@ -89,7 +89,7 @@ class Completion:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the file left open, and what the readings do not reach, in sentences."""
+        """Assumptions about the file, and bands and directions without readings, in sentences."""
         notes = list(self.readings.notes)
         reach = beyond(self.readings, self.samples.bands)
         if reach is not None and reach[0] == reach[1]:
@@ -113,7 +113,7 @@ class Completion:
 
     @cached_property
     def gloss(self) -> dict[float, float]:
-        """Gloss units of what is completed, at the angles in degrees at which gloss was read."""
+        """Gloss units of the completion, at the angles in degrees at which gloss was read."""
         return gloss_units(self.brdf, self.readings.gloss)
 
     @cached_property
@@ -174,7 +174,7 @@ class Completion:
 
     @property
     def made_of(self) -> tuple[tuple[str, float], ...]:
-        """The materials that the completion is made of, and their shares, largest first."""
+        """The materials of the completion and their shares, largest first."""
         return self._materials(self.weights.mean(axis=0))
 
     def _materials(self, weights: Array) -> tuple[tuple[str, float], ...]:
@@ -186,7 +186,7 @@ class Completion:
 
 
 def complete(samples: LibrarySamples, readings: Readings) -> Completion:
-    """What readings of a material and a library say of it in all directions.
+    """Complete readings of a material to all directions, with the materials of a library as prior.
 
     Args:
         samples: of the library.
@@ -203,7 +203,7 @@ def complete(samples: LibrarySamples, readings: Readings) -> Completion:
 def complete_at(
     samples: LibrarySamples, readings: Readings, at_readings: Array, at_gloss: Array | None = None
 ) -> Completion:
-    """`complete`, where cube roots of samples at the readings (n + 1, P), maybe at gloss (n + 1, G), are at hand."""
+    """`complete`, given cube roots of samples at the readings (n + 1, P) and, unless None, at gloss (n + 1, G)."""
     weights = readings.weights * cosine_weight(readings.wi, readings.wo) ** (2.0 / 3.0)
     where, gram, group = places(readings.wi, readings.wo), samples.gram, samples.material_of
     gloss = _gloss(readings, samples.gloss(tuple(readings.gloss)) if at_gloss is None else at_gloss)
@@ -216,7 +216,7 @@ def complete_at(
     made = completion_weights(at_readings, targets, weights, gram, found.mean)
     mixed, glossy = made @ at_readings, made @ gloss.samples
     nearby = nearby_factors(
-        np.hstack([targets, gloss.met_by(glossy)]), np.hstack([mixed, glossy]), np.vstack([where, gloss.where]),
+        np.hstack([targets, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), np.vstack([where, gloss.where]),
         np.append(readings.weights, gloss.weights),
     )  # fmt: skip
     whole = replace(nearby, strength=in_all_bands(nearby.strength, readings, samples.bands))
@@ -227,7 +227,7 @@ def complete_at(
 
 
 def _gloss(readings: Readings, samples: Array) -> GlossReadings:
-    """The gloss of a material beside that of samples, as cube roots (n + 1, G)."""
+    """The gloss of a material, with that of samples as cube roots (n + 1, G)."""
     meters = [gloss_meter(angle) for angle in readings.gloss]
     mean = [meter.mean_value(units) for meter, units in zip(meters, readings.gloss.values(), strict=True)]
     theta = np.deg2rad(list(readings.gloss), dtype=float)
@@ -238,7 +238,7 @@ def _gloss(readings: Readings, samples: Array) -> GlossReadings:
 
 
 def _usable(readings: Readings) -> Readings:
-    """Those above the horizon that were measured, and weigh something."""
+    """The measured readings of positive weight above the horizon."""
     is_usable = (readings.wi[:, 2] > 1e-3) & (readings.wo[:, 2] > 1e-3)
     is_usable &= readings.measured.any(axis=1) & (readings.weights > 0.0)
     left = readings.select_pairs(is_usable) if is_usable.any() else None

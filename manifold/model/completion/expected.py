@@ -18,7 +18,7 @@ from manifold.models.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands
 
 KINDS = ("ball", "cube_root", "linear")
-_STRENGTH = 0.1  # of the prior that errors do not depend on a sign, in its variances
+_STRENGTH = 0.1  # of the prior that errors do not depend on an indicator, in units of its variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,24 +27,24 @@ class Calibration:
 
     Attributes:
         errors: ball CIEDE2000, cube-root error and linear error of every material, shape (N, 3).
-        signs: what tells them: how badly readings are met, and how much hypotheses differ, shape (N, 2).
+        indicators: residual of the readings and spread of hypotheses, from which errors are predicted, shape (N, 2).
     """
 
     errors: Array
-    signs: Array
+    indicators: Array
 
     def expected(self, found: Completion) -> dict[str, float]:
-        """Errors to expect of a completion from these directions, by kind.
+        """Expected errors of a completion from these directions, by kind.
 
-        Logarithms of errors are linear in those of the signs, with slopes that are never negative. As for predictions,
-        the level is the median, or such that 90 % of the errors are below twice the expected.
+        Logarithms of errors are linear in those of the indicators, with non-negative slopes. As for predictions, at
+        least half of the left-out errors are below the expected one, and 90 % below twice that.
         """
-        every = np.ones(len(self.signs), bool)
+        every = np.ones(len(self.indicators), bool)
         return dict(zip(KINDS, self._line(indicators_of(found), every).tolist(), strict=True))
 
     def notes(self, found: Completion) -> tuple[str, ...]:
-        """Of readings that are met worse than those of any material, to which expected errors do not reach."""
-        residual, largest = indicators_of(found)[0], self.signs[:, 0].max()
+        """A note where the residual of the readings is larger than that of any left-out material."""
+        residual, largest = indicators_of(found)[0], self.indicators[:, 0].max()
         if residual <= largest:
             return ()
         return (
@@ -55,16 +55,16 @@ class Calibration:
 
     @property
     def left_out(self) -> Array:
-        """Errors to expect of every material, learned from the others, shape (N, 3)."""
-        every = np.arange(len(self.signs))
-        return np.array([self._line(self.signs[i], every != i) for i in every])
+        """Expected errors of every material, learned from the others, shape (N, 3)."""
+        every = np.arange(len(self.indicators))
+        return np.array([self._line(self.indicators[i], every != i) for i in every])
 
-    def _line(self, signs: Array, known: Array) -> Array:
-        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.signs, self.errors))
+    def _line(self, indicators: Array, known: Array) -> Array:
+        x, y = (np.log(np.maximum(a[known], 1e-6)) for a in (self.indicators, self.errors))
         centre, level = x.mean(axis=0), y.mean(axis=0)
         scale = x.std(axis=0) + 1e-6
         X = np.vstack([(x - centre) / scale, np.sqrt(_STRENGTH * len(x)) * np.eye(x.shape[1])])
-        at = (np.clip(np.log(np.maximum(signs, 1e-6)), x.min(axis=0), x.max(axis=0)) - centre) / scale
+        at = (np.clip(np.log(np.maximum(indicators, 1e-6)), x.min(axis=0), x.max(axis=0)) - centre) / scale
         slopes = np.array([nnls(X, np.append(column, np.zeros(x.shape[1])))[0] for column in (y - level).T])
         above = y - level - X[: len(x)] @ slopes.T
         enough = np.quantile(above, BELOW_TWICE, axis=0) - np.log(2.0)
@@ -81,24 +81,24 @@ def calibrate(samples: LibrarySamples, readings: Readings) -> Calibration:
 
     Args:
         samples: of the library.
-        readings: those of which values do not matter, only directions, bands and weights.
+        readings: of which only directions, bands and weights are used.
     """
     at_readings, at_gloss = samples.at(readings.wi, readings.wo), samples.gloss(tuple(readings.gloss))
-    errors, signs = [], []
+    errors, indicators = [], []
     for m in range(len(samples.names)):
         found = leave_out(samples, m, at_readings, readings, at_gloss)
         errors.append(completion_errors(samples, m, found))
-        signs.append(indicators_of(found))
-    return Calibration(np.array(errors), np.array(signs))
+        indicators.append(indicators_of(found))
+    return Calibration(np.array(errors), np.array(indicators))
 
 
 def leave_out(
     samples: LibrarySamples, m: int, at_readings: Array, readings: Readings, at_gloss: Array | None = None
 ) -> Completion:
-    """Material m completed from all others, read without noise in sample bands, as weights of all sample bands.
+    """Material m completed from all others in the sample bands, from readings without noise.
 
-    It is read in those of the sample bands that are the nearest to a band of the readings, so that what these do not
-    tell of other bands is an error.
+    It is read in the sample bands nearest to those of the readings only, so that errors of extrapolation to other bands
+    count.
     """
     own = samples.material_of == m
     axis = sample_axis(samples)
@@ -130,7 +130,7 @@ def _nearest(bands: Bands, to: Bands) -> Array:
 
 
 def completion_errors(samples: LibrarySamples, m: int, found: Completion) -> tuple[float, float, float]:
-    """Ball CIEDE2000, cube-root and linear error of what was found for material m, in the sample bands."""
+    """Ball CIEDE2000, cube-root and linear error of a completion of material m, in the sample bands."""
     return errors_of(samples, m, found.on_grid, found.on_ball)
 
 

@@ -1,7 +1,7 @@
 """Merging of two instruments' readings of one sample: a goniometer, corrected to a spectrophotometer.
 
-Where both read, the goniometer's values are set against the spectra; what is learned there makes spectra of all its
-readings. Directions agree in half and difference angles, between which the goniometer is interpolated.
+A colour correction is learned at the directions that both instruments read, and applied to all readings of the
+goniometer. For these directions its values are interpolated in half and difference angles.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from manifold.records import Array, Bands
 _CAMERA_BANDS = 3
 _MOST = 2000  # readings of a goniometer that are used
 _ONE_SAMPLE = (
-    0.2  # error of a correction, which files of one sample in the corpus do not reach, 4 in 5 of others do
+    0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
 )
-_SIMPLEX = 4  # points at least, between which directions are interpolated in three coordinates
+_SIMPLEX = 4  # points needed to interpolate in three coordinates
 
 
 @dataclass(frozen=True, eq=False)
 class InstrumentCorrection:
-    """What three bands of an instrument become in the bands of another.
+    """A correction from the three bands of an instrument to the bands of another.
 
     Attributes:
-        colours: of the values.
+        colours: the correction of values.
         source: the bands that are corrected.
         target: the bands of the reference.
     """
@@ -48,8 +48,8 @@ class Hybrid:
 
     Attributes:
         readings: of both, in the bands of the reference.
-        correction: what was learned; None where bands were the same.
-        shared: how many directions both read.
+        correction: that was learned; None where bands were the same.
+        shared: number of directions that both read.
     """
 
     readings: Readings
@@ -121,7 +121,7 @@ def combine(reference: Readings, other: Readings) -> Hybrid:
     """One set of readings in the bands of `reference`.
 
     Args:
-        reference: whose colours are right: a spectrophotometer's.
+        reference: of a spectrophotometer, to whose colours the other is corrected.
         other: a goniometer's, in the same bands, or in three.
     Raises:
         BandMismatchError: it has other bands, and not three.
@@ -142,7 +142,7 @@ def combine(reference: Readings, other: Readings) -> Hybrid:
 
 
 def interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
-    """Values of an isotropic sample at direction pairs (P, 3), between its readings: (P, B), NaN beyond them."""
+    """Values of an isotropic sample interpolated at direction pairs (P, 3): (P, B), NaN outside its readings' hull."""
     known = readings.measured.all(axis=1)
     at, roots = _coordinates(readings.wi[known], readings.wo[known]), np.cbrt(readings.values[known])
     _, first = np.unique(at.round(4), axis=0, return_index=True)
@@ -165,13 +165,13 @@ def _coordinates(wi: Array, wo: Array) -> Array:
 
 
 def _evenly_chosen(readings: Readings) -> Readings:
-    """At most `_MOST` readings, evenly taken."""
+    """At most `_MOST` readings, at even steps."""
     step = -(-len(readings) // _MOST)
     return readings.select_pairs(np.arange(0, len(readings), step)) if step > 1 else readings
 
 
 def _joined(reference: Readings, other: Readings) -> Readings:
-    """The readings of both; a reading of the reference weighs as many of the other as there are to each."""
+    """The readings of both, weighted so that those of the reference count at least as much as the other's together."""
     share = max(len(other) / len(reference), 1.0)
     return replace(
         reference,

@@ -1,4 +1,4 @@
-"""Readings in the bands in which a library is compared, and weights extended to all bands of the library."""
+"""Conversion of readings to the bands of a library, and of weights to all of its bands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RANGES_NM = ((580.0, 700.0), (480.0, 580.0), (400.0, 500.0))  # red, green, blu
 
 
 def for_library(readings: Readings, bands: Bands) -> Readings:
-    """Readings that a library of some bands can complete: RGB for RGB, spectral as they are.
+    """Readings as a library of some bands needs them: linear sRGB for an RGB library, else unchanged.
 
     Raises:
         BandMismatchError: linear sRGB cannot become a spectrum; or three bands are not red, green and blue.
@@ -54,7 +54,7 @@ def for_library(readings: Readings, bands: Bands) -> Readings:
 
 
 def _without_gaps(values: Array, nm: Array) -> Array:
-    """Spectra (P, B) with what was not measured between two bands taken from these; ends stay unmeasured."""
+    """Spectra (P, B) with gaps between measured bands interpolated; unmeasured ends stay NaN."""
     filled = values.copy()
     for row in filled:
         known = np.isfinite(row)
@@ -64,7 +64,7 @@ def _without_gaps(values: Array, nm: Array) -> Array:
 
 
 def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
-    """Weights (B_r, n) at the bands of readings in all B bands of a library: linear between, constant beyond."""
+    """Weights (B_r, n) at the bands of readings, interpolated to all B bands of a library; constant outside."""
     if bands.wavelengths_nm is None or readings.wavelengths_nm is None:
         return weights
     used = np.flatnonzero(weights.any(axis=0))
@@ -76,7 +76,7 @@ def in_all_bands(weights: Array, readings: Readings, bands: Bands) -> Array:
 
 
 def beyond(readings: Readings, bands: Bands) -> tuple[float, float] | None:
-    """The wavelengths in nm within which readings reach, where a library reaches further; else None."""
+    """First and last wavelength of the readings in nm, where the library's range is larger; else None."""
     nm, of_library = readings.wavelengths_nm, bands.wavelengths_nm
     if nm is None or of_library is None:
         return None

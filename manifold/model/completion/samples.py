@@ -25,23 +25,23 @@ from manifold.records import Array, Bands, Progress, evenly_spaced
 
 SAMPLE_BANDS = 5  # of a spectral material; more gain nothing (docs/design/completion.md)
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
-"""What samples are combined with: nothing but a Lambertian."""
+"""The only analytic lobe that samples are combined with."""
 
 ball_pairs = cache(ball_colours.ball)
 """The pairs that light a ball; the same for every material."""
 
 grid_pairs = cache(EncodingPairs.default)
-"""All directions, in which materials are compared; turned where one of them is anisotropic."""
+"""The encoding grid, turned where a material is anisotropic."""
 
 ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))
 grid_places = cache(lambda: places(grid_pairs().wi, grid_pairs().wo))  # the same on a turned grid
 
-_BALL_STRIDE = 7  # of a ball's direction pairs, one in so many stands for them
+_BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 
 @dataclass(frozen=True, eq=False)
 class LibrarySamples:
-    """Cube roots of n samples and, last, of a Lambertian, where readings are judged: all directions, and a ball.
+    """Cube roots of n samples and, last, of a Lambertian on a grid of all directions and on a ball.
 
     Attributes:
         names: of the materials, N of them.
@@ -106,7 +106,7 @@ class LibrarySamples:
 
     @cached_property
     def material_of(self) -> Array:
-        """Which material a sample is of, shape (n + 1,); the Lambertian is of one more."""
+        """Index of each sample's material, shape (n + 1,); the Lambertian's is N."""
         N = len(self.names)
         return np.append(np.repeat(np.arange(N), self.per_material), N)
 
@@ -117,7 +117,7 @@ class LibrarySamples:
         return (roots * weights) @ roots.T / self.n_grid
 
     def rows(self, materials: Array) -> Array:
-        """Where the samples of some materials, and the Lambertian, stand."""
+        """Indices of the samples of some materials, and of the Lambertian."""
         return np.flatnonzero(np.isin(self.material_of, np.append(materials, len(self.names))))
 
     def without(self, material: int) -> LibrarySamples:
@@ -146,7 +146,7 @@ class LibrarySamples:
         return roots
 
     def predicted(self, weights: Array) -> PredictedBRDF:
-        """The BRDF that weights (B, n + 1) of samples make in the bands of the library."""
+        """The BRDF of weights (B, n + 1) of samples in the bands of the library."""
         combination = Combination(CubeRoot(), weights, self.sample_bands, dictionary=LAMBERTIAN)
         return PredictedBRDF(self.materials, combination, self.bands)
 

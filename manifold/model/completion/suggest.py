@@ -43,13 +43,13 @@ class Suggested:
 def suggest(
     samples: LibrarySamples, count: int, known: Completion | None = None, instrument: str | None = None
 ) -> Suggested:
-    """The directions that would lower the expected error most, one after the other.
+    """The directions that reduce the expected error most, chosen greedily.
 
     Args:
         samples: of the library.
         count: how many.
-        known: what readings said already; None starts from nothing.
-        instrument: whose directions to choose from, see `DIRECTIONS`; None for all.
+        known: the completion of the readings so far; None if there are none.
+        instrument: name in `DIRECTIONS`, of which to choose directions; None for any.
     Raises:
         UsageError: there is no such instrument, or it has fewer directions left.
     """
@@ -86,13 +86,17 @@ def directions_left(
 def readings_to_take(
     samples: LibrarySamples, at: Array, where: Array, count: int, known: Completion | None = None
 ) -> Array:
-    """Which candidates, at places (D, 3), to read next, in order, shape (count,).
+    """Indices of the candidates to read next, in order, shape (count,).
 
-    Structure is what hypotheses differ in, before anything is read the samples themselves, each as likely. Colour is
-    what the bands of all materials differ in, as far as readings have not said. And no hypothesis is quite right.
+    Hypotheses are those of the completion so far; before the first reading they are the samples, equally probable. See
+    `next_readings` for the three unknowns.
 
     Args:
+        samples: of the library.
         at: cube roots of samples at the candidates, shape (n + 1, D).
+        where: coordinates of the candidates, see `nearby.places`, shape (D, 3).
+        count: how many.
+        known: the completion of the readings so far.
     """
     n = len(at) - 1
     if known is None:
@@ -122,7 +126,7 @@ def readings_to_take(
 
 
 def _pixels(roots: Array) -> Array:
-    """Cube roots of the light from every pixel of a ball, as far as a picture shows it, of cube roots of f (h, P_b)."""
+    """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
     ball = ball_pairs()
     light = np.add.reduceat(np.maximum(roots, 0.0) ** 3 * ball.light, ball.starts, axis=1)
     return np.asarray(np.cbrt(np.minimum(light, 1.0)))
@@ -154,7 +158,7 @@ def _mini_diff() -> tuple[Array, Array]:
 
 
 DIRECTIONS = {"ma-t12": geometry_ma_t12, "mini-diff": _mini_diff}
-"""What named instruments can read."""
+"""Directions of named instruments."""
 
 
 def directions_of(instrument: str | None) -> tuple[Array, Array]:

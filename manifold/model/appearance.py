@@ -1,4 +1,4 @@
-"""Direction pairs by which new materials are located among blends: those of the measurements, and of the ball."""
+"""Direction pairs at which new materials are compared with blends: the encoding grid, and those of a lit ball."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from manifold.colour import ball_colours
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
-_BALL_STRIDE = 7  # of a ball's direction pairs, one in this many serves to find a place
+_BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
 
 @dataclass(frozen=True, eq=False)
 class AppearancePairs:
-    """Direction pairs of the encoding grid, then some of those that light a ball, which the grid hardly has.
+    """Direction pairs of the encoding grid, then some of those that light a ball, which are rare in the grid.
 
     Attributes:
         pairs: all of them.
-        n_grid: how many are the grid's.
-        amplitude: cube roots of cos(theta_i) cos(theta_o) in the grid, of the light on the ball, shape (P,).
+        n_grid: number of those of the grid.
+        amplitude: cube roots of cos(theta_i) cos(theta_o) in the grid and of the light on the ball, shape (P,).
     """
 
     pairs: EncodingPairs
@@ -31,7 +31,7 @@ class AppearancePairs:
     amplitude: Array
 
     def weight(self, samples: Array) -> Array:
-        """Amplitudes at which samples, cube roots (n, P), have as much on the ball as in the grid, shape (P,)."""
+        """Amplitudes (P,) with which samples, cube roots (n, P), have the same squared norm on ball and grid."""
         weight = self.amplitude.copy()
         grid, lit = (
             float(np.sum((samples[:, part] * weight[part]) ** 2))
@@ -43,7 +43,7 @@ class AppearancePairs:
 
 @cache
 def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
-    """What blends are compared with new materials by; cosines, numbers and light do not depend on isotropy."""
+    """The pairs; their cosines, number and light are the same for anisotropic materials."""
     grid, ball = EncodingPairs.default(is_isotropic), ball_colours.ball()
     some = slice(None, None, _BALL_STRIDE)
     pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[some]]), np.vstack([grid.wo, ball.wo[some]]))

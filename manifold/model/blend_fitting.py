@@ -20,15 +20,22 @@ from manifold.records import Array, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which materials are compared, evenly spaced
-_FLOOR = 1e-2  # 1/sr, added before logarithms: below, nothing is seen
-_UNIT = 20.0  # CIEDE2000 of the ball that lie a unit apart, before the map has its own unit
-_MEASURED_VALLEY = 0.08  # hardly any measured material has a deeper one; where one has, blends with it may
-_VALLEY_APART = 300.0  # CIEDE2000 for which a valley of depth 1 in the blend of two counts
-_VALLEY_COST = 10.0
-_SQUARED_VALLEY_COST = 20000.0  # in blends of several, against stress
-_PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # of the profiles at which blends of several are looked at
+_FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
+_UNIT = 20.0  # CIEDE2000 of the ball per unit of distance, before the layout is scaled
+_MEASURED_VALLEY = (
+    0.08  # depth allowed in all blends; more only in blends with a material that has a deeper valley
+)
+_VALLEY_APART = (
+    300.0  # CIEDE2000 added to the distance of two materials per depth of the valley in their blend
+)
+_VALLEY_COST = 10.0  # of valleys in blends of two, against stress
+_SQUARED_VALLEY_COST = 20000.0  # of squared depths in blends of several, against stress
+_PROFILE_BANDS, _PROFILE_STRIDE = (
+    4,
+    2,
+)  # bands, and one in how many directions, of profiles of blends of several
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
-_SHARES = (0.2, 0.5, 0.8)  # of the one material, at which blends of two are looked at
+_SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that are evaluated
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +45,8 @@ class AppearanceDistances:
     Attributes:
         ball: mean CIEDE2000 between their balls, shape (N, N).
         shape: distance of their logarithms, scaled to the median of `ball`, shape (N, N).
-        valley: how much deeper in-plane minima near the mirror direction are in blends of two than `allowed`, shape
-            (N, N).
-        allowed: the depth of such minima that a material may have: its own if that is large, shape (N,).
+        valley: depth of in-plane minima near the mirror direction in blends of two, beyond `allowed`, shape (N, N).
+        allowed: depth of such minima that blends with a material may have, shape (N,).
         profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D, B).
     """
 
@@ -51,7 +57,7 @@ class AppearanceDistances:
     profiles: Array
 
     def subset(self, materials: Array) -> AppearanceDistances:
-        """Those of some materials."""
+        """The distances between some of the materials."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(
             self.ball[rows], self.shape[rows], self.valley[rows], self.allowed[materials],
@@ -98,12 +104,12 @@ def appearance_distances(
         0.5 * (difference + difference.T), shape, _valleys(stacked, allowed), allowed,
         stacked[:, :, ::_PROFILE_STRIDE][..., some],
     )  # fmt: skip
-    # The last bits of look-ups depend on what compiled them, and a layout magnifies them: it is to be the same again.
+    # Rounded, so that layouts are reproducible: they magnify last bits, which depend on the compiler of the look-ups.
     return AppearanceDistances(*(array.astype(np.float32).astype(np.float64) for array in seen))
 
 
 def _valleys(profiles: Array, allowed: Array) -> Array:
-    """How much deeper valleys in blends of every two materials, cube roots (N, I, D, B), are than allowed, (N, N)."""
+    """Depth beyond `allowed` of valleys in blends of every two materials, cube roots (N, I, D, B): shape (N, N)."""
     N = len(profiles)
     deepest = np.zeros((N, N))
     for i in range(1, N):

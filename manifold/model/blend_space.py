@@ -47,7 +47,7 @@ class BlendSpace(LatentSpace):
 
     Attributes:
         X: places of the materials, in length scales, shape (N, Q).
-        paths: of every material from black to white, which chosen colours are taken from.
+        paths: of every material from black to white, for chosen colours.
         bands: which bands are the samples of the paths, increasing, shape (B_s,).
         reflectances: of the materials at 8 degrees, specular included, shape (N, B).
         kernel: covariance function; tells how far the data reach.
@@ -65,7 +65,7 @@ class BlendSpace(LatentSpace):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has to hold, by name."""
+        """The arrays that a file stores, by name."""
         p = self.paths
         return {
             "X": self.X, "bands": self.bands, "reflectances": self.reflectances, "dark": p.dark, "bright": p.bright,
@@ -75,7 +75,7 @@ class BlendSpace(LatentSpace):
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
-        """The same space again.
+        """The space of a file's arrays.
 
         Raises:
             ValueError: the arrays do not fit each other, or the number of bands.
@@ -88,12 +88,11 @@ class BlendSpace(LatentSpace):
         }  # fmt: skip
         for name, shape in shapes.items():
             require_shape(name, stored[name], shape)
-        names = ("dark", "bright", "dark_coordinate", "bright_coordinate", "sample_reflectances")
-        paths = ColourPaths(*(stored[name] for name in names))
-        return cls(X, paths, bands, stored["reflectances"], kernel)
+        reflectances, *of_paths = (stored[name] for name in shapes)
+        return cls(X, ColourPaths(*of_paths), bands, reflectances, kernel)
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Coordinates of a place (Q,): nothing jumps, so three decimals give its prediction back."""
+        """Coordinates of a place (Q,): predictions are continuous, so three decimals reproduce them."""
         return tuple(f"{v:.3f}" for v in x)
 
     def numbers(self, n_bands: int) -> int:
@@ -114,7 +113,7 @@ class BlendSpace(LatentSpace):
         return self.paths.weights(u, coordinates) * np.reshape(gains, (-1, 1))
 
     def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
-        """What a prediction at x (Q,) is made of: whole materials, or single bands in chosen colours."""
+        """The weighted sum of a prediction at x (Q,): of whole materials, or of single bands in chosen colours."""
         k = self.training_index(x, colours)
         if k is not None:
             return Combination(mapping, np.eye(len(self.X))[k])
@@ -125,19 +124,19 @@ class BlendSpace(LatentSpace):
         return blend_weights(X, self.X, self.kernel.length_scale)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """The material whose place x (Q,) is, in its own colours."""
+        """The material at x (Q,), where the colours are its own; else None."""
         k = int(first_equal_row(x[None], self.X)[0])
         is_own = colours is None or np.array_equal(colours, self.own_colours[k])
         return k if k >= 0 and is_own else None
 
     def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
-        """What a place x (Q,) in colours reflects under a measure (P,) of the decoder's outputs, shape (B,)."""
+        """Reflectance (B,) of a place x (Q,) in colours, by a measure (P,) of the decoder's outputs."""
         return (self.weights(x, colours) @ decoder.mapped) ** 3 @ measure
 
     def colours_of(
         self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
     ) -> tuple[Array, Array]:
-        """Coordinates (B,) that give a place x (Q,) a reflectance (B,), and the reflectance that they do give, (B,)."""
+        """Coordinates (B,) at which a place x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
         u = blend_weights(x[None], self.X, self.kernel.length_scale)[0]
         return self.paths.coordinates_of(u, reflectance, decoder.mapped, measure)
 
@@ -160,7 +159,7 @@ class BlendSpace(LatentSpace):
         return checked_colours(colours, (n_bands,), (2, n_bands))
 
     def embedding_bands(self, n_bands: int) -> Array:
-        """Bands whose values find a place: the samples of the paths."""
+        """Bands whose values are compared to find a place: the samples of the paths."""
         return self.bands
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
@@ -184,7 +183,7 @@ class BlendSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """What finds each material among the others; paths of colours keep what they took from it."""
+        """A search for each material among the others; colour paths that use its samples are kept."""
         N, B, pairs = len(self.X), len(self.bands), self.embedding_pairs(materials.is_isotropic)
         at = np.searchsorted(table.bands, self.bands)
         roots = roots_at(table.materials, pairs).reshape(N, len(table.bands), -1)
@@ -271,14 +270,21 @@ class PlaceSearch:
 
 
 class _BestPlace:
-    """Places of N materials, products of their paths at K coordinates with a target (N, K, B), and with each other."""
+    """The search over places, from inner products alone.
+
+    Args:
+        X: places of N materials, shape (N, Q).
+        length_scale: of the blend weights.
+        cross: products of the materials' paths at K coordinates with the target, shape (N, K, B).
+        gram: products of the paths with each other, shape (K, N, N).
+    """
 
     def __init__(self, X: Array, length_scale: float, cross: Array, gram: Array) -> None:
         self._X, self._l, self._cross = X, length_scale, cross
         self._rows = gram.reshape(-1, len(X))  # [K N, N]
 
     def place(self, bands: Array, norm: float) -> tuple[Array, float]:
-        """The place (Q,) with the least squared residual in some bands, whose squared norm is given, and that."""
+        """The place (Q,) of least squared residual in some bands, and that; `norm`: the target's squared norm there."""
         X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
         def residuals(x: Array) -> Array:
@@ -304,7 +310,7 @@ class _BestPlace:
         return np.asarray(best.x), float(best.fun)
 
     def coordinates(self, x: Array) -> tuple[Array, Array]:
-        """Which coordinate is best at a place x (Q,), per band, and the gain there, (B,) each."""
+        """Index of the best path coordinate of each band at a place x (Q,), and its gain, (B,) each."""
         inner, squared = (found[0] for found in self._products(x[None], self._cross))
         k = np.argmax(inner**2 / squared, axis=0)
         return k, inner[k, np.arange(len(k))] / squared[k, 0]

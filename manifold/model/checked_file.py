@@ -41,9 +41,10 @@ def write_checked(
     resolution: int = 32,
     n_theta_i: int = 8,
 ) -> Plausibility:
-    """Measure a BRDF with the virtual goniometer, and write the file unless it returns far more light than it gets.
+    """Measure a BRDF with the virtual goniometer, and write the file unless its albedo is above 1.05.
 
-    A file with a valley beside its highlight is measured again with a softer normal distribution; the better stays.
+    A file with a valley beside its highlight is measured again with a softer normal distribution; the better one of
+    the two is written.
 
     Args:
         output: the file; its name becomes the material's.
@@ -51,12 +52,12 @@ def write_checked(
         description: of the file.
         remedy: what to do about a file whose albedo exceeds 1.05, besides forcing it.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
-        keeps_hue: by dimming all bands alike, where one of them returns too much.
-        force: write it however much light it returns.
+        keeps_hue: scale all bands alike where the albedo of one is too large.
+        force: write it whatever its albedo.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
         n_theta_i: incident elevations; with `physical`, at least.
     Returns:
-        Of the written file.
+        The plausibility of the written file.
     Raises:
         UsageError: its albedo would exceed 1.05.
     """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ColourChoice:
-    """What a user asks for; without a choice see `NEAREST`.
+    """The colour that a user chooses; without a choice see `NEAREST`.
 
     Attributes:
         like: name of a material of the model.
@@ -51,7 +51,7 @@ class ChosenColour:
     Attributes:
         colours: colour coordinate of every band, shape (B,); None where colours are fixed by latents.
         words: where it comes from.
-        missed: largest distance over bands of the reflectance asked for from the one reached.
+        missed: largest difference over bands between the requested reflectance and the one reached.
     """
 
     colours: Array | None

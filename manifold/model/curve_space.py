@@ -26,7 +26,7 @@ class CurveSpace(ProcessSpace):
         sample_colours: colour coordinates of the monochrome samples, shape (N, B_s).
         sample_bands: which bands they are, increasing, shape (B_s,).
         colours: colour coordinates of all bands, shape (N, B).
-        reflectances: of the materials at 8 degrees, specular included, shape (N, B): what a colour means to people.
+        reflectances: of the materials at 8 degrees, specular included, shape (N, B).
         kernel: covariance function on the latents, structure first, colour last.
     """
 
@@ -50,13 +50,13 @@ class CurveSpace(ProcessSpace):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has to hold, by name."""
+        """The arrays that a file stores, by name."""
         names = ("X", "sample_colours", "sample_bands", "colours", "reflectances")
         return {name: getattr(self, name) for name in names}
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> CurveSpace:
-        """The same space again.
+        """The space of a file's arrays.
 
         Raises:
             ValueError: the arrays do not fit each other, or the number of bands.
@@ -87,8 +87,8 @@ class CurveSpace(ProcessSpace):
     def join(self, X: Array, colours: Array | None) -> Array:
         """Latents at structures X (M, Q) in all bands of colours (B,), or in the sample bands where there are none.
 
-        Without colours they are blended from those of the surrounding materials: weights fall with the fourth power
-        of the distance, so that there are no seams, and near a material its own colours.
+        Without colours, those of the materials are averaged with weights that fall with the fourth power of the
+        distance: continuous, and a material's own at its latent.
         """
         colours = self.require_colours(colours)
         if colours is not None:
@@ -117,7 +117,7 @@ class CurveSpace(ProcessSpace):
         return np.asarray(weights)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:
-        """The material whose structure x (Q,) and colours (B,) these are."""
+        """The material with structure x (Q,) and colours (B,), or None."""
         if colours is None:
             return None
         same = np.all(x == self.X, axis=1) & np.all(self.require_colours(colours) == self.colours, axis=1)
@@ -136,7 +136,7 @@ class CurveSpace(ProcessSpace):
         return checked_colours(colours, (self.colours.shape[1],))
 
     def embedding_bands(self, n_bands: int) -> Array:
-        """Bands whose values find a latent: the sample bands."""
+        """Bands whose values are compared to find a latent: the sample bands."""
         return self.sample_bands
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
 
 
 def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tuple[EncodingPairs, Array]:
-    """Direction pairs (P, 3) of an integrating sphere, and what makes a reflectance of values f there, (P,)."""
+    """Direction pairs of an integrating sphere, and weights (P,) whose product with f there is the reflectance."""
     wi = from_spherical(np.deg2rad(incidence_deg), 0.0)
     wo, measure = mirrored_quadrature(wi)
     return EncodingPairs(np.broadcast_to(wi, wo.shape), wo), measure * wo[:, 2]
@@ -28,7 +28,7 @@ def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tupl
 def decoder_at(
     pairs: EncodingPairs, space: LatentSpace, materials: MaterialCache, settings: Settings
 ) -> Decoder:
-    """What turns latents of a space into values at direction pairs: of all embedding bands, or of one band."""
+    """The decoder of a space at direction pairs: of all embedding bands, or of one band."""
     mapping, cosines = mapping_named(settings.mapping), pairs.cosines
     located = DirectionPairs(pairs.wi, pairs.wo)
     rows = []
@@ -47,9 +47,9 @@ def encoder_at(
     settings: Settings,
     criterion: str | None = None,
 ) -> Encoder:
-    """What finds latents of a space from values at direction pairs: of all embedding bands, or band by band.
+    """The encoder of a space at direction pairs: of all embedding bands, or band by band.
 
-    By the criterion of the settings, unless another is given.
+    `criterion` is that of the settings by default.
     """
     decoder = decoder_at(pairs, space, materials, settings)
     group = len(space.sample_rows(np.arange(1)))

@@ -30,10 +30,10 @@ class Diagnosis:
     Attributes:
         expected_ball: expected error, mean CIEDE2000 of the ball; None where the model is not calibrated.
         expected_cube_root: the same, relative error of cube roots.
-        materials: how many the model has, which expected errors are known from.
+        materials: number of materials of the model, on whose left-out errors expected ones are based.
         is_extrapolation: whether the data do not support the place.
         nearest: the three nearest materials with their distances.
-        reflectance_missed: largest distance over bands of the reflectance asked for from the one reached.
+        reflectance_missed: largest difference over bands between the requested reflectance and the one reached.
         plausibility: measured on the prediction, or on the file that was written.
         diagnostics: defects found, as sentences.
     """
@@ -73,15 +73,15 @@ def diagnose(
     missed: float = 0.0,
     negative_share: float | None = None,
 ) -> Diagnosis:
-    """What is to be known of the prediction at a latent x (Q,).
+    """Diagnostics and expected error of the prediction at a latent x (Q,).
 
     Args:
         model: that predicts.
-        x: where.
-        found: what was measured on the prediction.
-        colours: of it.
-        missed: largest distance over bands of the reflectance asked for from the one reached.
-        negative_share: of the values before they were cut to 0, where they were.
+        x: the latent.
+        found: measurements on the prediction.
+        colours: of the prediction.
+        missed: largest difference over bands between the requested reflectance and the one reached.
+        negative_share: share of negative values before they were cut to 0; None where `found` has it.
     """
     expected, nearest = model.expected_error(x, colours), tuple(model.nearest(x, 3))
     is_extrapolation = bool(model.is_extrapolation(x, colours))
@@ -99,12 +99,12 @@ def diagnose(
 
 
 def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diagnosis:
-    """Of a prediction at a latent x (Q,) that is not written: measured on the BRDF itself."""
+    """As `diagnose`, of a prediction at a latent x (Q,) that is not written: measured on the BRDF itself."""
     return diagnose(model, x, plausibility(brdf), colours=chosen.colours, missed=chosen.missed)
 
 
 def in_words(ball: float | None, cube_root: float | None, materials: int) -> list[str]:
-    """An expected error for a terminal, of a model of so many materials."""
+    """An expected error for a terminal, of a model of `materials` materials."""
     if ball is None or cube_root is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
     if ball == 0.0 and cube_root == 0.0:
@@ -124,9 +124,9 @@ def of_prediction(
 
     Args:
         is_extrapolation: whether the data do not support it.
-        found: what was measured on it.
-        missed: largest distance over bands of the reflectance asked for from the one reached.
-        why: the data do not support it.
+        found: measurements on it.
+        missed: largest difference over bands between the requested reflectance and the one reached.
+        why: the reason why the data do not support it.
     """
     diagnostics = []
     if is_extrapolation:
@@ -173,7 +173,7 @@ def of_measured(found: Plausibility) -> tuple[str, ...]:
 
 
 def of_projection(found: Plausibility) -> tuple[str, ...]:
-    """Of a file that was to be physical, by what was measured on it."""
+    """Of a file that was projected to be physical, by measurements on it."""
     if found.reciprocity_error <= RECIPROCITY_ERROR:
         return ()
     return (
@@ -192,14 +192,14 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
 
 
 def of_anisotropy(is_isotropic: bool, is_found_isotropic: bool) -> tuple[str, ...]:
-    """Of a material, and whether it and what was made of others are isotropic."""
+    """Of a material that is reconstructed from others, and whether it and the reconstruction are isotropic."""
     if is_isotropic or not is_found_isotropic:
         return ()
     return ("anisotropic, but reconstructed from isotropic materials: the same at all azimuths",)
 
 
 def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:
-    """Of a material that was given a latent, by its reconstruction there.
+    """Of an embedded material, by the errors of its reconstruction.
 
     Args:
         relative_error: linear.

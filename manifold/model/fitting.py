@@ -30,7 +30,7 @@ from manifold.system.stages import with_progress
 
 _LIT_DEG = np.array([0.0, 45.0])
 _MOST_ALBEDO = (
-    1.5  # measured materials reach a little above 1; reflectance factors taken for f are pi times too bright
+    1.5  # measured materials reach a little above 1; reflectance factors taken for f are pi times as large
 )
 
 Statistics = dict[str, float]
@@ -62,7 +62,7 @@ def fit_space(
 
 
 class BrightMaterialWarning(UserWarning):
-    """A measured material returns far more light than it gets: its unit is wrong, or its measurement."""
+    """The directional albedo of a measured material is far above 1: its unit or its measurement is wrong."""
 
 
 def _warn_of_bright(materials: MaterialCache) -> None:
@@ -82,9 +82,7 @@ def _warn_of_bright(materials: MaterialCache) -> None:
 def _fit_materials(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
-    from manifold.gplvm import (
-        GPLVM,  # scikit-learn takes most of a second to import, and predictions do without
-    )
+    from manifold.gplvm import GPLVM  # imports scikit-learn, most of a second that predictions need not spend
 
     matrix = _gram(materials, s, None, on_progress)
     fitted = GPLVM(
@@ -105,7 +103,7 @@ def _fit_curves(
     ).fit_gram(matrix.S, len(materials.names), matrix.n_outputs)  # fmt: skip
     unknown = np.zeros(
         (len(materials.names), 0)
-    )  # all bands' colours follow: decoding needs the samples only
+    )  # decoding needs the samples' colours only; those of all bands follow
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
     # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
     pairs = EncodingPairs.default(materials.is_isotropic)

@@ -36,7 +36,7 @@ class LatentMap:
         names: material names in the order of the latents, N of them.
         space: latents and the Gaussian process on them.
         settings: how it was fitted.
-        left_out: what becomes of materials that are left out, if that was found.
+        left_out: places and errors of left-out materials; None for a model that is not calibrated.
     """
 
     def __init__(

@@ -1,8 +1,10 @@
-"""Interfaces of fitted latent spaces, arrays in and arrays out.
+"""The interface of fitted latent spaces, arrays in and arrays out.
 
-In a `MaterialSpace` a material is one point, and one set of weights serves all bands. In a `CurveSpace` every
-band is a point: its structure coordinates are the material's, its colour coordinate is its own, and every
-band has weights over the monochrome samples, a few bands of each material. Both have the same methods.
+- `BlendSpace` (kind `blend`): a material is one point, and weights are non-negative. Colours can be chosen.
+- `MaterialSpace` (kind `material`): a material is one point of a Gaussian process, with the same weights in all bands.
+- `CurveSpace` (kind `monochrome`): every band of a material is a point of a Gaussian process. Its structure coordinates
+  are the material's, its colour coordinate is its own, and so are its weights of the samples, a few bands of each
+  material.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from manifold.model.settings import Settings
 
 LeftOutSearch = Callable[[int], tuple[Array, Combination]]
-"""Place (Q,) of a left-out material, by its index, and what it is predicted by, weights over all materials."""
+"""From the index of a left-out material to its place (Q,) and its prediction there, with weights over all materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,7 @@ class Embedded:
 
 
 class LatentSpace(ABC):
-    """What whole-material and per-band spaces have in common.
+    """A fitted latent space of N materials.
 
     Attributes:
         X: latents of the materials, shape (N, Q); of a `CurveSpace` their structure coordinates.
@@ -85,24 +87,24 @@ class LatentSpace(ABC):
     @property
     @abstractmethod
     def arrays(self) -> dict[str, Array]:
-        """What a file has to hold, by name."""
+        """The arrays that a file stores, by name."""
 
     @classmethod
     @abstractmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> LatentSpace:
-        """The same space again.
+        """The space of a file's arrays.
 
         Raises:
             ValueError: the arrays do not fit each other, or the number of bands.
         """
 
     def printed(self, x: Array) -> tuple[str, ...]:
-        """Coordinates of a latent (Q,) in digits that give its prediction back."""
+        """Coordinates of a latent (Q,) with the digits that reproduce its prediction."""
         return tuple(repr(float(v)) for v in x)
 
     @abstractmethod
     def numbers(self, n_bands: int) -> int:
-        """How many numbers describe a material of so many bands."""
+        """How many numbers describe a material of `n_bands` bands."""
 
     def sample_rows(self, materials: Array) -> Array:
         """Indices of the training samples of some materials; by default a material is one sample."""
@@ -113,7 +115,7 @@ class LatentSpace(ABC):
         return self.X[materials]
 
     def own_latents(self, material: int) -> Array:
-        """Latents of one material in every band that has one of its own, shape (1 or B, Q')."""
+        """Latents of one material: one, or one per band, shape (1 or B, Q')."""
         return self.X[material : material + 1]
 
     @abstractmethod
@@ -147,7 +149,7 @@ class LatentSpace(ABC):
 
     @abstractmethod
     def embedding_bands(self, n_bands: int) -> Array:
-        """Bands whose values find a latent."""
+        """Bands whose values are compared to find a latent."""
 
     @abstractmethod
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
@@ -169,7 +171,7 @@ class LatentSpace(ABC):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """What finds each material among the others, their places kept."""
+        """A search for the place of each material among the others, whose places are kept."""
 
     def require_blends(self) -> BlendSpace:
         """The space of a map of blends.
@@ -187,13 +189,13 @@ class LatentSpace(ABC):
         return Combination(mapping, self.weights(x, colours), self.sample_bands)
 
     def reflectance_of(self, x: Array, colours: Array, decoder: Decoder, measure: Array) -> Array:
-        """What a structure x (Q,) in colours (B,) reflects under a measure (P,) of the decoder's outputs, (B,)."""
+        """Reflectance (B,) of a structure x (Q,) in colours (B,), by a measure (P,) of the decoder's outputs."""
         return decoder.decode(self.join(x[None], colours)) @ measure
 
     def colours_of(
         self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
     ) -> tuple[Array, Array]:
-        """Colours (B,) that give a structure x (Q,) a reflectance (B,), and the reflectance that they do give, (B,)."""
+        """Colours (B,) in which a structure x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
         return ColourTable(decoder, x).of_albedo(reflectance, measure)
 
     def training_index(self, x: Array, colours: Array | None) -> int | None:

@@ -20,13 +20,13 @@ from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 _PREFIX = "left_out_"
-_MOST_BALL = 10.0  # CIEDE2000: another material
+_MOST_BALL = 10.0  # CIEDE2000: the look of another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
-    """How wrong predictions are expected to be; nine in ten left-out materials are off by less than twice as much.
+    """Expected errors of predictions; the errors of nine in ten left-out materials are less than twice as large.
 
     Attributes:
         ball: mean CIEDE2000 of the ball, shape (M,) or ().
@@ -55,7 +55,7 @@ class CalibrationResult:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """Where each material of a space is found when it is left out, and how wrong it is predicted there.
+    """The place at which each material of a space is found when it is left out, and the errors of its prediction there.
 
     Attributes:
         space: of N materials.
@@ -71,15 +71,15 @@ class LeftOut:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has to hold, by name."""
+        """The arrays that a file stores, by name."""
         return {_PREFIX + name: getattr(self, name) for name in ("places", "ball", "cube_root")}
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], space: LatentSpace) -> LeftOut | None:
-        """The same again, if it was stored.
+        """Those of a file's arrays; None where the model was not calibrated.
 
         Raises:
-            ValueError: it does not fit the space.
+            ValueError: they do not fit the space.
         """
         if _PREFIX + "places" not in stored:
             return None
@@ -96,8 +96,8 @@ class LeftOut:
     def is_unsupported(self, x: Array) -> Array:
         """Whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
 
-        Where the ball's expected error is above 10 CIEDE2000 and above that of nine in ten left-out materials, or the
-        nearest material is farther than any material is from the others.
+        They are not where the ball's expected error is above 10 CIEDE2000 and above the 90th percentile of the left-out
+        materials, or where the nearest material is farther than any material is from its nearest other one.
         """
         X = self.space.X
         is_far = cdist(x, X).min(axis=1) > widest_gap(X)
@@ -105,7 +105,7 @@ class LeftOut:
         return is_far | (self.expected(x).ball > most)
 
     def calibration(self) -> dict[str, CalibrationResult]:
-        """How errors expected of each material, by the others alone, agree with those that it had."""
+        """Expected errors of each material, by the others alone, against its true ones."""
         return {
             "ball": self._compare(self.ball, _LEAST_BALL),
             "cube_root": self._compare(self.cube_root, _LEAST_CUBE_ROOT),
@@ -135,7 +135,10 @@ class LeftOut:
 def leave_out(
     space: LatentSpace, materials: MaterialCache, settings: Settings, on_progress: Progress | None = None
 ) -> LeftOut:
-    """Leave every material of a space out once, the places of the others kept, and find it again from its data."""
+    """Leave out every material of a space once, find its place from its data, and measure its prediction there.
+
+    The places of the other materials are kept.
+    """
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
     table = MaterialTable(materials.with_negative_values(on_progress), bands)

@@ -21,11 +21,11 @@ class Located:
     Attributes:
         path: the file.
         latent: shape (Q,).
-        coordinates: the same, in digits that give the prediction there back.
-        colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents carry them.
-        expected_ball: what is to be expected of the ball there; None where the model is not calibrated.
-        expected_cube_root: the same of cube roots.
-        materials: how many the model has, which expected errors are known from.
+        coordinates: the same, with the digits that reproduce the prediction there.
+        colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents fix them.
+        expected_ball: expected CIEDE2000 of the ball there; None where the model is not calibrated.
+        expected_cube_root: expected cube-root error.
+        materials: number of materials of the model, on whose left-out errors expected ones are based.
         nearest: the three nearest materials with their distances.
         reconstruction: errors of the prediction there, in these colours, and where it was written.
     """

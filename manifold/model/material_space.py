@@ -44,12 +44,12 @@ class MaterialSpace(ProcessSpace):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has to hold, by name."""
+        """The arrays that a file stores, by name."""
         return {"X": self.X, "S": self.S, "n_outputs": np.array(self.n_outputs)}
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> MaterialSpace:
-        """The same space again.
+        """The space of a file's arrays.
 
         Raises:
             ValueError: the arrays do not fit each other.
@@ -61,7 +61,7 @@ class MaterialSpace(ProcessSpace):
         return cls(X, S, int(stored["n_outputs"]), kernel)
 
     def colour_table(self) -> tuple[Array, Array]:
-        """None to be had.
+        """Refuse: whole materials have fixed colours.
 
         Raises:
             UsageError: always.
@@ -95,7 +95,7 @@ class MaterialSpace(ProcessSpace):
             self.colour_table()
 
     def embedding_bands(self, n_bands: int) -> Array:
-        """Bands whose values find a latent: a few, evenly spaced."""
+        """Bands whose values are compared to find a latent: a few, evenly spaced."""
         return evenly_spaced(n_bands, _EMBEDDING_BANDS)
 
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:

@@ -20,19 +20,19 @@ from manifold.records import Array, Progress
 from manifold.system.stages import Stages
 
 PREDICTED = "Predicted at latent"
-"""How the descriptions of predicted files begin."""
+"""First words of the description of a predicted file."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A predicted material and what is known of it.
+    """A predicted material, its file and its diagnostics.
 
     Attributes:
-        latent: where it lies, shape (Q,).
-        coordinates: the same, in digits that give the prediction back.
+        latent: its latent, shape (Q,).
+        coordinates: the same, with the digits that reproduce the prediction.
         path: the written file.
-        colour: where the colour comes from, in words; None where the latent carries it.
-        is_physical: whether it was projected to be reciprocal and to return no more light than it gets.
+        colour: where the colour comes from, in words; None where the latent fixes it.
+        is_physical: whether it was projected to be non-negative, reciprocal and energy-conserving.
         weights: the materials with the largest weights, by magnitude, in this colour.
         clipped_share: share of the predicted values that were negative, and are zero in the file.
         diagnosis: expected errors, measurements on the written file, and diagnostics.
@@ -139,7 +139,7 @@ def predict(
 
 
 def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
-    """What a predicted file says about itself."""
+    """The description in a predicted file."""
     synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
     at = ", ".join(model.space.printed(x))

@@ -31,7 +31,7 @@ class ProcessSpace(LatentSpace):
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
-        """What encodes each material by the process on the others."""
+        """A search that encodes each material in the process on the others."""
         pairs, mapping = self.embedding_pairs(materials.is_isotropic), mapping_named(settings.mapping)
         whole = decoder_at(pairs, self, materials, settings)
         brdfs = materials.filled()

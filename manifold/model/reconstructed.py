@@ -28,13 +28,13 @@ _SHOWN_PARTS = 5
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """How near a reconstruction is to the file, and where it was written.
+    """Errors of a reconstruction of a measured file, and the file that it was written to.
 
     Attributes:
         relative_error: `||w (f* - f)|| / ||w f||`, w = cos(theta_i) cos(theta_o), see `brdf_errors`.
         cube_root_error: the same of cube roots.
         ball: mean CIEDE2000 of the ball.
-        output: the file that it was written to; None where it was not.
+        output: the file that it was written to, or None.
         plausibility: of that file.
         diagnostics: defects found, as sentences.
     """
@@ -94,7 +94,7 @@ def judge(
         brdf: the material.
         found: its reconstruction.
         output: a `.bsdf` file, or None.
-        how: it was made, for the description of the file.
+        how: how it was made, for the description of the file.
         physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
         force: also write a file whose albedo exceeds 1.05.
     Raises:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.brdf.measured import BRDF, all_isotropic
-from manifold.brdf.pairs import DirectionPairs
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot
 from manifold.model.combination import Combination, Values
@@ -32,7 +31,7 @@ def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> Pr
     sampled = materials.in_bands(sample_bands.tolist())
     pairs = EncodingPairs.default(all_isotropic([brdf, *sampled]))
     wi, wo = pairs.wi, pairs.wo
-    values = Values.at(sampled, DirectionPairs(wi, wo))
+    values = Values(np.stack([material.eval(wi, wo) for material in sampled]), wi, wo)
     roots = values.mapped_samples(mapping, np.arange(len(sample_bands)))
     atoms = dictionary.atoms(roots, values.lobe_roots(dictionary.lobes))
     targets = np.ascontiguousarray(mapping.forward(brdf.eval(wi, wo)).T)

@@ -61,13 +61,13 @@ class ReflectanceColours:
     def of_reflectance(self, x: Array, reflectance: Array) -> tuple[Array, Array]:
         """Colour coordinates that give a structure x (Q,) a reflectance spectrum.
 
-        What the structure cannot reach, as a metal cannot be black, is met as nearly as it can be.
+        A reflectance that the structure cannot have (a metal cannot be black) is approximated.
 
         Args:
             x: structure.
             reflectance: shape (B,).
         Returns:
-            colours (B,), and the reflectance that they give, (B,).
+            colours (B,), and the reflectance reached, (B,).
         Raises:
             ShapeError: there is not one finite value per band.
         """
@@ -83,6 +83,6 @@ class ReflectanceColours:
 
     @cached_property
     def _sphere(self) -> tuple[Decoder, Array]:
-        """What decodes latents inside an integrating sphere, and what makes a reflectance of it, (P,)."""
+        """The decoder inside an integrating sphere, and weights (P,) whose product with its values is a reflectance."""
         pairs, measure = integrating_sphere()
         return decoder_at(pairs, self._space, self._materials, self._settings), measure

@@ -18,19 +18,19 @@ from scipy.spatial.distance import cdist
 from manifold.errors import ShapeError
 from manifold.records import Array
 
-_NEGLIGIBLE = 1e-6  # relative to the largest: weights below cannot be seen, and cost a material each
+_NEGLIGIBLE = 1e-6  # relative to the largest weight: smaller ones are invisible, and cost a look-up each
 _RANDOM_STARTS = 3
-_REFINED = 2  # starts that are refined with the blends in view
-_PLACES, _PLACES_OF_EACH = 1500, 75  # at which blends are looked at: at most, and for each latent
-_MOST_BLENDED = 4  # latents of a convex combination
+_REFINED = 2  # starts that are refined with the cost of blends
+_PLACES, _PLACES_OF_EACH = 1500, 75  # number of blends evaluated: at most, and per sample
+_MOST_BLENDED = 4  # samples of a convex combination
 _ROUNDS = 2  # of the last refinement, each at new places inside the hull
-_STRENGTH = 3.0  # of implausible blends against stress
-_SEPARATION = 10.0  # of the least distances against stress
+_STRENGTH = 3.0  # weight of implausible blends against stress
+_SEPARATION = 10.0  # weight of the least distances against stress
 _RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
 _ITERATIONS = 300
 
 Cost = Callable[[Array], tuple[Array, Array]]
-"""What blends of weights u (K, N) cost, shape (K,), and its gradient by u, (K, N)."""
+"""From weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Layout:
 
     Attributes:
         X: shape (N, Q).
-        objective_start, objective: what was minimised, at the principal coordinates and at the end.
+        objective_start, objective: objective at the principal coordinates and at the end.
     """
 
     X: Array
@@ -80,16 +80,16 @@ def blend_layout(
 ) -> Layout:
     """Places of N samples, in length scales of `blend_weights`, centred.
 
-    Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus what places are nearer than
-    `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal coordinates
-    and a few random starts; then, from the best end, with the mean of `cost(u)` added, at places drawn evenly from the
-    hull as it then is. The unit is then chosen so that a kernel of length scale 1 spans about the side of a sample's
-    share of the hull.
+    Minimises the relative stress `sum (d_ij - distance_ij)^2 / distance_ij`, plus the squares by which distances fall
+    short of `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal
+    coordinates and a few random starts; then, from the best end, with the mean of `cost(u)` added, at places drawn
+    uniformly from the present hull. The unit is then chosen so that a kernel of length scale 1 spans about the side of
+    a sample's share of the hull.
 
     Args:
-        distance: what distances should be, shape (N, N), positive off the diagonal.
-        separation: the least that they should be, in the same unit, shape (N, N).
-        implausible: what a blend of two costs, at least 0, shape (N, N).
+        distance: target distances, shape (N, N), positive off the diagonal.
+        separation: least distances, in the same unit, shape (N, N).
+        implausible: cost of a blend of two, at least 0, shape (N, N).
         n_components: Q.
         cost: of blends of any number.
     Raises:
@@ -123,12 +123,12 @@ def blend_layout(
 
 
 def _typical(distances: Array) -> float:
-    """The median of the distances that are not zero: copies of one sample say nothing of the scale."""
+    """The median of the non-zero distances: those between copies of a sample are left out."""
     return float(np.median(distances[distances > 0.0]))
 
 
 class _LayoutObjective:
-    """Stress, separation, and, given blends to look at, how implausible these are, with gradients."""
+    """Stress, separation and, at given blends, their cost, with gradients."""
 
     cost: Cost | None = None
 
@@ -141,11 +141,11 @@ class _LayoutObjective:
         self._stress, self._hinge = weight / weight.sum(), _SEPARATION / len(weight)
 
     def value(self, X: Array, shares: Array, radius: float) -> float:
-        """The value at places X (N, Q), with blends in view."""
+        """The objective at places X (N, Q), with the cost of blends."""
         return self._apart(X)[0] + _STRENGTH * self._blends(X, shares, radius)[0]
 
     def minimise(self, start: Array, shares: Array | None = None, radius: float = 1.0) -> tuple[float, Array]:
-        """The value at the nearest minimum, and the places (N, Q) there."""
+        """The objective at the nearest minimum, and the places (N, Q) there."""
 
         def flat(z: Array) -> tuple[float, Array]:
             X = z.reshape(start.shape)
@@ -185,13 +185,13 @@ class _LayoutObjective:
             value, slope = value + more / _STRENGTH, slope + steeper / _STRENGTH
         d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True)) / len(shares)
         d_D = -d_log * (1.0 / radius**2 + 2.0 / squared) * D
-        # Sample after sample: the last refinement is not smooth, and rounding decides where it ends.
+        # Summed sample by sample: the last refinement is not smooth, so that rounding decides where it ends.
         of_places = np.moveaxis(d_D, 2, 0).copy().sum(axis=0)  # [Q, K]
         return float(value.mean()), shares.T @ of_places.T - d_D.sum(axis=1).T
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:
-    """Classical scaling: places (N, Q) whose inner products are nearest to those that the distances imply."""
+    """Classical scaling: places (N, Q) whose inner products are nearest to those of the distances."""
     N = len(distance)
     centring = np.eye(N) - 1.0 / N
     values, vectors = np.linalg.eigh(-0.5 * centring @ distance**2 @ centring)
@@ -211,7 +211,7 @@ def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
 
 
 def _inside_hull(X: Array, rng: np.random.Generator) -> Array:
-    """Shares (K, N) of the samples around places drawn evenly from the hull of X (N, Q); none where it is flat."""
+    """Shares (K, N) of the samples around places drawn uniformly from the hull of X (N, Q); none where it is flat."""
     N, Q = X.shape
     try:
         simplices = Delaunay(X).simplices  # [S, Q + 1]

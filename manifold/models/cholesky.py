@@ -18,7 +18,7 @@ _COINCIDE = 1e-6  # latents closer than this many length scales are named as coi
 
 
 class JitterWarning(UserWarning):
-    """K was not positive definite: its diagonal was raised, and predictions are smoother than asked for."""
+    """K was not positive definite: jitter was added to its diagonal, which makes predictions smoother than mu says."""
 
 
 def factorise(X: Array, kernel: Kernel) -> tuple[Array, Array, float]:
@@ -61,7 +61,7 @@ def _cholesky_or_none(K: Array) -> Array | None:
 
 
 def _name_coinciding(X: Array, kernel: Kernel) -> str:
-    """Which latents are to blame, in words."""
+    """The latents that coincide, or else the closest two, in words."""
     if X.shape[0] < 2:
         return "a single latent"
     distances = cdist(X, X)

@@ -1,9 +1,9 @@
 """Colours with non-negative weights: a path from black to white for every material.
 
-A vertex of a path is a set of weights over monochrome samples (single bands of materials, in cube roots) and the
-reflectance that they give. A material's own bands are vertices, in the order of their reflectance. Darker than all of
-them, its Lambertian part goes first and its highlight stays; brighter, a Lambertian part is added, or a metal gains.
-What is not a measured band is approximated by a non-negative combination of all of them.
+A vertex of a path is a set of weights over monochrome samples (single bands of materials, in cube roots) and their
+reflectance. A material's own bands are vertices, in the order of their reflectance. Towards black, its Lambertian part
+vanishes first and its highlight last; towards white, a Lambertian part is added, or, where there is none, all values
+grow. Vertices that are no measured band are approximated by non-negative combinations of all bands.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from scipy.optimize import nnls
 from manifold.records import Array
 
 WHITE = 0.9
-"""Reflectance at which paths end, if albedo allows."""
+"""Reflectance at which paths end, unless their albedo would exceed 1."""
 
-_BODY_QUANTILE = 0.05  # of the values above the horizon: what is there in nearly every direction
+_BODY_QUANTILE = 0.05  # of the values above the horizon: the Lambertian part
 _LEAST_STEP = 1e-4  # between the coordinates of vertices
-_NO_BODY = 0.3  # coordinate of the dark end, relative to the darkest band, of what has no Lambertian part
+_NO_BODY = (
+    0.3  # coordinate of the dark vertex relative to the darkest band, of materials without a Lambertian part
+)
 _TABLE = 65  # coordinates at which a blend's reflectance is tabulated
 _NEWTON_STEPS, _LARGEST_STEP, _PROBE = 2, 0.02, 1e-3
 
@@ -33,7 +35,7 @@ class ColourPaths:
 
     Attributes:
         dark, bright: weights of the vertices below the darkest and above the brightest band, shape (N, n).
-        dark_coordinate, bright_coordinate: cube roots of what these reflect, (N,); 0 where there is no such vertex.
+        dark_coordinate, bright_coordinate: cube roots of their reflectance, (N,); 0 where there is no such vertex.
         reflectances: of the samples, (n,), material by material.
         vertices: coordinates (V,) and weights (V, n) of every path, black first.
 
@@ -70,13 +72,13 @@ class ColourPaths:
     def coordinates_of(
         self, u: Array, reflectance: Array, samples: Array, measure: Array
     ) -> tuple[Array, Array]:
-        """Coordinates (B,) at which a blend u (N,) reflects `reflectance` (B,), and what it does reflect there, (B,).
+        """Coordinates (B,) at which a blend u (N,) has a reflectance (B,), and the reflectance reached, (B,).
 
         Args:
             u: shares of the materials.
-            reflectance: what is asked for.
+            reflectance: the target.
             samples: cube roots inside an integrating sphere, shape (n, P).
-            measure: what makes a reflectance of values there, shape (P,).
+            measure: weights whose product with values there is the reflectance, shape (P,).
         """
 
         def reached(at: Array) -> Array:

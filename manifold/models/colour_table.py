@@ -1,4 +1,4 @@
-"""The single colour coordinate of a structure, tabulated: which colour gives a band its values, or its albedo."""
+"""A table over the single colour coordinate of a structure, to find the colour of given values or albedo."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from manifold.records import Array
 
 _NODES = 257  # colours that are decoded
 _MARGIN = 0.25  # of the training colours' range, on either side
-_COST_OF_DOUBT = 0.1  # an albedo missed by this much is as bad as a prediction with the variance of the prior
+_COST_OF_DOUBT = 0.1  # error of the albedo that costs as much as a prediction with the variance of the prior
 
 
 class ColourTable:
-    """What a structure decodes to over the training colours' range and a margin.
+    """Decoded values of a structure over the range of the training colours and a margin.
 
     Attributes:
         colours: the colour coordinates, shape (K,).
@@ -39,8 +39,8 @@ class ColourTable:
 
         Args:
             f: values in 1/sr.
-            domain: takes values (R, P) to where distances are measured.
-            likelihood_scale: D s^2, see `criteria.likelihood`; then the likeliest colours, not the nearest.
+            domain: maps values (R, P) to the domain in which distances are measured.
+            likelihood_scale: D s^2, see `criteria.likelihood`, which is then maximised; None minimises the distance.
         """
         table, wanted = domain(self.values), domain(f)
         cost = np.sum(table * table, axis=1) - 2.0 * wanted @ table.T  # [R, K], less what f alone contributes
@@ -55,11 +55,11 @@ class ColourTable:
         return self.colours[k] + np.clip(step, -1.0, 1.0) * (self.colours[1] - self.colours[0])
 
     def of_albedo(self, albedo: Array, measure: Array) -> tuple[Array, Array]:
-        """Colours that give the structure the albedos (R,), and the albedos they give, (R,).
+        """Colours at which the structure has albedos (R,), and the albedos reached, (R,).
 
-        Albedo need not grow with the colour coordinate everywhere. All rows take their colours from one stretch
-        where it does, so that neighbouring bands do not jump between looks: the stretch that misses the albedos
-        least, and where the posterior is surest. `measure` (P,) makes an albedo of values at the outputs.
+        Albedo need not grow with the colour coordinate everywhere. The colours of all rows are in one interval where it
+        does, so that neighbouring bands look alike: that with the least error of the albedos and the least posterior
+        deviation. The product of `measure` (P,) and values at the outputs is the albedo.
         """
         reached, std = self.values @ measure, np.sqrt(self._decoder.gp.variance(self.latents))
         best: tuple[float, Array, Array] | None = None

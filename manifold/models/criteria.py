@@ -20,15 +20,15 @@ CRITERIA = ("decoded", "cube-root", "mapped", "likelihood")
 """Linear error of decoded values, error of their cube roots, residual in the mapped domain, and likelihood."""
 
 OF_VALUES = ("decoded", "cube-root")
-"""Those that need decoded values; the others see inner products only."""
+"""Those that need decoded values; the others need inner products only."""
 
 Criterion = Callable[[Array, Array], tuple[float, Array, Array]]
 """From V (R, n) and v (R,) to the value and its derivatives by V (R, n) and by v (R,)."""
 
 _SMALLEST_ROOT = (
-    1e-3  # of the root mean square of those of a material: smaller ones have the slope of this one
+    1e-3  # relative to a material's root mean square: the slope of smaller cube roots is that of this one
 )
-_ROUNDING = 1e-14  # squared distances are differences of numbers so much larger
+_ROUNDING = 1e-14  # relative rounding error of squared distances, which are differences of large numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def mapped_residual(products: Products) -> Criterion:
 def likelihood(products: Products, scale: float) -> Criterion:
     """`sum_r ( 1/2 log v_r + ||T(f_r) - V_r T(F)||^2 / (2 D s^2 v_r) )`.
 
-    It weighs the error that is left against how sure the process is, so that the variance there tells the error.
+    Residuals are relative to the posterior variance, which is then calibrated at the latents found.
 
     Args:
         products: of the rows.
@@ -103,12 +103,12 @@ def likelihood(products: Products, scale: float) -> Criterion:
 def decoded_error(decoder: Decoder, f: Array, *, cube_root: bool = False) -> Criterion:
     """`R/2 log sum_r ||g(w f*_r) - g(w f_r)||^2` of values f (R, P), `w` the cosines; g the identity or the cube root.
 
-    Highlights rule the linear error; that of cube roots is closer to what an eye sees.
+    Highlights dominate the linear error; that of cube roots is closer to perceived differences.
     """
     w, rows = decoder.cosines, len(f)
     target = np.cbrt(w * f) if cube_root else w * f
     floor = _ROUNDING * float(np.sum(target * target)) + np.finfo(float).tiny
-    # The slope of a cube root has no bound at 0: there a search would leave for infinity.
+    # The slope of a cube root is unbounded at 0, where the search would diverge.
     steepest = 3.0 * _SMALLEST_ROOT**2 * float(np.mean(target * target)) + np.finfo(float).tiny
 
     def criterion(V: Array, v: Array) -> tuple[float, Array, Array]:

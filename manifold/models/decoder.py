@@ -11,7 +11,7 @@ from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
 from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
-PAIR_STRIDE = 6  # of a grid's direction pairs, one in this many serves to find a latent
+PAIR_STRIDE = 6  # one in this many of a grid's direction pairs is used to find a latent
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class EncodingPairs:
 
 @dataclass(frozen=True, eq=False)
 class Decoder:
-    """What turns latents into BRDF values at P outputs: direction pairs of one band, or pairs and bands.
+    """Maps latents to BRDF values at P outputs: direction pairs of one band, or pairs and bands.
 
     Attributes:
         gp: of the n training samples.
@@ -68,7 +68,7 @@ class Decoder:
         return np.maximum(self.mapping.inverse(mapped, self._row_cosines(len(mapped)))[..., 0], 0.0)
 
     def combine(self, V: Array) -> tuple[Array, Array]:
-        """Values (R, P) of weights V (R, n), as they come, and their derivatives by the mapped values, (R, P)."""
+        """Values (R, P) of weights V (R, n), possibly negative, and their derivatives by the mapped values, (R, P)."""
         rows = self._row_cosines(len(V))
         values = self.mapping.inverse((V @ self.mapped)[..., None], rows)
         return values[..., 0], self.mapping.slope(values, rows)[..., 0]
@@ -78,7 +78,7 @@ class Decoder:
         return self.mapping.forward(f[..., None], self._row_cosines(len(f)))[..., 0]
 
     def relative_error(self, latents: Array, f: Array) -> float:
-        """Of values f (R, P) and what latents (R, Q) decode to; see `metrics.relative_error`."""
+        """Error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
         return relative_error(f.T, self.decode(latents).T, self.cosines)
 
     def _row_cosines(self, rows: int) -> Array:

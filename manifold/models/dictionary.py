@@ -15,7 +15,7 @@ class Dictionary:
     """Atoms, all as cube roots of f: the samples cut at 0 to every exponent in turn, then lobes.
 
     Attributes:
-        exponents: of the cube roots of samples; others than 1 make measured lobes broader or narrower.
+        exponents: of the cube roots of samples; exponents other than 1 make measured lobes broader or narrower.
         lobes: the analytic ones.
     """
 

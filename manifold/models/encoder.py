@@ -1,8 +1,8 @@
 """Embed a new material: the latents that fit its data best, by one of several criteria.
 
-Rows are what one latent each decodes: a whole material is one row of all its bands, single bands a row each, whose
-structure coordinates are shared. The search starts from the nearest training materials. Criteria of decoded values are
-minimised from where the mapped residual, which sees inner products only and is cheap, has led.
+A row is the values that one latent decodes to: all bands of a whole material, or a single band; bands of one material
+share their structure coordinates. The search starts from the nearest training materials. Criteria of decoded values are
+minimised from the minima of the mapped residual, which needs inner products only and is cheap.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from manifold.models.gp_weights import GPWeights
 from manifold.records import Array
 
 _STARTS = 5  # nearest training materials to start from
-_REFINED = 3  # ends of the first search that the second one starts from
-_APART = 1e-2  # in latents: ends nearer to each other are one
+_REFINED = 3  # minima of the first search that the second one starts from
+_APART = 1e-2  # in latents: minima nearer to each other are one
 _MAX_ITER = 200
 
 
@@ -43,7 +43,7 @@ class Encoder:
         group: samples per training material: 1 for whole materials, B for single bands.
         prior: weight of the Gaussian prior on each row's latent, or one per axis, shape (Q,).
         criterion: one of `CRITERIA`.
-        decoder: of the values that materials are compared by; None where inner products are all that is known.
+        decoder: of the values at which materials are compared; None where only inner products are known.
 
     Raises:
         UsageError: there is no such criterion, or it needs decoded values and there is no decoder.
@@ -73,7 +73,7 @@ class Encoder:
         prior: float | Array = 0.0,
         criterion: str = "decoded",
     ) -> Encoder:
-        """An encoder that sees materials where a decoder decodes them, weighted by the cosines."""
+        """An encoder that compares materials at the outputs of a decoder, weighted by the cosines."""
         S = (decoder.mapped * decoder.cosines) @ decoder.mapped.T
         P = decoder.mapped.shape[1]
         return cls(decoder.gp, S, P, n_structure, group, prior, criterion, decoder)
@@ -121,7 +121,7 @@ class Encoder:
         return self._best(criterion, starts, fixed=True)[:, Qs:]
 
     def relative_error(self, latents: Array, f: Array) -> float:
-        """Of values f (R, P) and what latents (R, Q) decode to; see `metrics.relative_error`."""
+        """Error of the values decoded at latents (R, Q) against f (R, P); see `metrics.relative_error`."""
         return self._require_decoder().relative_error(latents, f)
 
     # -- criteria ------------------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ class Encoder:
         return criteria.decoded_error(self._require_decoder(), f, cube_root=self.criterion == "cube-root")
 
     def _in_domain(self, f: Array) -> Array:
-        """Values (R, P) where their differences are what the criterion measures."""
+        """Values (R, P) in the domain in which the criterion measures differences."""
         decoder = self._require_decoder()
         if self.criterion in OF_VALUES:
             weighted = decoder.cosines * f
@@ -187,9 +187,9 @@ class Encoder:
         return min(ends, key=lambda end: end[1])[0]
 
     def minimise(self, criterion: Criterion, start: Array, *, fixed: bool = False) -> tuple[Array, float]:
-        """Latents (R, Q) where criterion and prior together are least near a start, and that value.
+        """Latents (R, Q) at the local minimum of criterion plus prior near a start, and its value.
 
-        With `fixed` the structure stays where it is.
+        With `fixed` the structure is kept.
         """
         R, Q = start.shape
         Qs = self.n_structure
@@ -223,7 +223,7 @@ class Encoder:
 
 
 def _best_apart(ends: list[tuple[Array, float]]) -> list[Array]:
-    """The latents of the `_REFINED` best ends that are `_APART`."""
+    """The latents of the `_REFINED` best minima that are `_APART`."""
     kept: list[Array] = []
     for latents, _ in sorted(ends, key=lambda end: end[1]):
         if all(np.abs(latents - other).max() > _APART for other in kept):

@@ -20,10 +20,10 @@ from manifold.models.kernels import Kernel, first_equal_row
 from manifold.models.objective import centre_gram
 from manifold.records import Array
 
-LEAST_EXPLAINED = 0.5  # share of the variance between samples, below which a fit is warned of
+LEAST_EXPLAINED = 0.5  # share of the variance between samples below which a fit is warned of
 _ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
-_COINCIDENT = 1e-3  # of the latents' span: what lies closer is one place
-_MOST_ALONE = 0.25  # share of such samples
+_COINCIDENT = 1e-3  # of the latents' span: closer latents count as one
+_MOST_ALONE = 0.25  # share of such samples from which a fit is warned of
 
 
 class FlatModelWarning(UserWarning):
@@ -139,8 +139,8 @@ class GPWeights:
     def variance_fraction(self, X_new: Array) -> Array:
         """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates.
 
-        The prior's without a linear term: that grows with the distance from the origin, and the line that far
-        latents follow is no knowledge of what lies there. At most 1.
+        The prior's variance is taken without its linear term, which grows with the distance from the origin: far
+        latents, predicted by a line, count as extrapolated. At most 1.
         """
         return np.minimum(self.variance(X_new) / (1.0 + self.kernel.mu), 1.0)
 
@@ -169,10 +169,10 @@ class GPWeights:
 
     @property
     def is_linear(self) -> bool:
-        """Whether the mean is linear in the latents: what the kernel bends between them is below its noise filter.
+        """Whether the mean is linear in the latents, but for less than the noise filter.
 
-        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Q + 1 places
-        lie on a plane under any kernel, and over a whole length scale every kernel bends.
+        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Any function of
+        Q + 1 places is linear, and over a whole length scale no kernel is.
         """
         N, Q = self.X.shape
         span = float(np.ptp(self.X, axis=0).max())
@@ -185,7 +185,7 @@ class GPWeights:
         return bool(eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
 
     def warn_of_fit(self, S: Array) -> None:
-        """Warn of latents that were fitted to samples with Gram matrix S (N, N) and predict little of them.
+        """Warn of latents that predict little of the samples they were fitted to, of Gram matrix S (N, N).
 
         Warns:
             FlatModelWarning: `explained` is below one half, or the mean `is_linear`.

@@ -11,7 +11,7 @@ from manifold.records import Array
 
 _LARGEST_DRIFT = 2e-9  # entry of K P - I tolerated before P is computed afresh
 _MOST_MOVES = (
-    500  # accepted before P is computed afresh in any case: log|K| and the trace gather rounding too
+    500  # accepted before P is computed afresh in any case: log|K| and the trace accumulate rounding too
 )
 _LOG_DET, _TRACE, _SQUARED_NORM, _VALUE, _MOVES = range(5)
 
@@ -109,7 +109,7 @@ class IncrementalObjective:
 
 @nb.njit(cache=True)
 def _explore(X, K, P, S, work, state, numbers, steps, heading, lower, upper, index, budget):
-    """Explore from coordinate `index` on, until P has drifted: where to go on, moves tried, whether P has."""
+    """Explore from coordinate `index` on until P has drifted: the next index, moves tried, whether P has drifted."""
     tried = 0
     while index < steps.shape[0]:
         i, q = divmod(index, X.shape[1])

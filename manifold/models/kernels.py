@@ -68,7 +68,7 @@ class Kernel(ABC):
 
     @property
     def numbers(self) -> tuple[int, float, float]:
-        """What compiled loops need: which family, `1 / l^2`, `linear / l^2`.
+        """Parameters for compiled loops: index of the family, `1 / l^2`, `linear / l^2`.
 
         Raises:
             UsageError: it is none of this package's.
@@ -94,7 +94,7 @@ class Kernel(ABC):
         return self.smooth_and_slope(A, B)[0]
 
     def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
-        """`smooth(A, B)`, and what `pull_back` needs to know of it, shape (M, N) both."""
+        """`smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
         # Differences, not the expanded square: equal coordinates give exactly 0.
         K, slope = self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
         if self.linear:
@@ -110,7 +110,7 @@ class Kernel(ABC):
         return self.training_and_slope(X)[0]
 
     def training_and_slope(self, X: Array) -> tuple[Array, Array]:
-        """`training(X)`, and what `gradient` needs to know of it, shape (N, N) both."""
+        """`training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
         K, slope = self.smooth_and_slope(X, X)
         K.flat[:: len(K) + 1] = self.prior_variance(X)
         return K, slope
@@ -120,8 +120,8 @@ class Kernel(ABC):
 
         Args:
             A, B: latents, shape (M, Q) and (N, Q).
-            dK: what the entries are multiplied by, shape (M, N).
-            slope: from `smooth_and_slope(A, B)` where it is at hand, shape (M, N).
+            dK: factors of the entries, shape (M, N).
+            slope: from `smooth_and_slope(A, B)`, shape (M, N); computed if None.
         """
         slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
         G = (2.0 / self.length_scale**2) * dK * slope
@@ -138,7 +138,7 @@ class Kernel(ABC):
         Args:
             X: latents, shape (N, Q).
             dK: symmetric derivatives of the function with respect to the entries of K, shape (N, N).
-            slope: from `training_and_slope(X)` where it is at hand, shape (N, N).
+            slope: from `training_and_slope(X)`, shape (N, N); computed if None.
         """
         return 2.0 * self.pull_back(X, X, dK, slope)
 

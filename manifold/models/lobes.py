@@ -2,7 +2,8 @@
 
 A lobe is `D(theta_h) G(wi, wo) / (4 cos(theta_i) cos(theta_o)) * b_k(cos(theta_d))`. The Bernstein polynomials `b_k`
 are never negative and sum to 1; Schlick's Fresnel term, `F0 + (1 - F0) (1 - cos(theta_d))^5`, is
-`F0 sum_k b_k + (1 - F0) b_0` at degree 5, so non-negative weights hold it, and what thin films and flakes do between.
+`F0 sum_k b_k + (1 - F0) b_0` at degree 5, so that non-negative weights represent it, and approximate thin films and
+flakes.
 """
 
 from __future__ import annotations

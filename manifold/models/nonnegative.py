@@ -12,7 +12,7 @@ from manifold.errors import ShapeError
 from manifold.records import Array
 
 _RIDGE = 1e-10  # on a unit diagonal: samples that are alike leave the Gram matrix singular
-_TOLERANCE = 1e-9  # of slopes, as a share of the largest inner product: below it nothing is gained
+_TOLERANCE = 1e-9  # of slopes, relative to the largest inner product
 
 
 def nonnegative_weights(gram: Array, cross: Array) -> Array:
@@ -71,7 +71,7 @@ def _solve_on(gram, cross, used, count):
 
 @nb.njit(cache=True)
 def _warm_start(gram, cross, used, count, weights):
-    """Drop what is negative until the solution on the samples used is feasible; how many are left."""
+    """Drop samples of negative weight until the solution on those used is feasible; how many are left."""
     while count > 0:
         solution = _solve_on(gram, cross, used, count)
         kept = 0
@@ -89,7 +89,7 @@ def _warm_start(gram, cross, used, count, weights):
 
 @nb.njit(cache=True)
 def _active_set(gram, cross, used, count, weights):
-    """Let the sample of the steepest slope enter until none gains, from a feasible solution on those used."""
+    """Add the sample of steepest slope until none reduces the residual, from a feasible solution on those used."""
     n = cross.size
     limit = _TOLERANCE * np.max(np.abs(cross))
     refused = np.zeros(n, np.bool_)
@@ -113,7 +113,7 @@ def _active_set(gram, cross, used, count, weights):
 
 @nb.njit(cache=True)
 def _steepest(gram, cross, used, count, weights, refused, limit):
-    """The sample not used whose weight is worth raising most, or -1."""
+    """The unused sample of steepest slope above the limit, or -1."""
     slope = cross.copy()
     for a in range(count):
         slope -= weights[used[a]] * gram[used[a]]

@@ -98,9 +98,9 @@ def pca_start(S: Array, n_components: int) -> Array:
 def fix_gauge(X: Array, *, centre: bool = True) -> Array:
     """Latents (N, Q) centred, if asked for, each axis with its longer tail positive.
 
-    The likelihood is blind to both, unless the kernel has an origin: such latents must not be shifted. The tail is
-    told by the sum of cubes: a sum over all latents keeps its sign where the largest of them would change with the
-    last digit; that decides where an axis is as good as symmetric.
+    The likelihood does not depend on either, unless the kernel has an origin: then latents must not be shifted. The
+    longer tail is that with the larger sum of cubes, whose sign is robust against rounding; on a symmetric axis it is
+    that of the latent of largest magnitude.
     """
     X = X - X.mean(axis=0) if centre else X
     tail = np.sum(X**3, axis=0)

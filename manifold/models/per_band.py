@@ -2,8 +2,8 @@
 
 A sample's latent joins *structure* coordinates (gloss, layers), which all bands of a material share, with
 *colour* coordinates, which are the band's own. Whole-material models are bounded by the span of the training
-materials; a monochrome one combines 195 times as many samples per material, and the map of the structure
-coordinates can be navigated without thinking of colour.
+materials; a monochrome one combines 195 times as many samples, and the map of the structure coordinates is independent
+of colour.
 
 Samples are ordered material by material: sample n * B + b is band b of material n.
 """
@@ -135,14 +135,14 @@ class MonochromeGPLVM:
         return (value_and_gradient(z0)[0], float(found.fun), *unpack(found.x))
 
     def _starts(self, S: Array, N: int, B: int) -> list[tuple[Array, Array]]:
-        """Two ways to tell structure from colour by principal components: (N, Q_s) and (N * B, Q_c) each."""
+        """Two ways to separate structure from colour by principal components: (N, Q_s) and (N * B, Q_c) each."""
         count = min(_COMPONENTS, S.shape[0])
         values, vectors = np.linalg.eigh(S)
         scores = vectors[:, ::-1][:, :count] * np.sqrt(np.maximum(values[::-1][:count], 0.0))
         colour = _unit_components(scores, self.n_colour)
         if self.n_structure == 0:
             return [(np.zeros((N, 0)), colour)]
-        # Colour first: what it explains of a sample is taken out before materials are compared.
+        # Colour first: it is regressed out of the samples before materials are compared.
         design = np.column_stack([np.ones(N * B), colour])
         rest = scores - design @ np.linalg.lstsq(design, scores, rcond=None)[0]
         means = scores.reshape(N, B, -1).mean(axis=1)

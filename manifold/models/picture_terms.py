@@ -1,7 +1,7 @@
 """Radiance averaged over groups of direction pairs, and its colours.
 
-A pixel averages light first, and the eye takes the cube root afterwards; errors of cube roots, pair by pair, miss what
-adds up over a pixel, and errors band by band miss tints of what is nearly neutral.
+A pixel averages radiance, and lightness is the cube root of the average: errors of cube roots per direction pair ignore
+what accumulates over a pixel, and errors per band ignore tints of nearly neutral colours.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from manifold.records import Array
 
 _ELEVATIONS = 12
 _THETA_H_DEG = (10.0, 40.0)  # between highlight, surround, and the rest
-_LEAST_XYZ = 1e-4  # of white: where CIELAB is linear and the eye sees black, slopes stop growing
-_DARK_XYZ = 2e-3
+_LEAST_XYZ = 1e-4  # of white: smaller values look black
+_DARK_XYZ = 2e-3  # of white: the slopes of smaller values are those of this one
 
 
 def picture_rows(wi: Array, wo: Array) -> csr_matrix:

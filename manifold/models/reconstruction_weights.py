@@ -17,7 +17,7 @@ def reconstruction_weights(
     """Weights v >= 0 of samples by which `(v g)^3` is nearest to every band of a material.
 
     First the error of cube roots alone, `sum w (v g - t)^2` with `w = (cos(theta_i) cos(theta_o))^(2/3)`, band by band:
-    the cube-root error of `manifold.metrics`. Then again on the samples that any band uses, with what a picture sees,
+    the cube-root error of `manifold.metrics`. Then again on the samples that any band uses, with the picture term,
 
         sum w (v g - t)^2 / sum w t^2 + picture sum_k q_k^2 (3 rows_k t^2 (v g - t))^2,
 

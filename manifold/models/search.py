@@ -19,10 +19,10 @@ FitCallback = Callable[[int, float], Any]
 
 _FIRST_STEP = 0.1  # of direct local search, in length scales
 _LAST_STEP = 100.0  # of direct local search, in length scales times the tolerance
-_ROUGH_STEP = 1e-2  # of searches that a descent follows, in length scales
-_WIDE_MU = 0.1  # of a search that first follows a smoother objective
+_ROUGH_STEP = 1e-2  # last step of searches before a descent, in length scales
+_WIDE_MU = 0.1  # noise filter of the first search, on a smoother objective
 _RELOCATIONS, _RELOCATED, _RELOCATION_SPREAD = 30, 0.25, 0.3  # tries, share of latents, in length scales
-_RELOCATION_ITERATIONS = 60  # of L-BFGS after each: enough to tell a better basin from a worse one
+_RELOCATION_ITERATIONS = 60  # of L-BFGS after each: enough to compare basins
 _RELOCATION_TOLERANCE = 1e-5
 
 
@@ -52,7 +52,7 @@ class Run:
             OPTIMIZERS[optimizer](self, self.best_X)
 
     def report(self, X: Array, value: float) -> None:
-        """Count a round that stands at X (N, Q)."""
+        """Count a round that ended at X (N, Q)."""
         self.n_iter += 1
         if value < self.best:
             self.best_X, self.best = X.reshape(self.best_X.shape).copy(), value
@@ -66,8 +66,8 @@ def search(run: Run, X: Array, *, mu: float | None = None, last_step: float = 0.
     Args:
         run: the fit.
         X: the start.
-        mu: another noise filter than the fit's; nothing is reported then, for its values are others.
-        last_step: where steps end at the latest, in length scales.
+        mu: another noise filter than the fit's; rounds are not reported then, since their values are not comparable.
+        last_step: lower bound of the last step, in length scales.
     Source: Hikichi & Iwasaki, section 3.4.
     """
     objective = run.objective if mu is None else run.objective.with_mu(mu)
@@ -110,9 +110,9 @@ def descend(run: Run, X: Array, *, limit: int | None = None, tol: float = 0.0) -
 def search_and_descend(run: Run, X: Array) -> tuple[Array, float]:
     """The best of three ways from X (N, Q), then of relocations of it: latents and their value.
 
-    The ways end in L-BFGS each: from X, from the end of a direct local search, and from the end of two, the first
-    under a wider noise filter, which makes the objective smoother. Then, again and again, random latents are moved
-    next to others, refined by L-BFGS, and kept where that pays: no move of a single latent leaves such an optimum.
+    Each ends in L-BFGS: from X, from the end of a direct local search, and from the end of two, the first under a
+    larger noise filter, which makes the objective smoother. Then, repeatedly, random latents are moved next to others
+    and refined by L-BFGS; improvements are kept. That leaves optima which no move of a single latent improves.
     """
     rough = partial(search, run, last_step=_ROUGH_STEP)
     ends = [descend(run, X), descend(run, rough(X))]

@@ -9,7 +9,7 @@ from manifold.models.nonnegative import nonnegative_weights
 from manifold.models.picture_terms import lab_slopes
 from manifold.records import Array
 
-_CANDIDATES = 300  # pairs that are best by cube roots alone, refitted with what a picture sees
+_CANDIDATES = 300  # pairs that are best by cube roots alone, refitted with the picture term
 
 
 def shared_pair(

@@ -30,7 +30,7 @@ from manifold.models.objective import fix_gauge
 from manifold.models.search import FitCallback
 from manifold.records import Array
 
-_JITTER = 1e-5  # added to the diagonal of K_uu, in units of mu: far below what the noise filter hides
+_JITTER = 1e-5  # added to the diagonal of K_uu, in units of mu: negligible beside the noise filter
 _EXACT_SVD = 500  # sides of Y up to this are decomposed exactly
 
 
@@ -80,11 +80,11 @@ class SparseObjective:
 
 
 class SparsePosterior:
-    """What F and predictions share: the factorisations at latents X (N, Q) and inducing points Z (M, Q).
+    """The factorisations at latents X (N, Q) and inducing points Z (M, Q) that F and predictions share.
 
     Attributes:
         K_uu, K_uf: covariances of the inducing points (M, M), with the latents (M, N).
-        slope_uf: what `Kernel.pull_back` needs to know of K_uf, shape (M, N).
+        slope_uf: slope of K_uf as `Kernel.pull_back` takes it, shape (M, N).
         L_u, L_B: lower Cholesky factors of K_uu and of `mu I + V V^T`, shape (M, M).
         V: `L_u^-1 K_uf`, shape (M, N).
         W: weights of the inducing points per column of Y, shape (M, r).

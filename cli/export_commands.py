@@ -79,16 +79,14 @@ def export(
     computed.
     """
     from manifold.fitting.exports.targets import TARGETS
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
 
     results = terminal.Results(json)
     if (source is None) == (latent is None):
         raise UsageError("expected either a source or --latent X,Y; name what to export")
-    colour = ColourChoice(like, reflectance, srgb)
-    if source is not None and colour != NEAREST:
-        raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
+    refused = None if source is None else "--latent; a file has its own colour"
+    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     if source is not None and source.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")

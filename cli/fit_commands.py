@@ -85,16 +85,14 @@ def fit(
     parameters of that engine's own model, and its error on the ball; `manifold export` writes them.
     """
     from manifold.formats import registry
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import fits
 
     if bool(sources) == (latent is not None):
         raise UsageError("expected either files or --latent X,Y; name what to fit")
-    colour = ColourChoice(like, reflectance, srgb)
+    refused = "--latent; a file has its own colour" if sources else None
+    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     if latent is not None and sample is not None:
         raise UsageError("--sample is of a file of readings; leave it or --latent out")
-    if sources and colour != NEAREST:
-        raise UsageError("--like, --reflectance and --srgb go with --latent; a file has its own colour")
     if picture and target is not None:
         raise UsageError("--picture draws Mitsuba's BSDF, not a target's model; leave it or --target out")
     for path in sources or () if picture else ():

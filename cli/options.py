@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from manifold.errors import UsageError
+
+if TYPE_CHECKING:
+    from manifold.model.colours import ColourChoice
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -68,3 +73,21 @@ SampleOption = Annotated[
 def output_option(help: str, metavar: str = "FILE") -> Any:
     """The option `--output`, to stand in an annotation."""
     return typer.Option("--output", "-o", help=help, metavar=metavar)
+
+
+def colour_choice(
+    like: str | None, reflectance: Path | None, srgb: str | None, *, refused: str | None = None
+) -> ColourChoice:
+    """The colour of `--like`, `--reflectance` or `--srgb`.
+
+    Args:
+        refused: where there is nothing to be coloured: the option that they go with, and why.
+    Raises:
+        UsageError: several are given, or one where there is nothing to be coloured.
+    """
+    from manifold.model.colours import NEAREST, ColourChoice
+
+    colour = ColourChoice(like, reflectance, srgb)
+    if refused is not None and colour != NEAREST:
+        raise UsageError(f"--like, --reflectance and --srgb go with {refused}")
+    return colour

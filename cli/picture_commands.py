@@ -40,13 +40,11 @@ def latent_map(
 
     Balls are rendered once and cached in the library.
     """
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
-    colour = ColourChoice(like, reflectance, srgb)
-    if mark is None and colour != NEAREST:
-        raise UsageError("--like, --reflectance and --srgb go with --mark; materials have their own colours")
+    refused = "--mark; materials have their own colours" if mark is None else None
+    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     with terminal.progress("Rendering") as step:
         drawn = ball_pictures.latent_map(
             model, output, library=library, marked=mark, colour=colour, on_progress=step
@@ -138,15 +136,11 @@ def slices(
     json: options.JsonOption = None,
 ) -> None:
     """Draw measured and predicted BRDFs beside each other: slices at incidence 20, 40 and 60 degrees."""
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.plots import figures
     from manifold.workflows import pictures
 
-    colour = ColourChoice(like, reflectance, srgb)
-    if not latent and colour != NEAREST:
-        raise UsageError(
-            "--like, --reflectance and --srgb go with --latent; materials have their own colours"
-        )
+    refused = None if latent else "--latent; materials have their own colours"
+    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []

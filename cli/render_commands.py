@@ -80,7 +80,6 @@ def render(
 
     Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
-    from manifold.model.colours import NEAREST, ColourChoice
     from manifold.rendering import images
     from manifold.system.stages import Stages
     from manifold.workflows import renders
@@ -93,11 +92,8 @@ def render(
             f"found {' and '.join(given) or 'nothing to render'}, expected a file, --latent X,Y or --latent NAME, or "
             "--from with a table of latents"
         )
-    colour = ColourChoice(like, reflectance, srgb)
-    if latent is None and colour != NEAREST:
-        raise UsageError(
-            "--like, --reflectance and --srgb go with --latent; files and tables have their own colours"
-        )
+    refused = "--latent; files and tables have their own colours" if latent is None else None
+    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     if file is not None and direct:
         raise UsageError("--direct goes with --latent and --from; a file holds its values")
     settings = renders.make_settings(

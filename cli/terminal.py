@@ -7,7 +7,7 @@ import os
 import sys
 import textwrap
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,7 @@ from rich.progress import (
 )
 
 from manifold import __version__
-from manifold.system import atomic
-from manifold.system.stages import PROGRESS_VARIABLE
-
-Step = Callable[[int, int, str], None]
-"""Called by long work with (done, total, what)."""
+from manifold.system import atomic, stages
 
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
@@ -37,9 +33,9 @@ _WIDTH = 80  # columns that sentences and lists are broken to; a line with a sin
 
 
 @contextmanager
-def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
+def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress | None]:
     """A progress bar on stderr, or None where stderr is no terminal; or lines for the program that asked for them."""
-    listening = os.environ.get(PROGRESS_VARIABLE, "")
+    listening = os.environ.get(stages.PROGRESS_VARIABLE, "")
     if listening.isdecimal():
         yield _json_lines_to(int(listening))
         return
@@ -62,7 +58,7 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[Step | None]:
         yield step
 
 
-def _json_lines_to(descriptor: int) -> Step:
+def _json_lines_to(descriptor: int) -> stages.Progress:
     """Steps as JSON lines into an open file; nothing once the reader is gone."""
 
     def step(done: int, total: int, what: str) -> None:

@@ -64,6 +64,25 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20261121)
 
 
+@pytest.fixture(scope="module")
+def library(tmp_path_factory) -> Path:
+    """A library of a few RGB materials."""
+    from small_library import small_library
+
+    return small_library(tmp_path_factory.mktemp("library"))
+
+
+@pytest.fixture(scope="module")
+def samples(library):
+    """The samples from which readings are completed."""
+    from manifold.library.store import Library
+    from manifold.model.completion import LibrarySamples
+    from manifold.model.materials import MaterialCache
+
+    opened = Library.open(library)
+    return LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+
+
 @pytest.fixture
 def run(capsys, monkeypatch):
     """The command in this process, in a given folder: status, stdout, stderr."""

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_library import NAMES, small_library
+from small_library import NAMES
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
@@ -21,13 +21,12 @@ from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
 from manifold.formats.registry import read_readings
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
-from manifold.model.completion import LibrarySamples, calibrate, complete, suggest
+from manifold.model.completion import calibrate, complete, suggest
 from manifold.model.completion.correction_file import read_correction, write_correction
 from manifold.model.completion.expected import Calibration, completion_errors, indicators_of, leave_out
 from manifold.model.completion.hybrid import Hybrid, InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
 from manifold.model.completion.samples import grid_pairs
-from manifold.model.materials import MaterialCache
 from manifold.models.band_mixtures import band_mixtures
 from manifold.models.completion_weights import completion_weights
 from manifold.models.mixtures import log_of_norm, normalised, posterior
@@ -39,17 +38,6 @@ from manifold.workflows import completions
 DIRECTIONS = geometry_ma_t12()
 APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
 """Places of nine readings that have nothing to do with each other."""
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return small_library(tmp_path_factory.mktemp("completion"))
-
-
-@pytest.fixture(scope="module")
-def samples(library):
-    opened = Library.open(library)
-    return LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
 
 
 def readings(values, directions=DIRECTIONS, nm=None):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
-from small_library import NAMES, small_library
+from small_library import NAMES
 
 from manifold.brdf.gloss import gloss_meter, gloss_units
 from manifold.brdf.measured import MeasuredBRDF
@@ -19,10 +19,9 @@ from manifold.formats import csv_table, registry
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings, geometry_ma_t12
 from manifold.formats.table_cells import gloss_angle
 from manifold.library.store import Library
-from manifold.model.completion import LibrarySamples, calibrate, complete
+from manifold.model.completion import calibrate, complete
 from manifold.model.completion.expected import completion_errors, leave_out
 from manifold.model.completion.hybrid import combine
-from manifold.model.materials import MaterialCache
 from manifold.models.gloss_readings import GlossReadings
 from manifold.plots.plot_readings import readings_chart
 from manifold.records import Bands
@@ -46,17 +45,6 @@ def black_glass(angle):
 
 def readings(values, gloss=None, directions=DIRECTIONS, nm=None):
     return Readings("sample", "test", *directions, nm, values, gloss=gloss or {})
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return small_library(tmp_path_factory.mktemp("gloss"))
-
-
-@pytest.fixture(scope="module")
-def samples(library):
-    opened = Library.open(library)
-    return LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
 
 
 # -- gloss meters -----------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from manifold.directions import from_spherical
 from manifold.records import Array, BsdfFile
 
 HORIZON = np.deg2rad(89.9)
-"""Where the limit at the horizon is read off."""
+"""Elevation in radians at which the limit at the horizon is evaluated."""
 
 
 def u_to_theta(u: Array) -> Array:

@@ -154,7 +154,7 @@ class MeasuredBRDF:
 
     @property
     def symmetry(self) -> tuple[bool, int]:
-        """What `DirectionPairs.located` asks for: whether it is isotropic, and how many times the azimuths repeat."""
+        """The arguments of `DirectionPairs.located`: whether it is isotropic, and how often the azimuths repeat."""
         return self._isotropic, self._reduction
 
     @property

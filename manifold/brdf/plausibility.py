@@ -31,7 +31,7 @@ AZIMUTHS_DEG = tuple(range(0, 360, 45))
 
 @dataclass(frozen=True)
 class Plausibility:
-    """How physical a BRDF is.
+    """Measurements of how physical a BRDF is.
 
     Attributes:
         negative_share: share of values below zero, over direction pairs and bands; the larger of that over
@@ -110,7 +110,7 @@ def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What M BRDFs showed at one incidence, shape (M,) each.
+    """Measurements of M BRDFs at one incidence, shape (M,) each.
 
     Attributes:
         negative: share of values below zero.

@@ -49,7 +49,7 @@ def _share_grids(tables, others):
 
 @nb.njit(**warp.UNCOUNTED)
 def _locate_tile(located, tables, slices, shares, nodes, offsets):
-    """What materials with the same grids share: slices around wi, cells of the grids of half vectors, ndf, sigma."""
+    """The locations that materials with the same grids share: slices around wi, cells of half vectors, ndf, sigma."""
     _, ndf, sigma, data, _, _, phi_nodes, theta_nodes, _ = tables
     for k in range(located.shape[0]):
         theta_i, phi_i, x, y, cos_o = located[k]
@@ -70,7 +70,7 @@ def _locate_tile(located, tables, slices, shares, nodes, offsets):
 
 @nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
 def _locate_spectra(located, tables, slices, shares, nodes, offsets, cells, corners):
-    """Where one material's spectra are read: cells (K, 2), and weights of their corners (K, 4, 4) in each slice."""
+    """Locations in one material's spectra: cells (K, 2), and weights of their corners (K, 4, 4) in each slice."""
     jacobian, ndf, sigma, data, conditional, marginal, _, _, spectra = tables
     for k in range(located.shape[0]):
         cos_o = located[k, 4]

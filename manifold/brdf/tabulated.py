@@ -22,7 +22,7 @@ _LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets 
 
 
 class TabulatedBRDF(AnalyticBRDF):
-    """What tables of both kinds share; values below the horizon are 0. Sampling is by the cosine."""
+    """Base class of BRDFs of tables: values below the horizon are 0, and sampling is by the cosine."""
 
     _isotropic: bool
 

@@ -12,9 +12,9 @@ from manifold.records import Array
 
 LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 JUDGED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
-"""Others than those that maps are laid out by, so that predictions are judged by what nothing was made to meet."""
+"""Not those of layouts, so that predictions are judged at incidences for which nothing was optimised."""
 REACH_DEG = 20.0
-"""How far from the mirror direction profiles go."""
+"""Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
 
 
@@ -28,9 +28,9 @@ def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tu
 
 
 def valley_depth(f: Array) -> Array:
-    """How far profiles f (..., D) fall below the lower of the highest values on both sides, as a share of it, (...).
+    """Depth of the deepest minimum of profiles f (..., D), relative to the lower of the maxima on its two sides, (...).
 
-    Where all is dark there is no valley.
+    0 where all values are dark.
     """
     f = np.asarray(f, dtype=np.float64)
     depth = np.empty(f.shape[:-1])
@@ -56,7 +56,7 @@ def _deepest(f, depth):
 
 
 def valley_excess(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """How much deeper the valleys of blends are than the means of what is allowed to the materials.
+    """Depth of the valleys of blends beyond the mean of the depths allowed for their materials.
 
     Args:
         u: weights of blends, shape (K, N).

@@ -270,7 +270,7 @@ class Warp:
 
     @property
     def tables(self) -> tuple[Array, Array, Array]:
-        """What the compiled functions take first: data, conditional, marginal."""
+        """The first arguments of the compiled functions: data, conditional, marginal."""
         return self.data, self.conditional, self.marginal
 
     def _run(self, mode: int, points: Array, phi: Array | float, theta: Array | float) -> Array:

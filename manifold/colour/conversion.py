@@ -83,7 +83,7 @@ def _xyz_weights(bands: Bands, illuminant: str) -> Array:
 
 
 def sensor_responses(illuminant: Illuminant) -> tuple[Array, Array]:
-    """What a colorimetric sensor weighs reflectance by: the light times the matching functions.
+    """Spectral weights of a colorimetric sensor for reflectances: the light times the matching functions.
 
     Returns:
         wavelengths in nm, shape (K,), every 1 nm, and weights, shape (K, 3), whose sums over wavelengths are the XYZ

@@ -20,7 +20,7 @@ _LEAST = 1e-3  # of the largest value: what is darker counts as this dark
 
 
 def _expansions() -> dict[str, Callable[[Array], Array]]:
-    """How three bands (n, 3) become terms (n, T), simplest first."""
+    """Functions from three bands (n, 3) to terms (n, T), simplest first."""
     of = colour_science().characterisation
 
     def cheung(terms: int) -> Callable[[Array], Array]:
@@ -64,7 +64,7 @@ class ColourCorrection:
 
     @staticmethod
     def terms_of(form: str) -> int:
-        """How many terms a form has."""
+        """Number of terms of a form."""
         return int(_expansions()[form](np.ones((1, 3))).shape[1])
 
     def apply(self, x: Array) -> Array:
@@ -75,7 +75,7 @@ class ColourCorrection:
         return np.maximum(terms @ self.matrix * beyond * self.scale, 0.0)
 
     def is_beyond(self, x: Array) -> Array:
-        """Which values (n, 3) are larger than any it was learned at, bool (n,)."""
+        """Whether values (n, 3) are larger than any of the samples it was learned from, bool (n,)."""
         return np.linalg.norm(np.asarray(x) / self.scale, axis=1) > self.largest
 
     def to_json(self) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def colour_science() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class StandardTables:
-    """What nearly every command needs of colour-science.
+    """The data of colour-science that nearly every command needs.
 
     Attributes:
         illuminants: wavelengths in nm and relative power, shape (K,) each, by name.

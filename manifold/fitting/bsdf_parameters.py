@@ -93,7 +93,7 @@ class FreeParameter:
         return self.maximum - self.minimum
 
     def inward(self, p: Array | float) -> Array:
-        """What the optimiser sees of values p."""
+        """Values p in the coordinates of the optimiser."""
         p = np.asarray(p, float)
         if self.transform == "log":
             return np.log(np.maximum(p, _LOG_FLOOR))
@@ -190,7 +190,7 @@ class BsdfFamily:
 
 
 class Layout:
-    """How the parameters of a family lie in one vector of K numbers, for B bands.
+    """The layout of a family's parameters in one vector of K numbers, for B bands.
 
     Parameters stand in the family's order; one that is per band takes B places.
     """
@@ -233,7 +233,7 @@ class Layout:
 
     @cached_property
     def is_per_band(self) -> Array:
-        """Which places belong to parameters per band, bool (K,)."""
+        """Entries that belong to parameters per band, bool (K,)."""
         return np.array([parameter.per_band for parameter in self.owner])
 
     @cached_property
@@ -300,7 +300,7 @@ _PRINCIPLED = (
 PRINCIPLED_DEFAULT = (
     "base_color", "metallic", "roughness", "specular", "clearcoat", "clearcoat_gloss", "sheen",
 )  # fmt: skip
-"""What is free unless others are named; see docs/design/principled.md."""
+"""Parameters that are free by default; see docs/design/principled.md."""
 
 
 def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:

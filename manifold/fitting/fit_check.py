@@ -75,7 +75,7 @@ def _require_schema(content: Any, file: str) -> None:
 
 
 def _spectral(content: dict[str, Any], family: BsdfFamily, file: str) -> dict[str, Any]:
-    """What Mitsuba's spectral variants are to load."""
+    """The BSDF as Mitsuba's spectral variants load it."""
     wavelengths, values = content["spectra"]["wavelengths_nm"], content["spectra"]["values"]
     rising = all(before < after for before, after in zip([0.0, *wavelengths], wavelengths, strict=False))
     if not wavelengths or not rising:
@@ -118,7 +118,7 @@ def _require_values(
 def _require_same(
     found: dict[str, Any] | None, expected: dict[str, Any] | None, file: str, where: str
 ) -> None:
-    """What is rendered must be what the values say."""
+    """Raise FileFormatError unless the BSDF to be rendered has the fitted values."""
     if found == expected:
         return
     if found is None or expected is None:

@@ -25,7 +25,7 @@ PROGRAM = f"manifold {__version__}"
 
 @dataclass(frozen=True)
 class Source:
-    """What was fitted.
+    """The source of a fit.
 
     Attributes:
         name: of the material.

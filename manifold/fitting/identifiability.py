@@ -25,7 +25,7 @@ _STEP = 0.1  # of every range: how far a linear model is trusted
 
 @dataclass(frozen=True)
 class ParameterIdentifiability:
-    """What is known of one parameter, or of one band's value of it.
+    """Identifiability of one parameter, or of its value in one band.
 
     Attributes:
         name: of the parameter, with the band's index where there are several.

@@ -265,7 +265,7 @@ def _judge(
     noise: float,
     tried: TriedDefaults,
 ) -> _Judged:
-    """Which minima are as good as the first, and how well the samples determine its values."""
+    """Minima as good as the first, and the identifiability of its values."""
     layout, best = whole.layout, minima[0]
     residual, J = Residuals(whole, rgb, metric).by_parameter(best.p)
     variance = identifiability.residual_variance(residual, layout.size, _noise_variance(rgb, metric, noise))

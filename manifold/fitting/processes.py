@@ -22,7 +22,7 @@ def in_processes(
     *,
     initializer: Callable[[], None] | None = None,
 ) -> Generator[R, None, None]:
-    """What a function returns for several arguments, as it comes, from n processes.
+    """Results of a function for several arguments in n processes, in the order of completion.
 
     Processes are spawned, not forked: Dr.Jit's threads do not survive a fork. A Ctrl-C is the parent's alone to answer;
     whatever ends the loop early, the processes are ended at once. Where one of them is killed, what is not finished is

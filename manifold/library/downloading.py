@@ -38,7 +38,7 @@ class _Transient(Exception):
 
 
 class _Stale(Exception):
-    """What is in the `.part` cannot be continued: begin again."""
+    """The `.part` file cannot be continued; the download starts again."""
 
 
 @dataclass
@@ -207,7 +207,7 @@ def verify(path: Path, entry: Entry) -> None:
 
 
 def _extent(response: http.client.HTTPResponse, have: int) -> tuple[int, int | None]:
-    """Where in the file the answer begins, and how long the file is, if the server says so."""
+    """Offset of the response in the file, and the file's size, None where the server does not state it."""
     if response.status == 206:
         match = re.fullmatch(
             r"bytes (\d{1,18})-\d{1,18}/(\d{1,18}|\*)", response.headers.get("Content-Range", "").strip()

@@ -17,7 +17,7 @@ BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
 
 @dataclass(frozen=True)
 class FetchResult:
-    """What a fetch left in the folder.
+    """The files of a fetch.
 
     Attributes:
         downloaded: paths of files that were downloaded.
@@ -151,7 +151,7 @@ def _is_complete(target: Path, entry: Entry) -> bool:
 
 
 def _one_line(error: FetchError) -> str:
-    """What a server says may have several lines."""
+    """An error in one line; the message of a server may have several."""
     return " ".join(str(error).split())
 
 

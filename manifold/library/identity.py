@@ -144,7 +144,7 @@ def printable_name(name: str) -> str:
 
 
 def alike(name: str) -> str:
-    """What is the same for names that some systems do not tell apart: by case, or by Unicode form."""
+    """A key that is equal for names that differ in case or Unicode form only, as on some file systems."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 

@@ -173,7 +173,7 @@ def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
 
 
 def _most_mapped() -> int:
-    """How many files may stay mapped: half of what this process may open."""
+    """Number of files that may stay mapped: half of the process's limit of open files."""
     try:
         import resource
     except ImportError:  # Windows
@@ -245,7 +245,7 @@ def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
 
 
 def _outcome(library: Library, source: _Source, replace: bool, spellings: Mapping[str, str]) -> Outcome:
-    """What is to become of a file. Raises: UsageError: its name belongs to another material."""
+    """Whether a file is imported, replaced or skipped. Raises: UsageError: its name belongs to another material."""
     name = source.name
     if spellings.get(alike(name), name) != name:
         raise UsageError(

@@ -70,5 +70,5 @@ def read_bands(folder: Path, shown: Path | str) -> Bands:
 
 
 def first_line(error: Exception) -> str:
-    """What an error of zarr says first; its type, if it says nothing."""
+    """The first line of an error of zarr; its type, if it has no message."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -32,7 +32,7 @@ def cheapest_place(
     point: Array, width: float, height: float, gaps: Iterable[float], n_angles: int,
     cost: Callable[[float, Box], float],
 ) -> tuple[tuple[float, float], Box]:  # fmt: skip
-    """Where around its point a label stands at the least cost: offset of its centre, and its box, in pixels.
+    """The position of a label around its point of least cost: offset of its centre, and its box, in pixels.
 
     Args:
         point: (2,).
@@ -55,7 +55,7 @@ def cheapest_place(
 
 
 def outside(box: Box, frame: Box) -> float:
-    """How far a box reaches beyond a frame."""
+    """Distance by which a box exceeds a frame."""
     return max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
 
 

@@ -30,7 +30,7 @@ _COSTS = {
 
 @dataclass(frozen=True)
 class _Look:
-    """How a family is drawn: colours of Okabe and Ito, which all kinds of colour vision tell apart, and shapes."""
+    """Colour and marker of a family: colours of Okabe and Ito, distinguishable with any colour vision."""
 
     marker: str
     colour: str

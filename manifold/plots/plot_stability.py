@@ -85,7 +85,7 @@ def _height(error: float | None, limit: float) -> float:
 
 
 def _key(made: Stability) -> list[Line2D]:
-    """What the markers stand for, and how many trials there are of each."""
+    """A legend of the markers, with the number of trials of each."""
     outcomes = [one.outcome for row in made.rows for one in row.results]
     handles = [
         _handle(

@@ -191,7 +191,7 @@ def _tiny_file() -> BsdfFile:
 
 
 def cached_probe(library: Path, attempt: Callable[[Path], str] = probe, *, refresh: bool = False) -> Probe:
-    """What becomes of a library: the remembered answer, or that of an attempt, which is remembered from now on.
+    """The result of trying a library: the cached one, or that of a new attempt, which is cached.
 
     What tells of a busy machine rather than of the library is not remembered.
 
@@ -216,7 +216,7 @@ def cache_path() -> Path:
 
 
 def _cache_key(library: Path) -> str:
-    """What an answer holds for: this file as it is, on this processor, with this Mitsuba."""
+    """The cache key of a result: this version of the file, this processor, this version of Mitsuba."""
     try:
         status = library.stat()
         state = f"{status.st_size} bytes, changed {status.st_mtime_ns}"

@@ -131,7 +131,7 @@ def _mesh(mi: Any, vertices: Array, triangles: Array, bsdf: Mapping[str, Any]) -
 
 
 def ball_interior(size: int, margin: float = 0.0) -> Array:
-    """Which pixels of a square picture look at the ball, bool, shape (size, size).
+    """Pixels of a square picture that show the ball, bool, shape (size, size).
 
     Args:
         size: pixels per side.

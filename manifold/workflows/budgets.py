@@ -322,7 +322,7 @@ def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
 
 
 def _lighting_in_words(lighting: MaterialLighting) -> str:
-    """What the scene asks of a material, in words."""
+    """The lighting and views of a material in the scene, in words."""
     (a, b), (c, d) = lighting.angles_deg(lighting.wi), lighting.angles_deg(lighting.wo)
     text = f"{100 * lighting.share:.0f} % of the picture, seen at {a:.0f}-{b:.0f} deg, lit at {c:.0f}-{d:.0f} deg"
     if lighting.bands.is_rgb:

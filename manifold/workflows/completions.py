@@ -247,7 +247,7 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
 
 
 def calibration_notes(n_samples: int) -> tuple[str, ...]:
-    """What the samples of a colour correction leave open, in sentences."""
+    """Limitations of a colour correction by the number of its samples, in sentences."""
     if n_samples >= _ENOUGH_SAMPLES:
         return ()
     few = (
@@ -287,6 +287,6 @@ def _describe(found: Completion) -> str:
 
 
 def file_name(readings: Readings) -> str:
-    """What the completed material's file is called by default: as the sample."""
+    """The default name of a completed material's file: that of the sample."""
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in readings.name).strip(".")
     return f"{name or 'completed'}.bsdf"

@@ -134,7 +134,7 @@ def convert(
 
 
 def _gaps(source: Source) -> list[str]:
-    """What readings leave to interpolation more than a goniometer's do."""
+    """Notes on readings that are sparser than a goniometer's."""
     theta = np.rad2deg(source.theta_i_rad)
     if theta.size == 1:
         return [

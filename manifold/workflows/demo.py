@@ -51,7 +51,7 @@ FIT = "predicted.fit.json"
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What `run` left in its folder.
+    """The files that `run` wrote.
 
     Attributes:
         library, model, report_text, report_json: paths.

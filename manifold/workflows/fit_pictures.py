@@ -22,7 +22,7 @@ from manifold.workflows.renders import RIM, file_source
 
 @dataclass(frozen=True)
 class FitPicture:
-    """How a fit looks beside its material.
+    """A picture of a fit beside its material.
 
     Attributes:
         path: of the picture.

@@ -41,7 +41,7 @@ _KILLED = (
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How to fit.
+    """Settings of a fit.
 
     Attributes:
         family, method, metric, noise, wide_colours: as in `principled.fit_bsdf`.
@@ -376,7 +376,7 @@ def _written(outcome: FitOutcome) -> FitOutcome:
 
 
 def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, Any] | None:
-    """What an earlier run wrote for the same file and settings, or None."""
+    """The fit that an earlier run wrote for the same file and settings, or None."""
     if not target.is_file():
         return None
     try:

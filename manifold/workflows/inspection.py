@@ -66,7 +66,7 @@ def inspect(
 
 
 def inspect_renderer() -> Inspection:
-    """What Mitsuba runs on here, and why; every library is tried again."""
+    """Mitsuba's backend on this machine, and why; every LLVM library is tried again."""
     chosen = backend.choose(refresh=True)
     tried = {probe.library: probe.outcome for probe in chosen.probes}
     libraries = list(dict.fromkeys([*tried, *libllvm.find_libraries()]))

@@ -26,7 +26,7 @@ Check = Callable[[Path], None]
 
 @dataclass(frozen=True)
 class PointOutcome:
-    """What became of one row.
+    """The result of one row.
 
     Attributes:
         point: the row.
@@ -117,7 +117,7 @@ def render_all(
 
 
 def _made_of(model: Path, loaded: Manifold, how: dict[str, Any]) -> Callable[[Point], dict[str, Any]]:
-    """What tells all that a row's file depends on."""
+    """A key of everything that a row's file depends on."""
     hashes = {"model_sha256": file_sha256(model), "library_hash": loaded.library.content_hash}
 
     def made_of(point: Point) -> dict[str, Any]:

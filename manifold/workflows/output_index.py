@@ -50,7 +50,7 @@ class OutputIndex:
         self._journal.unlink(missing_ok=True)
 
     def result(self, path: Path, made_of: dict[str, Any]) -> dict[str, Any] | None:
-        """What is known of a file that is there, unchanged, and was made of the same by this version, else None."""
+        """The entry of an existing, unchanged file that this version made from the same inputs, else None."""
         entry = self._entries.get(path.name)
         if not isinstance(entry, dict) or entry.get("made_of") != self._stamped(made_of):
             return None
@@ -97,7 +97,7 @@ class OutputIndex:
         return entries | self._journalled()
 
     def _journalled(self) -> dict[str, Any]:
-        """What a run noted that has not ended, or was killed: its last line may be torn."""
+        """The entries of a run that has not ended or was killed; its last line may be incomplete."""
         entries: dict[str, Any] = {}
         if self._journal.is_file():
             text = small_files.read_bytes(self._journal, advice="remove it", most=_MOST)

@@ -112,7 +112,7 @@ def _columns(path: Path, cells: list[str]) -> list[str]:
 
 
 def _axis(column: str) -> int | None:
-    """Which coordinate a column holds, from 0."""
+    """Index of the coordinate in a column, from 0."""
     if column in ("x", "y", "z"):
         return "xyz".index(column)
     found = re.fullmatch(r"x([1-9]\d?)", column)

@@ -37,7 +37,7 @@ RIM = 0.03  # of the ball's radius: where it meets the ground, and pixels see bo
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What the ball is made of.
+    """The material of the ball.
 
     Attributes:
         name: for titles.
@@ -267,7 +267,7 @@ def render(
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two pictures differ.
+    """The differences of two pictures.
 
     Attributes:
         path: of the figure.

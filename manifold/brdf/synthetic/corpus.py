@@ -56,7 +56,7 @@ class Material:
 
     @property
     def description(self) -> str:
-        """What the file says about itself."""
+        """The description in the file."""
         return f"Synthetic {self.family}: {self.name.removeprefix('syn_').replace('_', ' ')}"
 
     def truth(self, bands: Bands | None = None) -> BRDF:

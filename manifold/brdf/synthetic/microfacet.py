@@ -179,7 +179,7 @@ class ThinFilm(_RoughReflector):
 
 @dataclass(frozen=True, eq=False)
 class RoughDielectric(_RoughReflector):
-    """What a rough dielectric boundary reflects; what it transmits is lost (see `Plastic`, `Layered`).
+    """The reflection of a rough dielectric boundary; transmitted light is lost (see `Plastic`, `Layered`).
 
     Attributes:
         ggx: the microsurface.

@@ -35,7 +35,7 @@ def require_apart(folder: Path, read: Iterable[str]) -> None:
 
 
 def asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
-    """What the file of each material is called in the folder, by key; no two alike."""
+    """Unique file name of each material in the folder, by key."""
     kind = "rgb" if is_rgb else "spec"
     names: dict[str, str] = {}
     for key, path in files.items():

@@ -55,7 +55,7 @@ def band_projection(source: Array, nodes: Array, bands: Bands, light: Array) -> 
 
 
 def _sensed(bands: Bands, light: Array) -> Array:
-    """What the observer's three channels weigh reflectances by under a light, shape (len(_SEEN_NM), 3)."""
+    """Spectral weights of the observer's three channels for reflectances under a light, shape (len(_SEEN_NM), 3)."""
     nm, matching = sensor_responses(Illuminant.named("E"))
     power = np.interp(_SEEN_NM, np.asarray(bands.wavelengths_nm), light)
     return np.stack([np.interp(_SEEN_NM, nm, column) for column in matching.T], axis=1) * power[:, None]

@@ -65,7 +65,7 @@ class Candidate:
 
 @dataclass(eq=False)
 class _Builder:
-    """What the candidates of one material share."""
+    """The data that the candidates of one material share."""
 
     file: BsdfFile
     lighting: MaterialLighting
@@ -317,7 +317,7 @@ def _irregular(nodes: Array, values: Array) -> dict[str, Any]:
 
 
 def _upsampled(texture: Mapping[str, Any], bands: Bands) -> Array:
-    """What Mitsuba makes of a uniform texture, shape (L,)."""
+    """Values of a uniform texture in Mitsuba, shape (L,)."""
     if bands.is_rgb:
         return np.asarray(texture["value"])
     mi = backend.mitsuba("spectral", Backend("scalar"))

@@ -28,7 +28,7 @@ KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "manifold": ("model", "library", "latent", "like", "reflectance", "srgb", "tolerance"),
     }
 )
-"""What measured materials are called, and their properties."""
+"""Plugin names of measured materials, and their properties."""
 
 _FILES = ("filename", "model", "library", "reflectance")
 _LARGEST_FILM = 1 << 16

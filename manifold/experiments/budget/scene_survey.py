@@ -34,7 +34,7 @@ _WHITE_QUANTILE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class MaterialLighting:
-    """How a scene shows one material, at P of its pixels with `LIGHT_SAMPLES` directions of light each.
+    """Light and view of one material in a scene, at P of its pixels with `LIGHT_SAMPLES` directions of light each.
 
     Attributes:
         mask: pixels that show it, bool, shape (height, width).
@@ -57,7 +57,7 @@ class MaterialLighting:
 
     @property
     def lit(self) -> Array:
-        """Which samples are above the surface on both sides and see light, bool, shape (M,)."""
+        """Samples with both directions above the surface and with light, bool, shape (M,)."""
         return (self.wi[:, 2] > 0.0) & (self.wo[:, 2] > 0.0) & np.any(self.light > 0.0, axis=1)
 
     def angles_deg(self, directions: Array) -> tuple[float, float]:
@@ -66,13 +66,13 @@ class MaterialLighting:
         return (0.0, 0.0) if theta.size == 0 else tuple(np.quantile(theta, (0.05, 0.95)).tolist())
 
     def radiance(self, f_cos: Array) -> Array:
-        """What the camera sees at the pixels for f_cos (M, L) in 1/sr, as XYZ or linear sRGB, shape (P, 3)."""
+        """Colours of the pixels for f_cos (M, L) in 1/sr, as XYZ or linear sRGB, shape (P, 3)."""
         seen = (self.light * f_cos).reshape(-1, LIGHT_SAMPLES, self.bands.count).mean(axis=1)
         return seen if self.bands.is_rgb else seen @ xyz_weights(self.bands, "E")
 
     @property
     def white(self) -> Array:
-        """What the camera sees of a perfect diffuser in the material's place, shape (P, 3)."""
+        """Colours of the pixels for a perfect diffuser in place of the material, shape (P, 3)."""
         return self.radiance(np.repeat(np.maximum(self.wo[:, 2:], 0.0) / np.pi, self.bands.count, axis=1))
 
     @property
@@ -84,7 +84,7 @@ class MaterialLighting:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """How a scene shows its measured materials.
+    """Light and view of the measured materials of a scene.
 
     Attributes:
         lighting: by key of the material; those that no pixel shows are missing.

@@ -72,12 +72,12 @@ Choice = Mapping[str, Candidate]
 """A candidate per material, by key; a material that is missing is the reference."""
 
 Verify = Callable[[Choice], Mapping[str, Difference]]
-"""What a render with a choice shows, per material."""
+"""The measured error of a render with a choice of representations, per material."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found.
+    """The result of a search.
 
     Attributes:
         choice: a candidate for every material.

@@ -84,7 +84,7 @@ def measure_neural(source: str, files: Sequence[BsdfFile], target: Target, watch
 
 
 def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
-    """What evaluates a fit in the bands of its samples, f in 1/sr (P, B)."""
+    """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
     made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
     p = made.layout.join(result.values | result.spectra)
     return lambda: np.asarray(made.values(p)[0], dtype=np.float64) / pairs.wo[:, 2:]

@@ -134,7 +134,7 @@ class HeldOut:
 def _predictor(
     stored: StoredMaterials, combination: Combination, block: DirectionPairs, *, is_dense: bool
 ) -> Callable[[], object]:
-    """What predicts values at the direction pairs of a block, in all bands, as the package does."""
+    """A function that predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:
         return _from_table(
             np.stack([instruments.evaluated(m, block) for m in stored.brdfs]), combination.weights

@@ -55,7 +55,7 @@ class RelativeTime:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """What a setting costs, and how far off it is: medians over materials.
+    """Costs and errors of a setting: medians over materials.
 
     Attributes:
         relative_error: linear, cosine-weighted, over a grid, in some of the bands.
@@ -105,7 +105,7 @@ class Stopwatch:
         self._runs.clear()
 
     def lap(self, work: Callable[[], Result]) -> tuple[Result, float]:
-        """What some work gives, and the time it takes in times of the reference."""
+        """The result of some work, and its time relative to the reference."""
         start = time.process_time()
         evaluated(self._brdf, self._pairs)
         middle = time.process_time()
@@ -177,7 +177,7 @@ class StoredMaterials:
         self._at = [Values.at(sampled, pairs) for pairs in (target.pairs, target.balls.pairs)]
 
     def file_bytes(self, band_share: float) -> int:
-        """What predictions read of all files, values in a share of the bands."""
+        """Bytes of all files that predictions read, values in a share of the bands."""
         return sum(self._storage.file_bytes(file, band_share) for file in self._files)
 
     def predict(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
@@ -189,7 +189,7 @@ class StoredMaterials:
 
 
 class Target:
-    """What predictions are compared with: materials on a grid and on the ball, in some bands."""
+    """The truth: materials on a grid and on the ball, in some bands."""
 
     def __init__(self, data: Data, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> None:
         """Colour the balls of materials whose values at the pairs are `data`."""

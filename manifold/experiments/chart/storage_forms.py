@@ -17,7 +17,7 @@ _FLOAT_BYTES = 4
 
 @dataclass(frozen=True)
 class Storage:
-    """How measured files are kept.
+    """A form in which measured files are stored.
 
     Attributes:
         key: part of a setting's key.
@@ -34,7 +34,7 @@ class Storage:
     number_bytes: int = _FLOAT_BYTES
 
     def file_bytes(self, kept: BsdfFile, band_share: float = 1.0) -> int:
-        """What evaluation reads of a kept file: its values, in a share of the bands, and its distributions."""
+        """Bytes of a stored file that evaluation reads: values in a share of the bands, and distributions."""
         tables = kept.ndf.size + kept.sigma.size + kept.vndf.size
         return round((tables + band_share * kept.spectra.size) * self.number_bytes)
 

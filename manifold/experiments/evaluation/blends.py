@@ -22,7 +22,7 @@ from manifold.records import Array
 
 @dataclass(frozen=True, eq=False)
 class _Tables:
-    """What every fit takes some rows of: looks, and cube roots of the samples and of all bands.
+    """Tables of all materials, of which every fit uses some rows: looks, cube roots of the samples, reflectances.
 
     Attributes:
         looks: of the materials.

@@ -29,7 +29,7 @@ Lap = Callable[[Callable[[], Any]], tuple[Any, float]]
 
 
 def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
-    """What some work gives, and its seconds."""
+    """The result of some work, and its duration in seconds."""
     start = time.perf_counter()
     result = work()
     return result, time.perf_counter() - start
@@ -50,7 +50,7 @@ def all_as_training(n_materials: int) -> list[Split]:
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """What a method makes of every material.
+    """Predictions of a method for every material, and their times.
 
     Attributes:
         combinations: the predictions, one per material that was left out, in the order of the materials.

@@ -30,7 +30,7 @@ def standard_methods() -> list[Method]:
 
 
 def baseline_methods() -> list[Method]:
-    """What a model of this package has to beat."""
+    """Baselines of the models of this package."""
     return [
         Method("nearest", "nearest material", lambda B: 1, fit_nearest),
         Method("linear", "linear, two nearest", lambda B: 3, fit_linear),

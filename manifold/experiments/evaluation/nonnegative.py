@@ -64,7 +64,7 @@ class _Atoms:
 
     @property
     def lambertian(self) -> int:
-        """Which atom is the first lobe."""
+        """Index of the first lobe, the Lambertian."""
         return len(self.columns) - len(self.dictionary.lobes)
 
     def combination(self, weights: Array) -> Combination:

@@ -44,7 +44,7 @@ LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What one method makes of all materials.
+    """Results of one method over all materials.
 
     Attributes:
         key, title, is_held_out: as in `Method`.
@@ -208,7 +208,7 @@ def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
 
 
 def _tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: Progress | None) -> Data:
-    """What methods learn from: about 20 bands, those among them that are samples of monochrome models."""
+    """The data of all methods, in about 20 bands, among them the samples of monochrome models."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
     if model.space.sample_bands is not None:

@@ -84,7 +84,7 @@ def plausibility_results(
 
 
 def needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:
-    """What predictions of a library need: its files, or their warps and sample bands; and numbers per material."""
+    """Bytes needed to predict: files, or their warps and sample bands, and the numbers of all materials."""
     n_bands = library.bands.count
     unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
     total = _BYTES_PER_NUMBER * method.numbers(n_bands) * len(names)
@@ -95,7 +95,7 @@ def needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:
 
 
 def tabulated_blocks(data: Data) -> Iterator[Values]:
-    """What methods have learned from, block by block."""
+    """The tabulated values, block by block."""
     size = _block_pairs(data.n_materials, len(data.bands))
     for start in range(0, data.f.shape[1], size):
         some = slice(start, start + size)

@@ -197,7 +197,7 @@ def _calibration(methods: Sequence[MethodResult]) -> list[str]:
 
 
 def _expected_errors(report: Report) -> list[str]:
-    """How well the model knows what errors its predictions have."""
+    """Calibration of the expected errors."""
     if report.expected_errors is None:
         return ["No expected errors: not calibrated; embed again, with four materials or more."]
     digits = {"ball": 2, "cube_root": 3}

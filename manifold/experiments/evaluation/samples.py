@@ -43,7 +43,7 @@ class Samples:
         return self.data.n_outputs if self.bands is None else len(self.data.cosines)
 
     def rows(self, materials: Array) -> Array:
-        """Where the samples of materials (n,) stand among all, shape (n * group,)."""
+        """Indices of the samples of materials (n,), shape (n * group,)."""
         return (materials[:, None] * self.group + np.arange(self.group)).reshape(-1)
 
     @cached_property
@@ -57,7 +57,7 @@ class Samples:
         return self.gram[np.ix_(rows, rows)]
 
     def decoder(self, gp: GPWeights, materials: Array) -> Decoder:
-        """What decodes latents of a process on the samples of some materials, at the pairs that serve to encode."""
+        """The decoder of a process on the samples of some materials, at the pairs used to encode."""
         some = slice(None, None, self.data.stride)
         if self.bands is None:
             mapped = self.data.mapped(self.mapping)[materials, some].reshape(len(materials), -1)

@@ -21,7 +21,7 @@ MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tent
 
 @dataclass(frozen=True, eq=False)
 class Data(Values):
-    """What methods learn from: values of N materials at P direction pairs, in B' of their B bands.
+    """The data of methods: values of N materials at P direction pairs, in B' of their B bands.
 
     Attributes:
         f: in 1/sr, shape (N, P, B').
@@ -91,7 +91,7 @@ class Data(Values):
         )
 
     def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """What `make` returned when the key was first asked for."""
+        """The cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

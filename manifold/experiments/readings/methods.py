@@ -75,7 +75,7 @@ class ReadingMethod:
 
 
 def _from_weights(samples: LibrarySamples, weights: Array) -> Predicted:
-    """What weights (B_s, n + 1) of cube roots predict; negative cube roots are 0."""
+    """Predictions of weights (B_s, n + 1) of cube roots; negative cube roots are cut to 0."""
     on_grid, on_ball = samples.directions[:, : samples.n_grid], samples.ball
     return tuple(np.maximum(weights @ roots, 0.0).T ** 3 for roots in (on_grid, on_ball))
 

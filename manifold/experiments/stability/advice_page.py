@@ -35,7 +35,7 @@ def table(made: Stability) -> list[list[str]]:
 
 
 def outcomes(row: Row) -> str:
-    """What happened from harmless to severe, each outcome once: *fine, warned*; the defect where there is one."""
+    """Outcomes in order of severity, each once (*fine, warned*), or the defect where there is one."""
     if row.is_wrong:
         return WRONG
     if row.is_false_alarm:
@@ -44,7 +44,7 @@ def outcomes(row: Row) -> str:
 
 
 def summary(made: Stability) -> str:
-    """How many trials ended how, in one line."""
+    """The number of trials of each outcome, in one line."""
     trials = [one.outcome for row in made.rows for one in row.results]
     modes = len({row.mode for row in made.rows})
     counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)

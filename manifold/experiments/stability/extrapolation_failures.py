@@ -40,7 +40,7 @@ def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tu
 
 
 def _outside(places: Places) -> Trial:
-    """How far predictions are from any plastic: whatever is negative, too bright or not reciprocal is none."""
+    """Differences between the balls of predictions and of the nearest plastic, wherever its latent would be."""
 
     def trial(bed: TestBed, distance: float) -> list[Measurement]:
         return [

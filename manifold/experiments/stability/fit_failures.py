@@ -150,7 +150,7 @@ def _fit_to(wi: Array, wo: Array) -> Measurement:
 
 
 def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
-    """What a fit leaves over of a material that its parameters do not reach."""
+    """The residual of a fit of a material that its parameters cannot represent."""
 
     def trial(bed: TestBed, severity: float) -> Measurement:
         found = fit_bsdf(

@@ -51,7 +51,7 @@ def _copy(bed: TestBed) -> Iterator[Path]:
 
 
 def _values(bed: TestBed, folder: Path) -> Array:
-    """What the model of a folder predicts half way between two materials."""
+    """The prediction of a folder's model half way between two materials."""
     return (
         Manifold.load(folder / "model.h5").interpolate(_FIRST, _SECOND, 0.5).eval(bed.pairs.wi, bed.pairs.wo)
     )

@@ -137,7 +137,7 @@ def _stairs(x: Array) -> float:
 
 
 def _stopped(function: Callable[[Array], float]) -> Trial:
-    """How far from the minimum a search ends whose evaluations are limited, as a share of where it started."""
+    """Distance from the minimum at the end of a search with limited evaluations, relative to that of its start."""
 
     def trial(bed: TestBed, divisor: float) -> Measurement:
         start = np.array([-1.2, 1.0])

@@ -73,7 +73,7 @@ class TestBed:
         self._folder.cleanup()
 
     def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """What `make` returned when the key was first asked for."""
+        """The cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -181,7 +181,7 @@ def in_space(model: Manifold, space: LatentSpace) -> Manifold:
 def predict(
     model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
 ) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """What a manifold predicts at a latent, and its diagnostics; `missed` as in `diagnostics`."""
+    """The prediction of a manifold at a latent, and its diagnostics; `missed` as in `diagnostics`."""
     brdf = model.predict(x, colours)
     is_extrapolation = bool(model.is_extrapolation(x, colours))
     return brdf, diagnostics.of_prediction(is_extrapolation, plausibility(brdf), missed)

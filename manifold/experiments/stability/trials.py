@@ -26,7 +26,7 @@ FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silentl
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a trial measured of one result.
+    """The measurement of one result of a trial.
 
     Attributes:
         error: what the mode's limit is of, at least 0; not finite where a method gave no usable number.

@@ -49,7 +49,7 @@ FREE = (
     "Sheen Weight",
     "Sheen Roughness",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 _SCRIPT = '''"""{sentence}
 

@@ -46,7 +46,7 @@ FREE = (
     "sheenColorFactor",
     "sheenRoughnessFactor",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_ior": ("ior",),

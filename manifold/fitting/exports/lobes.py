@@ -102,7 +102,7 @@ def fresnel_f82(f0: Array, edge: Array, cosine: Array) -> Array:
 
 
 def f82_dip(f0: Array, edge: Array) -> Array:
-    """What F82-tint takes from Schlick's term, as the factor of `cos (1 - cos)^6`, (3,)."""
+    """Factor of `cos (1 - cos)^6` that F82-tint subtracts from Schlick's term, (3,)."""
     at = 1.0 / 7.0
     return (f0 + (1.0 - f0) * (1.0 - at) ** 5) * (1.0 - edge) / (at * (1.0 - at) ** 6)
 

@@ -46,7 +46,7 @@ FREE = (
     "fuzz_weight",
     "fuzz_roughness",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
 
@@ -140,7 +140,7 @@ def _alphas(roughness: float, anisotropy: float) -> tuple[float, float]:
 
 
 def _darkening(values: Mapping[str, Any], base: Array) -> Array:
-    """What light that the coat keeps inside loses below it, (3,)."""
+    """Factor by which reflections between coat and base darken the base, (3,)."""
     kept = 1.0 - (1.0 - ior_to_f0(values["coat_ior"])) / values["coat_ior"] ** 2
     m = values["base_metalness"]
     albedo = base * ((1.0 - m) + m * values["specular_weight"])

@@ -30,7 +30,7 @@ FREE = (
     "clearcoat",
     "clearcoatRoughness",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 _IOR = 1.5  # the default, which here is the coat's alone
 

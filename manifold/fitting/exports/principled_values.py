@@ -99,12 +99,12 @@ class Principled:
 
     @property
     def specular_tint(self) -> Array:
-        """What reflectance at normal incidence is multiplied by, shape (3,), possibly above 1."""
+        """Factor of the reflectance at normal incidence, shape (3,), possibly above 1."""
         return 1.0 + self.spec_tint * (self.tint - 1.0)
 
     @property
     def sheen_colour(self) -> Array:
-        """What `(1 - cos(theta_d))^5` is multiplied by, in 1/sr, shape (3,)."""
+        """Factor of `(1 - cos(theta_d))^5` in 1/sr, shape (3,)."""
         return self.sheen * (1.0 - self.metallic) * (1.0 + self.sheen_tint * (self.tint - 1.0))
 
     @property

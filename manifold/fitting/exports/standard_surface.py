@@ -49,7 +49,7 @@ FREE = (
     "sheen",
     "sheen_roughness",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
 

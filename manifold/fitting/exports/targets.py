@@ -32,7 +32,7 @@ Content = Callable[[Export, Principled], bytes]
 
 @dataclass(frozen=True)
 class Target:
-    """Where a material can go.
+    """A target of exports.
 
     Attributes:
         name: as users say it.

@@ -24,7 +24,7 @@ DEFAULTS: dict[str, Any] = {
 
 COAT = ("_CoatMask",)
 FREE = ("_BaseColor", "_Metallic", "_Smoothness", "_CoatMask")
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 CONVENTIONS: dict[str, str] = {
     "_BaseColor": "sRGB-encoded, 0 to 1, as Unity's colour properties are",

@@ -32,7 +32,7 @@ FREE = (
     "ClearCoat",
     "ClearCoatRoughness",
 )
-"""What a direct fit changes."""
+"""Parameters that a direct fit changes."""
 
 CONVENTIONS: dict[str, str] = {
     "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",

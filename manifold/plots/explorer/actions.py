@@ -210,12 +210,12 @@ def _spectrum(rows: Any) -> str:
 
 
 def _never(path: Path) -> bool:
-    """What is there is replaced, as far as the command itself allows: not what it has not made."""
+    """No name counts as taken: the command itself refuses to replace a file that it did not write."""
     return False
 
 
 def _require_no_link(path: Path) -> None:
-    """What a link names would be replaced, and may lie elsewhere."""
+    """Raise UsageError for a link: the file that it names would be replaced, which may lie elsewhere."""
     if path.is_symlink():
         raise UsageError(f"name: {path.name} is a link; choose another")
 

@@ -56,7 +56,7 @@ class AngleGrid:
         return from_rusinkiewicz(theta_h, share * largest_theta_d(theta_h, phi_d), phi_d)
 
     def coordinates(self, theta_h: Array, theta_d: Array, phi_d: Array) -> tuple[Array, Array, Array]:
-        """Where pairs lie on the grid, in nodes along each axis: the inverse of `directions`, angles in radians."""
+        """Positions of pairs on the grid, in nodes along each axis: the inverse of `directions`, angles in radians."""
         phi_d = np.abs(phi_d)
         h = np.clip(theta_h / self.theta_h_max_rad, 0.0, 1.0) ** (1.0 / self.theta_h_power)
         d = np.clip(theta_d / largest_theta_d(theta_h, phi_d) / self.theta_d_share, 0.0, 1.0)

@@ -58,7 +58,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """How long it has run."""
+        """Seconds that it has run, until now or until it ended."""
         if self.started is None:
             return 0.0
         return (self.ended or time.monotonic()) - self.started
@@ -70,7 +70,7 @@ class Job:
         return self.state == "done" and picture is not None and picture.is_file()
 
     def to_json(self) -> dict[str, Any]:
-        """What a page shows of it."""
+        """The plain values that the page shows."""
         return {
             "number": self.number, "title": self.action.title, "state": self.state, "words": self.words,
             "result": self.result, "seconds": round(self.seconds, 1),

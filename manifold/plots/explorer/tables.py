@@ -171,7 +171,7 @@ def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
 
 
 def _band_weights(bands: Bands, nodes: Array, at_nodes: Array, count: int) -> Array:
-    """How much a band matters to colours, shape (B',); what is not visible matters little."""
+    """Weight of each band in colours, shape (B',); invisible bands have a small one."""
     weights = np.full(count, _LEAST_WEIGHT)
     if bands.wavelengths_nm is None:
         return np.ones(count)

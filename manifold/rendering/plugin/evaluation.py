@@ -331,7 +331,7 @@ class _DrJitMapping:
         return mapped
 
     def _factor(self, cosines: Any) -> Any:
-        """What values are multiplied by inside the logarithm."""
+        """The factor of values inside the logarithm."""
         if isinstance(self._mapping, LogRelative):
             return self._dr.maximum(cosines, self._mapping.floor) / self._mapping.epsilon
         assert isinstance(self._mapping, Log)

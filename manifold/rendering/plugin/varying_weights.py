@@ -17,7 +17,7 @@ class Lobes:
 
 
 class VaryingWeights:
-    """What turns latents into weights: a Gaussian process, or the blend of a map."""
+    """A function from latents to weights: a Gaussian process, or the blend of a map."""
 
     def __init__(self, mi: Any, dr: Any, mixture: Mixture) -> None:
         """Upload the latents of a mixture that has a process."""

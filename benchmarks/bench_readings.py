@@ -22,7 +22,6 @@ from manifold.model.completion import LibrarySamples, calibrate, suggest
 from manifold.model.completion.complete import complete_at
 from manifold.model.completion.expected import KINDS, completion_errors, in_sample_bands, sample_axis
 from manifold.model.completion.suggest import all_directions
-from manifold.model.materials import MaterialCache
 from manifold.records import Array, Bands
 
 CASES = 5  # random choices per material
@@ -156,7 +155,7 @@ def main() -> None:
     )
     parser.add_argument("library", type=Path)
     opened = Library.open(parser.parse_args().library)
-    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    samples = LibrarySamples.of(opened)
     corrections()
     expectations(samples)
     suggestions(samples)

@@ -18,8 +18,12 @@ from manifold.system.stages import Progress as Progress
 Array = NDArray[Any]
 
 
-# Python pickles no read-only mappings, which some records have: as copies they travel between processes.
-copyreg.pickle(MappingProxyType, lambda fields: (MappingProxyType, (dict(fields),)))
+def _read_only(fields: dict[str, Any]) -> MappingProxyType[str, Any]:
+    return MappingProxyType(fields)
+
+
+# Python pickles neither the read-only mappings of some records nor their class: they travel as copies, by a function.
+copyreg.pickle(MappingProxyType, lambda fields: (_read_only, (dict(fields),)))
 
 RGB_NAMES = ("R", "G", "B")
 

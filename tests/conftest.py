@@ -77,10 +77,8 @@ def samples(library):
     """The samples from which readings are completed."""
     from manifold.library.store import Library
     from manifold.model.completion import LibrarySamples
-    from manifold.model.materials import MaterialCache
 
-    opened = Library.open(library)
-    return LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    return LibrarySamples.of(Library.open(library))
 
 
 @pytest.fixture

@@ -8,8 +8,10 @@ from typing import Any
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, plausibility
-from manifold.model.colours import ChosenColour
+from manifold.model.colours import ChosenColour, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
+from manifold.model.prediction import PredictedBRDF
 from manifold.models.expected_error import COARSE_BELOW
 from manifold.records import Array
 
@@ -101,6 +103,15 @@ def diagnose(
 def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diagnosis:
     """As `diagnose`, of a prediction at a latent x (Q,) that is not written: measured on the BRDF itself."""
     return diagnose(model, x, plausibility(brdf), colours=chosen.colours, missed=chosen.missed)
+
+
+def predict_and_diagnose(
+    model: Manifold, place: Place, choice: ColourChoice
+) -> tuple[Array, PredictedBRDF, Diagnosis]:
+    """The latent (Q,) of a place, the prediction there in a chosen colour, and its diagnosis."""
+    x, chosen = model.require_latent(place), choose_colour(model, place, choice)
+    brdf = model.predict(place, chosen.colours)
+    return x, brdf, of_brdf(model, x, brdf, chosen)
 
 
 def in_words(ball: float | None, cube_root: float | None, materials: int) -> list[str]:

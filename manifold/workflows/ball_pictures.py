@@ -12,7 +12,7 @@ import numpy as np
 from manifold.brdf.measured import BRDF
 from manifold.errors import UsageError
 from manifold.model import diagnostics
-from manifold.model.colours import NEAREST, UNCHOSEN, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, UNCHOSEN, ColourChoice
 from manifold.model.diagnostics import Diagnosis
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
@@ -74,10 +74,7 @@ def latent_map(
     loaded = Manifold.load(model, library)
     x, predicted, diagnosis = None, None, None
     if marked is not None:
-        x = loaded.require_latent(marked)
-        chosen = choose_colour(loaded, marked, colour)
-        predicted = loaded.predict(marked, chosen.colours)
-        diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
+        x, predicted, diagnosis = diagnostics.predict_and_diagnose(loaded, marked, colour)
     if not backend.is_available():
         figures.save(plot_latents.latent_map(loaded, marked=x), output)
         return DrawnMap(("rendered balls, since Mitsuba is missing",), diagnosis, x)

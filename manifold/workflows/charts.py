@@ -10,7 +10,6 @@ from manifold.experiments.readings.curve import Curve, measure_curves
 from manifold.library.store import Library
 from manifold.model.completion.samples import LibrarySamples
 from manifold.model.manifold import Manifold
-from manifold.model.materials import MaterialCache
 from manifold.records import Progress
 
 
@@ -56,5 +55,5 @@ def readings_chart(
         UsageError, LibraryError: as `measure_curves` and `Library.open`.
     """
     opened = Library.open(Path("library.zarr") if library is None else library)
-    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
+    samples = LibrarySamples.of(opened)
     return measure_curves(samples, only=only, on_progress=on_progress, library=opened)

@@ -28,7 +28,6 @@ from manifold.model.completion.expected import calibrate
 from manifold.model.completion.hybrid import Hybrid, combine, corrected, learn_across
 from manifold.model.completion.samples import LibrarySamples
 from manifold.model.completion.suggest import Suggested, directions_left, suggest
-from manifold.model.materials import MaterialCache
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Progress
 from manifold.system import atomic
@@ -131,9 +130,7 @@ def complete_readings(
     require_bsdf_output(output, "completed materials")
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
     stages = Stages(on_progress, shares)
-    opened = Library.open(library)
-    cache = MaterialCache(opened, opened.names, is_nonnegative=True)
-    samples = LibrarySamples.of(cache, stages.begin("reading materials"))
+    samples = LibrarySamples.of(Library.open(library), stages.begin("reading materials"))
     stages.begin("completing")
     found = complete(samples, hybrid.readings)
     stages.begin("expected error")
@@ -263,9 +260,7 @@ def calibration_notes(n_samples: int) -> tuple[str, ...]:
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
     """The readings to begin with, for a library, before anything is read."""
     directions_left(count, None, instrument)
-    opened = Library.open(library)
-    samples = LibrarySamples.of(MaterialCache(opened, opened.names, is_nonnegative=True))
-    return suggest(samples, count, None, instrument)
+    return suggest(LibrarySamples.of(Library.open(library)), count, None, instrument)
 
 
 def uncertainty(found: Completion) -> dict[str, Any]:

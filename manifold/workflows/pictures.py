@@ -11,7 +11,7 @@ from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.model import diagnostics
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.plots import figures, plot_slices
@@ -50,12 +50,9 @@ def sources(
             found.append(Source(name, loaded.material(name)))
     for latent in latents:
         loaded = loaded or Manifold.load(model, library)
-        x = loaded.require_latent(latent)
+        x, brdf, diagnosis = diagnostics.predict_and_diagnose(loaded, latent, colour)
         at = latent if isinstance(latent, str) else ", ".join(f"{v:.3g}" for v in x)
-        label = f"predicted at {at}"
-        chosen = choose_colour(loaded, latent, colour)
-        brdf = loaded.predict(latent, chosen.colours)
-        found.append(Source(label, brdf, diagnostics.of_brdf(loaded, x, brdf, chosen)))
+        found.append(Source(f"predicted at {at}", brdf, diagnosis))
     if not found:
         raise UsageError(
             "found nothing to draw; name .bsdf files or materials of the model, or give --latent"

@@ -21,7 +21,7 @@ from manifold.colour.illuminants import Illuminant
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.model.colours import NEAREST, ColourChoice, choose_colour
+from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import Place
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import backend, image_metrics, images, scenes
@@ -173,7 +173,12 @@ def latent_source(
             "direct renders show the colours of latents, not those between two; leave --direct out"
         )
     if direct:
-        x = loaded.require_latent(latent)
+        x, predicted, diagnosis = diagnostics.predict_and_diagnose(loaded, latent, colour)
+        if not predicted.is_isotropic:
+            raise UsageError(
+                "direct renders take isotropic materials, and some of this prediction are anisotropic; "
+                "leave --direct out"
+            )
         material = {
             "type": "manifold",
             "model": str(model),
@@ -182,14 +187,6 @@ def latent_source(
         material |= {key: str(value) for key, value in vars(colour).items() if value is not None}
         if library is not None:
             material["library"] = str(library)
-        chosen = choose_colour(loaded, latent, colour)
-        predicted = loaded.predict(latent, chosen.colours)
-        if not predicted.is_isotropic:
-            raise UsageError(
-                "direct renders take isotropic materials, and some of this prediction are anisotropic; "
-                "leave --direct out"
-            )
-        diagnosis = diagnostics.of_brdf(loaded, x, predicted, chosen)
         yield Source(name, material, loaded.bands.is_rgb, "measured materials, directly", diagnosis)
         return
     with temporary.folder() as folder:

@@ -12,6 +12,7 @@ from manifold.brdf.gloss import gloss_meter
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
+from manifold.library.store import Library
 from manifold.mapping import CubeRoot
 from manifold.model.appearance import roots_at
 from manifold.model.combination import Combination
@@ -64,20 +65,21 @@ class LibrarySamples:
     ball: Array
 
     @classmethod
-    def of(cls, cache: MaterialCache, on_progress: Progress | None = None) -> LibrarySamples:
-        """Evaluate the materials of a library.
+    def of(cls, library: Library, on_progress: Progress | None = None) -> LibrarySamples:
+        """Evaluate the materials of a library, negative values taken for 0.
 
         Raises:
             UsageError: there are fewer than three.
             LibraryError: a material cannot be read.
         """
-        if len(cache.names) < 3:
+        if len(library.names) < 3:
             raise UsageError(
-                f"{cache.library.path}: {len(cache.names)} materials, expected at least three to complete "
+                f"{library.path}: {len(library.names)} materials, expected at least three to complete "
                 "readings from; import more"
             )
-        bands = cache.library.bands
+        bands = library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
+        cache = MaterialCache(library, library.names, is_nonnegative=True)
         materials = cache.in_bands(chosen.tolist(), on_progress)
         grid, ball = grid_pairs(all_isotropic(materials)), ball_pairs()
         on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
@@ -90,7 +92,7 @@ class LibrarySamples:
         ]
         on_ball_weights = on_ball_weights * energy[0] / max(energy[1], np.finfo(float).tiny)
         return cls(
-            tuple(cache.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
+            tuple(library.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
             np.concatenate([on_grid_weights, on_ball_weights]), grid, on_ball,
         )  # fmt: skip
 

@@ -163,6 +163,6 @@ class BsdfFile:
         return bits if 2 * kept >= np.count_nonzero(non_zero) else ~bits
 
 
-def evenly_spaced(n_bands: int, count: int) -> Array:
-    """Indices of at most `count` of the bands, both ends among them."""
-    return np.unique(np.linspace(0, n_bands - 1, min(n_bands, count)).round().astype(int))
+def evenly_spaced(total: int, count: int) -> Array:
+    """At most `count` indices from 0 to total - 1, such as of bands, evenly spaced, both ends among them."""
+    return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))

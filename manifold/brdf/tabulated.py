@@ -8,7 +8,14 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 
 from manifold.brdf.synthetic.analytic import AnalyticBRDF
-from manifold.directions import from_spherical, hemisphere_quadrature, to_rusinkiewicz, to_spherical
+from manifold.directions import (
+    from_spherical,
+    half_vector,
+    hemisphere_quadrature,
+    normalize,
+    to_rusinkiewicz,
+    to_spherical,
+)
 from manifold.errors import UsageError
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
@@ -133,8 +140,7 @@ class ReadingsBRDF(TabulatedBRDF):
         swap = (wi[:, 2] < np.cos(self._thetas[-1] + _SAME_ANGLE)) & (wo[:, 2] > wi[:, 2])
         wi, wo = np.where(swap[:, None], wo, wi), np.where(swap[:, None], wi, wo)
         theta, phi = to_spherical(wi)
-        h = wi + wo
-        h /= np.linalg.norm(h, axis=1, keepdims=True)
+        h = half_vector(wi, wo)
         low, high, t = _bracket(self._thetas, theta, None)
         f = np.zeros((len(wi), self.bands.count))
         for ring in range(len(self._rings)):
@@ -210,7 +216,7 @@ def _mirrored(wi: Array, h: Array) -> Array:
     """wi mirrored at the half vectors (n, 3), kept at the horizon where it falls below."""
     wo = 2.0 * np.einsum("ni,ni->n", wi, h)[:, None] * h - wi
     wo[:, 2] = np.maximum(wo[:, 2], _HORIZON_COSINE)
-    return wo / np.linalg.norm(wo, axis=1, keepdims=True)
+    return normalize(wo)
 
 
 def _both_sides(place: Array, values: Array) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
 from manifold.model.completion.hybrid import InstrumentCorrection, corrected
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 from manifold.system.small_files import begins_with
 
 MOST_NODES = 100_000
@@ -128,7 +128,7 @@ def _of_rgl(file: BsdfFile) -> Source:
         wo.append(cells.wo[keep])
         wi.append(np.broadcast_to(cells.wi, wo[-1].shape))
     all_wi, all_wo = np.concatenate(wi), np.concatenate(wo)
-    chosen = _even(len(all_wi))
+    chosen = evenly_spaced(len(all_wi), MOST_NODES)
     nodes = Readings(
         file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
         brdf.eval(all_wi[chosen], all_wo[chosen]),
@@ -147,7 +147,3 @@ def _of_readings(readings: Readings) -> Source:
         return Source(readings, ReadingsBRDF(readings), "", theta, is_readings=True)
     except UsageError as error:
         return Source(readings, None, str(error), theta, is_readings=True)
-
-
-def _even(count: int) -> Array:
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_NODES)).round().astype(int))

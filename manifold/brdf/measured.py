@@ -186,6 +186,12 @@ class MeasuredBRDF:
         located = pairs.located(*self.symmetry)
         lookup.eval_located(located, self.tables, out)
 
+    def eval_at(self, pairs: DirectionPairs) -> Array:
+        """`eval_into` of K pairs into a new array (K, B)."""
+        out = np.empty((len(pairs), self._bands.count))
+        self.eval_into(pairs, out)
+        return out
+
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B).
 

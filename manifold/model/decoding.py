@@ -33,9 +33,7 @@ def decoder_at(
     located = DirectionPairs(pairs.wi, pairs.wo)
     rows = []
     for brdf in materials.in_bands(space.embedding_bands(materials.library.bands.count).tolist()):
-        f = np.empty((len(located), brdf.bands.count))
-        brdf.eval_into(located, f)
-        rows.append(mapping.forward(f, cosines).T)  # [B_e, P]
+        rows.append(mapping.forward(brdf.eval_at(located), cosines).T)  # [B_e, P]
     mapped, cosines = space.samples(np.stack(rows), cosines)
     return Decoder(space.gp, mapped, mapping, cosines)
 

@@ -246,8 +246,7 @@ class PredictedBRDF:
             return
         for material, weight in zip(*self._parts[k], strict=True):
             if isinstance(material, MeasuredBRDF):
-                f = np.empty_like(out)
-                material.eval_into(pairs, f)
+                f = material.eval_at(pairs)
             else:
                 f = material.eval(pairs.wi, pairs.wo)
             out += weight * self._mapping.forward(f, cosines)

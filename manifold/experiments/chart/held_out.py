@@ -69,7 +69,7 @@ class HeldOut:
         self._fits: dict[str, _Fitted] = {}
         self._stored: tuple[Storage, StoredMaterials] | None = None
         once = [
-            self.watch.laps(partial(instruments.evaluated, material, self._block), _REPEATS)
+            self.watch.laps(partial(material.eval_at, self._block), _REPEATS)
             for material in materials[:: max(len(files) // _TIMED, 1)]
         ]
         self._resampling = RelativeTime.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
@@ -136,9 +136,7 @@ def _predictor(
 ) -> Callable[[], object]:
     """A function that predicts values at the direction pairs of a block, in all bands, as the package does."""
     if is_dense:
-        return _from_table(
-            np.stack([instruments.evaluated(m, block) for m in stored.brdfs]), combination.weights
-        )
+        return _from_table(np.stack([m.eval_at(block) for m in stored.brdfs]), combination.weights)
     if combination.sample_bands is not None:
         bands = combination.sample_bands.tolist()
         samples = [m.select_bands(bands) for m in stored.brdfs]

@@ -107,7 +107,7 @@ class Stopwatch:
     def lap(self, work: Callable[[], Result]) -> tuple[Result, float]:
         """The result of some work, and its time relative to the reference."""
         start = time.process_time()
-        evaluated(self._brdf, self._pairs)
+        self._brdf.eval_at(self._pairs)
         middle = time.process_time()
         result = work()
         end = time.process_time()
@@ -143,13 +143,6 @@ def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> DirectionPai
     rows = np.flatnonzero(above)
     rows = rows[np.linspace(0, len(rows) - 1, count).astype(int)]
     return DirectionPairs(wi[rows], wo[rows])
-
-
-def evaluated(material: MeasuredBRDF, pairs: DirectionPairs) -> Array:
-    """Values (P, B) at direction pairs."""
-    out = np.empty((len(pairs), material.bands.count))
-    material.eval_into(pairs, out)
-    return out
 
 
 class StoredMaterials:

@@ -26,9 +26,9 @@ from manifold.model.completion.correction_file import read_correction, write_cor
 from manifold.model.completion.expected import Calibration, completion_errors, indicators_of, leave_out
 from manifold.model.completion.hybrid import Hybrid, InstrumentCorrection, combine, corrected
 from manifold.model.completion.reading_bands import for_library, in_all_bands
-from manifold.model.completion.samples import grid_pairs
 from manifold.models.band_mixtures import band_mixtures
 from manifold.models.completion_weights import completion_weights
+from manifold.models.decoder import EncodingPairs
 from manifold.models.mixtures import log_of_norm, normalised, posterior
 from manifold.models.nearby import covariance, nearby_factors, places
 from manifold.models.next_readings import colours, hypotheses, missed, next_readings
@@ -310,7 +310,7 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(samples, library):
     grid = from_spherical(np.deg2rad(30.0), np.pi), from_spherical(np.deg2rad(10.0), 0.7)
     np.testing.assert_allclose(made.brdf.eval(*grid), brdf.eval(*grid), rtol=0.1)
     np.testing.assert_allclose(made.brdf.eval(wi, wo), made.predicted, rtol=1e-6)
-    pairs = grid_pairs()
+    pairs = EncodingPairs.default()
     np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
     assert len(made.spread_at(wi, wo)) == 12

@@ -9,6 +9,7 @@ pairs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -84,10 +85,11 @@ def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
     return float(np.mean(difference.delta_e_itp(xyz, xyz_star)))
 
 
+@lru_cache(maxsize=8)
 def ball(
     pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, is_turned: bool = False
 ) -> Ball:
-    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors.
+    """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors; cached: do not write to it.
 
     Args:
         pixels, rings, spokes: how fine.

@@ -245,10 +245,11 @@ class PredictedBRDF:
             self._sums[k].add_to(out, pairs)
             return
         for material, weight in zip(*self._parts[k], strict=True):
-            if isinstance(material, MeasuredBRDF):
-                f = material.eval_at(pairs)
-            else:
-                f = material.eval(pairs.wi, pairs.wo)
+            f = (
+                material.eval_at(pairs)
+                if isinstance(material, MeasuredBRDF)
+                else material.eval(pairs.wi, pairs.wo)
+            )
             out += weight * self._mapping.forward(f, cosines)
 
 

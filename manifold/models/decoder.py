@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -32,8 +33,9 @@ class EncodingPairs:
         return cls(wi[above][::stride], wo[above][::stride])
 
     @classmethod
+    @cache
     def default(cls, is_isotropic: bool = True) -> EncodingPairs:
-        """Those of the default grid, at which new materials are compared with predictions.
+        """Those of the default grid, at which new materials are compared with predictions; do not write to them.
 
         Args:
             is_isotropic: whether all of them are; for others half vectors have all azimuths.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
+from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.fit_samples import FitSamples
@@ -17,7 +18,7 @@ from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
 from manifold.model.completion.complete import complete_at
 from manifold.model.completion.expected import in_sample_bands, sample_axis
-from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.model.completion.samples import LibrarySamples
 from manifold.model.completion.suggest import readings_to_take
 from manifold.models.nearby import places
 from manifold.records import Array
@@ -130,7 +131,7 @@ def _nearest(task: Task, chosen: Array) -> Predicted:
 
 def _principled(task: Task, chosen: Array) -> Predicted:
     """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
-    grid, ball = task.others.grid, ball_pairs()
+    grid, ball = task.others.grid, ball_colours.ball()
     read = task.readings(chosen)
     try:
         fitted = fit_bsdf(FitSamples.from_arrays(read.wi, read.wo, read.values, bands=read.bands))

@@ -126,46 +126,42 @@ class TestBed:
         wi, wo = self.pairs.wi, self.pairs.wo
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
-    @cached_property
-    def _ball(self) -> Ball:
-        return ball_colours.ball()
-
-    @cached_property
-    def _ball_from_behind(self) -> Ball:
-        return ball_colours.ball(is_turned=True)
-
     def ball_difference(self, found: BRDF, truth: BRDF) -> float:
         """Mean CIEDE2000 between two materials of the family's bands in a light that no diagnostic looks at."""
-        return _difference(self._ball_from_behind, found, truth)
+        return _difference(ball_colours.ball(is_turned=True), found, truth)
 
     def embed(self, model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
         """The prediction of a manifold for a new material, and its diagnostics."""
         found = model.embed(material)
         brdf, messages = predict(model, found.latent, found.colours)
-        outside = diagnostics.of_embedding(found.relative_error, _difference(self._ball, brdf, material))
+        outside = diagnostics.of_embedding(
+            found.relative_error, _difference(ball_colours.ball(), brdf, material)
+        )
         return brdf, outside + messages
 
     @cached_property
     def _plastics(self) -> list[tuple[Array, Array]]:
         """Of many roughnesses, on the ball: f of the black plastic, and what a white base adds to it, (P, B) each."""
+        ball = ball_colours.ball()
         black_and_white = (
-            [plastic(alpha, [c] * BANDS.count).eval(self._ball.wi, self._ball.wo) for c in (0.0, 1.0)]
+            [plastic(alpha, [c] * BANDS.count).eval(ball.wi, ball.wo) for c in (0.0, 1.0)]
             for alpha in np.geomspace(0.03, 1.2, 40)
         )
         return [(black, white - black) for black, white in black_and_white]
 
     def ball_difference_to_plastics(self, found: BRDF) -> float:
         """Mean CIEDE2000 between a material's ball and that of the nearest plastic of any roughness and colour."""
-        f, light = found.eval(self._ball.wi, self._ball.wo), self._ball.light
+        ball = ball_colours.ball()
+        f, light = found.eval(ball.wi, ball.wo), ball.light
         nearest = []
         for black, base in self._plastics:
             lit = light[:, None] * base
             colour = np.einsum("pb,pb->b", lit, f - black) / np.einsum("pb,pb->b", lit, base)
-            nearest.append(self._ball.xyz(black + np.clip(colour, 0.0, 1.0) * base, BANDS))
+            nearest.append(ball.xyz(black + np.clip(colour, 0.0, 1.0) * base, BANDS))
         # [roughnesses, K, 3]: together, since colour-science takes longest to be called
         xyz = np.stack(nearest)
         white = srgb_to_xyz(np.ones(3))
-        return float(delta_e_2000(self._ball.xyz(f, BANDS)[None], xyz, white).mean(axis=1).min())
+        return float(delta_e_2000(ball.xyz(f, BANDS)[None], xyz, white).mean(axis=1).min())
 
 
 def _difference(ball: Ball, found: BRDF, truth: BRDF) -> float:

@@ -7,7 +7,6 @@ which losses are measured is not seen.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from manifold.colour import ball_colours
-from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import to_lab
 from manifold.fitting.exports import blender, gltf, openpbr, standard_surface
@@ -28,10 +26,7 @@ from manifold.records import Array, Bands
 _PAIRS = 512
 _PICTURE = 0.02  # a colour that is off by 1 counts as a relative residual of 2 %
 _PULL = 1e-3  # towards the mapped values, so that what nothing determines stays there
-_COAT, _COAT_ROUGHNESS = (
-    0.3,
-    0.6,
-)  # of the second start: long tails are a rough coat's, which the first may not have
+_COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a rough coat
 _EVALUATIONS = 40
 _LEAST = {
     "sheenRoughnessFactor": gltf.SHEEN_ROUGHNESS,
@@ -49,11 +44,6 @@ NOTICEABLE = 2.3  # CIEDE2000 of the ball, just noticeable (Mahy et al. 1994): a
 _FILM_GAIN = 0.8  # a film that is kept lowers the squared residual and the ball's difference below this share
 _FILM_WEIGHT, _FILM_IORS, _FILM_THICKNESSES = 0.5, (1.3, 1.8), range(150, 1001, 50)  # nm, of its starts
 _FILM_STARTS = 3  # that are refined
-
-
-@lru_cache(maxsize=1)
-def _ball() -> Ball:
-    return ball_colours.ball(6, 18, 8, is_turned=True)
 
 
 def fit_target(
@@ -94,7 +84,8 @@ class _Problem:
         y = self._metric(samples.f_cos)
         self._weight = np.sqrt(samples.weight)[:, None] / np.sqrt(np.sum(samples.weight[:, None] * y * y))
         self._y = y
-        self._xyz = _ball().xyz(material.eval(_ball().wi, _ball().wo), material.bands)
+        self._ball = ball_colours.ball(6, 18, 8, is_turned=True)
+        self._xyz = self._ball.xyz(material.eval(self._ball.wi, self._ball.wo), material.bands)
         self._lab = _lab(self._xyz)
         lower, upper = zip(*(parameter_range(name) for name, _ in self._places()), strict=True)
         self._bounds = np.array(lower), np.array(upper)
@@ -165,7 +156,7 @@ class _Problem:
         return ball_colours.delta_e(self._ball_xyz(self.values(x)), self._xyz)
 
     def _ball_xyz(self, values: Mapping[str, Any]) -> Array:
-        return _ball().xyz(self._brdf(values, _ball().wi, _ball().wo), Bands(None))
+        return self._ball.xyz(self._brdf(values, self._ball.wi, self._ball.wo), Bands(None))
 
     def settled(self, x: Array) -> dict[str, Any]:
         """The parameters; a value at an end of 0 to 1 is that end, and a coat, sheen or film hardly there is none."""

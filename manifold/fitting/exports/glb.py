@@ -1,4 +1,4 @@
-"""Binary glTF files (`.glb`) of a ball and a plane of one material, written and read.
+"""Binary glTF files (`.glb`) of a ball and a plane of one material.
 
 Source: glTF 2.0 specification, chapter 4 (GLB).
 """

@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 from manifold.colour import ball_colours
-from manifold.colour.ball_colours import Ball
 from manifold.fitting.fit_samples import EvaluableBRDF
 from manifold.records import Array, Bands
-
-
-@lru_cache(maxsize=1)
-def _ball() -> Ball:
-    return ball_colours.ball()
 
 
 def ball_xyz(f: Callable[[Array, Array], Array], bands: Bands) -> Array:
@@ -23,7 +16,7 @@ def ball_xyz(f: Callable[[Array, Array], Array], bands: Bands) -> Array:
         f: BRDF in 1/sr, shape (P, B), of directions to the viewer and to the light, each (P, 3).
         bands: of its values.
     """
-    ball = _ball()
+    ball = ball_colours.ball()
     return ball.xyz(f(ball.wi, ball.wo), bands)
 
 

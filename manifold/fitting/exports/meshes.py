@@ -29,8 +29,8 @@ class Mesh:
     triangles: Array
 
 
-def ball(radius: float = 1.0) -> Mesh:
-    """A sphere around the origin by longitude and latitude."""
+def ball() -> Mesh:
+    """A unit sphere around the origin by longitude and latitude."""
     theta = np.linspace(0.0, np.pi, _ROWS + 1)[:, None]
     phi = np.linspace(0.0, 2.0 * np.pi, _COLUMNS + 1)[None]
     normals = np.stack(
@@ -43,13 +43,12 @@ def ball(radius: float = 1.0) -> Mesh:
     b, c, d = a + _COLUMNS + 1, a + _COLUMNS + 2, a + 1
     upper = np.stack([a, b, d], axis=1)[row > 0]  # at the poles one triangle has no area
     lower = np.stack([d, b, c], axis=1)[row < _ROWS - 1]
-    return _mesh("ball", radius * normals, normals, tangents, np.concatenate([upper, lower]))
+    return _mesh("ball", normals, normals, tangents, np.concatenate([upper, lower]))
 
 
-def plane(size: float = 2.0, height: float = 0.0) -> Mesh:
-    """A square that faces up."""
-    h = 0.5 * size
-    positions = np.array([[-h, height, h], [h, height, h], [h, height, -h], [-h, height, -h]])
+def plane() -> Mesh:
+    """A square of side 2 that faces up."""
+    positions = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
     normals = np.tile([0.0, 1.0, 0.0], (4, 1))
     tangents = np.tile([1.0, 0.0, 0.0, 1.0], (4, 1))
     return _mesh("plane", positions, normals, tangents, np.array([[0, 1, 2], [0, 2, 3]]))

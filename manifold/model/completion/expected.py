@@ -13,7 +13,7 @@ from manifold.colour.conversion import luminance
 from manifold.formats.readings import Readings
 from manifold.metrics import cube_root_error, relative_error
 from manifold.model.completion.complete import Completion, complete_at
-from manifold.model.completion.samples import LibrarySamples, ball_pairs
+from manifold.model.completion.samples import LibrarySamples
 from manifold.models.expected_error import BELOW_TWICE
 from manifold.records import Array, Bands
 
@@ -142,7 +142,7 @@ def errors_of(samples: LibrarySamples, m: int, on_grid: Array, on_ball: Array) -
         on_ball: f at the pairs that light a ball, shape (P_b, B_s).
     """
     own = samples.material_of == m
-    ball, axis, n = ball_pairs(), sample_axis(samples), samples.n_grid
+    ball, axis, n = ball_colours.ball(), sample_axis(samples), samples.n_grid
     if not np.all(np.isfinite(on_ball)):
         return np.nan, np.nan, np.nan
     seen = ball_colours.delta_e(ball.xyz(samples.ball[own].T ** 3, axis), ball.xyz(on_ball, axis))

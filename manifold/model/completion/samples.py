@@ -28,14 +28,20 @@ SAMPLE_BANDS = 5  # of a spectral material; more gain nothing (docs/design/compl
 LAMBERTIAN = Dictionary(lobes=Lobes((), ()))
 """The only analytic lobe that samples are combined with."""
 
-ball_pairs = cache(ball_colours.ball)
-"""The pairs that light a ball; the same for every material."""
 
-grid_pairs = cache(EncodingPairs.default)
-"""The encoding grid, turned where a material is anisotropic."""
+@cache
+def ball_places() -> Array:
+    """Coordinates of the pairs that light a ball, see `nearby.places`."""
+    ball = ball_colours.ball()
+    return places(ball.wi, ball.wo)
 
-ball_places = cache(lambda: places(ball_pairs().wi, ball_pairs().wo))
-grid_places = cache(lambda: places(grid_pairs().wi, grid_pairs().wo))  # the same on a turned grid
+
+@cache
+def grid_places() -> Array:
+    """Coordinates of the encoding grid, turned or not, see `nearby.places`."""
+    grid = EncodingPairs.default()
+    return places(grid.wi, grid.wo)
+
 
 _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
 
@@ -79,9 +85,9 @@ class LibrarySamples:
             )
         bands = library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
-        cache = MaterialCache(library, library.names, is_nonnegative=True)
-        materials = cache.in_bands(chosen.tolist(), on_progress)
-        grid, ball = grid_pairs(all_isotropic(materials)), ball_pairs()
+        of_library = MaterialCache(library, library.names, is_nonnegative=True)
+        materials = of_library.in_bands(chosen.tolist(), on_progress)
+        grid, ball = EncodingPairs.default(all_isotropic(materials)), ball_colours.ball()
         on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
         some = slice(None, None, _BALL_STRIDE)
         on_grid_weights = grid.cosines ** (2.0 / 3.0)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.model.completion.complete import Completion
-from manifold.model.completion.samples import LibrarySamples, ball_pairs, ball_places
+from manifold.model.completion.samples import LibrarySamples, ball_places
 from manifold.models.nearby import places
 from manifold.models.next_readings import colours, hypotheses, missed, next_readings
 from manifold.records import Array
@@ -116,7 +117,7 @@ def readings_to_take(
         _colour(samples, at), probability @ (weights @ at) ** 2,
         _colour(samples, taken), probability @ (weights @ taken) ** 2,
     )  # fmt: skip
-    ball, mean = ball_pairs(), probability @ weights
+    ball, mean = ball_colours.ball(), probability @ weights
     light = np.maximum(mean @ samples.ball, 0.0) ** 3 * ball.light
     rest = missed(
         where, near, np.sqrt(probability @ (weights @ at) ** 2), ball_places(), light, ball.starts,
@@ -127,7 +128,7 @@ def readings_to_take(
 
 def _pixels(roots: Array) -> Array:
     """Cube roots of the light of every pixel of a ball, at most 1, from cube roots of f (h, P_b): shape (h, K)."""
-    ball = ball_pairs()
+    ball = ball_colours.ball()
     light = np.add.reduceat(np.maximum(roots, 0.0) ** 3 * ball.light, ball.starts, axis=1)
     return np.asarray(np.cbrt(np.minimum(light, 1.0)))
 

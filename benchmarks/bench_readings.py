@@ -155,7 +155,7 @@ def main() -> None:
     )
     parser.add_argument("library", type=Path)
     opened = Library.open(parser.parse_args().library)
-    samples = LibrarySamples.of(opened)
+    samples = LibrarySamples.of_library(opened)
     corrections()
     expectations(samples)
     suggestions(samples)

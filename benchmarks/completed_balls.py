@@ -62,7 +62,7 @@ def main() -> None:
     given = parser.parse_args()
     library = Library.open(given.library)
     cache = MaterialCache(library, library.names, is_nonnegative=True)
-    samples = LibrarySamples.of(library)
+    samples = LibrarySamples.of(cache)
     settings = renders.make_settings(size=192, samples=72, seed=0, illuminant="D65", environment=None)
     columns = []
     with tempfile.TemporaryDirectory() as folder:

@@ -78,7 +78,7 @@ def samples(library):
     from manifold.library.store import Library
     from manifold.model.completion import LibrarySamples
 
-    return LibrarySamples.of(Library.open(library))
+    return LibrarySamples.of_library(Library.open(library))
 
 
 @pytest.fixture

@@ -55,5 +55,5 @@ def readings_chart(
         UsageError, LibraryError: as `measure_curves` and `Library.open`.
     """
     opened = Library.open(Path("library.zarr") if library is None else library)
-    samples = LibrarySamples.of(opened)
+    samples = LibrarySamples.of_library(opened)
     return measure_curves(samples, only=only, on_progress=on_progress, library=opened)

@@ -130,7 +130,7 @@ def complete_readings(
     require_bsdf_output(output, "completed materials")
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
     stages = Stages(on_progress, shares)
-    samples = LibrarySamples.of(Library.open(library), stages.begin("reading materials"))
+    samples = LibrarySamples.of_library(Library.open(library), stages.begin("reading materials"))
     stages.begin("completing")
     found = complete(samples, hybrid.readings)
     stages.begin("expected error")
@@ -260,7 +260,7 @@ def calibration_notes(n_samples: int) -> tuple[str, ...]:
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
     """The readings to begin with, for a library, before anything is read."""
     directions_left(count, None, instrument)
-    return suggest(LibrarySamples.of(Library.open(library)), count, None, instrument)
+    return suggest(LibrarySamples.of_library(Library.open(library)), count, None, instrument)
 
 
 def uncertainty(found: Completion) -> dict[str, Any]:

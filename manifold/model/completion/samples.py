@@ -71,22 +71,26 @@ class LibrarySamples:
     ball: Array
 
     @classmethod
-    def of(cls, library: Library, on_progress: Progress | None = None) -> LibrarySamples:
-        """Evaluate the materials of a library, negative values taken for 0.
+    def of_library(cls, library: Library, on_progress: Progress | None = None) -> LibrarySamples:
+        """Evaluate all materials of a library, negative values taken for 0. Raises: as `of`."""
+        return cls.of(MaterialCache(library, library.names, is_nonnegative=True), on_progress)
+
+    @classmethod
+    def of(cls, cache: MaterialCache, on_progress: Progress | None = None) -> LibrarySamples:
+        """Evaluate the materials of a cache.
 
         Raises:
             UsageError: there are fewer than three.
             LibraryError: a material cannot be read.
         """
-        if len(library.names) < 3:
+        if len(cache.names) < 3:
             raise UsageError(
-                f"{library.path}: {len(library.names)} materials, expected at least three to complete "
+                f"{cache.library.path}: {len(cache.names)} materials, expected at least three to complete "
                 "readings from; import more"
             )
-        bands = library.bands
+        bands = cache.library.bands
         chosen = evenly_spaced(bands.count, SAMPLE_BANDS)
-        of_library = MaterialCache(library, library.names, is_nonnegative=True)
-        materials = of_library.in_bands(chosen.tolist(), on_progress)
+        materials = cache.in_bands(chosen.tolist(), on_progress)
         grid, ball = EncodingPairs.default(all_isotropic(materials)), ball_colours.ball()
         on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
         some = slice(None, None, _BALL_STRIDE)
@@ -98,7 +102,7 @@ class LibrarySamples:
         ]
         on_ball_weights = on_ball_weights * energy[0] / max(energy[1], np.finfo(float).tiny)
         return cls(
-            tuple(library.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
+            tuple(cache.names), bands, chosen, materials, np.hstack([on_grid, on_ball[:, some]]),
             np.concatenate([on_grid_weights, on_ball_weights]), grid, on_ball,
         )  # fmt: skip
 

@@ -437,12 +437,13 @@ def test_a_tab_that_is_looked_at_again_shows_what_another_asked_for(browser, ser
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_server_that_is_told_to_end_cancels_its_work(tmp_path, number):
     script = f"""
-import sys, threading, time
+import signal, sys, threading, time
 from pathlib import Path
 from manifold.plots.explorer.actions import Action, Context
 from manifold.plots.explorer.jobs import Queue
 from manifold.plots.explorer.server import ExplorerServer
 from manifold.workflows.explore import serve_until_interrupted
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which programs under nohup inherit as ignored
 folder = Path({str(tmp_path)!r})
 sleeps = (sys.executable, "-c", "import os, time; open('pid', 'w').write(str(os.getpid())); time.sleep(60)")
 server = ExplorerServer("", Context(folder, folder, folder, (), 2, True), queue=Queue(folder, sleeps))

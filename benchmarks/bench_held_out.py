@@ -42,7 +42,7 @@ class Row:
 
 
 def held_out(data: Data, balls: BallErrors, setting: Setting, every: int = 1) -> Row:
-    """Leave every so manieth material out."""
+    """Leave every Nth material out."""
     splits = leave_out(data.n_materials)[::every]
     found = cross_validate(data, fit_trial(setting), splits).combinations
     linear, cube_root, ball = [], [], []
@@ -185,7 +185,7 @@ def main() -> None:
     parser.add_argument("--criterion", choices=CRITERIA, help="by which all materials are encoded")
     parser.add_argument("--rows", default="", help="only rows whose name this regular expression finds")
     parser.add_argument(
-        "--every", type=int, default=1, help="leave out only every so manieth material, to save time"
+        "--every", type=int, default=1, help="leave out only every Nth material, to save time"
     )
     parser.add_argument("--list", action="store_true", help="names of trials and rows")
     parser.add_argument("--json", type=Path, help="where to append results, one JSON object per line")

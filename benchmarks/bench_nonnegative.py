@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("source", type=Path)
     parser.add_argument("--methods", nargs="+", default=DEFAULT, help="keys of the registry of methods")
     parser.add_argument("--anchors", nargs="*", default=[], help="principled, or a source of neural fits")
-    parser.add_argument("--every", type=int, default=1, help="leave out every so manieth material only")
+    parser.add_argument("--every", type=int, default=1, help="leave out only every Nth material")
     parser.add_argument("--draw", type=int, help="take so many materials at random")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--materials", action="store_true", help="also print the errors of every material")

@@ -239,7 +239,7 @@ def main() -> None:
     parser.add_argument("--model", default="whole 6", choices=MODELS)
     parser.add_argument("--profile", default="log", choices=_PROFILES)
     parser.add_argument("--share", type=float, default=1.0, help="of the profile beside the spectra")
-    parser.add_argument("--every", type=int, default=1, help="leave out every so manieth material only")
+    parser.add_argument("--every", type=int, default=1, help="leave out only every Nth material")
     args = parser.parse_args()
     if args.midpoints or args.folder is None:
         midpoints()

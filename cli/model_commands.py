@@ -83,8 +83,8 @@ def embed(
     mu: Annotated[
         float | None,
         typer.Option(
-            help="Observation noise: height of the kernel's delta term, at least "
-            "1e-10. [default: 0.0001; monochrome 0.001]",
+            help="Observation noise: height of the kernel's delta term, from 1e-10 to 1e6. "
+            "[default: 0.0001; monochrome 0.001]",
             metavar="MU",
         ),
     ] = None,

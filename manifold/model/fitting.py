@@ -23,7 +23,6 @@ from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
 from manifold.models.colour_paths import fit_paths
 from manifold.models.decoder import EncodingPairs
-from manifold.models.kernels import require_mu
 from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array, Progress, evenly_spaced
 from manifold.system.stages import with_progress
@@ -122,7 +121,6 @@ def _fit_curves(
 def _fit_blends(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
-    require_mu(s.mu)
     brdfs = materials.filled(on_progress=on_progress)
     layout = appearance_distances(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)

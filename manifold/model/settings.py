@@ -10,7 +10,7 @@ from manifold.errors import UsageError
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.models.criteria import CRITERIA
-from manifold.models.kernels import Kernel, kernel_named
+from manifold.models.kernels import Kernel, kernel_named, require_mu
 from manifold.models.search import OPTIMIZERS
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
@@ -83,6 +83,7 @@ class Settings:
         RusinkiewiczGrid.named(self.grid)  # checks it
         if not isinstance(self.kernel, str):
             raise UsageError(f"kernel {self.kernel!r}, expected a name, which a model's file can hold")
+        require_mu(self.mu)
         self.covariance()  # checks it
 
     def covariance(self) -> Kernel:

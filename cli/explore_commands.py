@@ -31,7 +31,7 @@ def explore(
         Path, typer.Option(help="Folder for the files that the page writes.", metavar="FOLDER")
     ] = Path(),
     port: Annotated[
-        int, typer.Option(help="Port of the server; 0 selects a free one.", min=0, max=65535)
+        int, typer.Option(help="Port of the server; 0 selects a free one.", metavar="N", min=0, max=65535)
     ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")

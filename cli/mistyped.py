@@ -1,4 +1,4 @@
-"""Values of options that are no number, out of range or no choice: one line that says what was expected."""
+"""Commands whose help has no Python types; wrong values of options are told in one line what was expected."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from manifold.errors import UsageError
 
 
 class Command(TyperCommand):
-    """A command whose wrong values are told alike, whatever words the version of Typer has for them."""
+    """A command whose help and wrong values are told alike, whatever words the version of Typer has for them."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """As Typer's, but arguments stand by their names alone, without a type such as `<list[Path]>`."""
+        for parameter in self.params:
+            if parameter.param_type_name == "argument":
+                parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
+        super().format_options(ctx, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """As Typer's.

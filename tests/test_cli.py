@@ -75,6 +75,7 @@ def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
     assert status == 0
     assert f"Example: manifold {command}" in out
     assert "[[" not in out  # brackets around optional words are Typer's own
+    assert not re.search(r"<(path|str|int|float|list|int range)\b", out)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

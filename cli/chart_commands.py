@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ from .application import app
 
 if TYPE_CHECKING:
     from manifold.experiments.chart.experiment import Chart
+    from manifold.experiments.readings.curve import Curve
 
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
@@ -69,7 +71,7 @@ def chart(
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
     front.
     """
-    from manifold.plots import figures, plot_chart
+    from manifold.plots import figures
     from manifold.workflows import charts
 
     results = terminal.Results(json)
@@ -80,8 +82,19 @@ def chart(
             raise UsageError("--readings charts a library by itself; leave --model and --anchor out")
         _chart_readings(results, library, only or (), output)
         return
-    with terminal.progress("Chart") as step:
-        made = charts.chart(library, model, only or (), step, anchor)
+    with ExitStack() as bar:
+        step = bar.enter_context(terminal.progress("Chart"))
+
+        def write(made: Chart) -> None:
+            bar.close()
+            _write_chart(made, results, output)
+
+        charts.chart(library, model, only or (), step, anchor, write)
+
+
+def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
+    from manifold.plots import figures, plot_chart
+
     results.table(
         [
             "setting",
@@ -111,9 +124,9 @@ def chart(
             )
     for key, reason in made.skipped.items():
         results.sentence(f"{key} was skipped: {reason}")
+    results.document(made.to_json())
     if output is not None:
         figures.save(plot_chart.chart(made), output)
-    results.document(made.to_json())
 
 
 def _rows(made: Chart) -> list[list[str]]:
@@ -142,11 +155,21 @@ def _rows(made: Chart) -> list[list[str]]:
 def _chart_readings(
     results: terminal.Results, library: Path | None, only: Sequence[str], output: Path | None
 ) -> None:
-    from manifold.plots import figures, plot_readings
     from manifold.workflows import charts
 
-    with terminal.progress("Chart") as step:
-        curves = charts.readings_chart(library, only, on_progress=step)
+    with ExitStack() as bar:
+        step = bar.enter_context(terminal.progress("Chart"))
+
+        def write(curves: list[Curve]) -> None:
+            bar.close()
+            _write_curves(curves, results, output)
+
+        charts.readings_chart(library, only, step, write)
+
+
+def _write_curves(curves: list[Curve], results: terminal.Results, output: Path | None) -> None:
+    from manifold.plots import figures, plot_readings
+
     results.text("Errors of left-out materials, median / 90th percentile:\n")
     results.table(
         ["method", "readings", "ball CIEDE2000", "cube root", "linear"],
@@ -160,6 +183,6 @@ def _chart_readings(
             if curve.is_measured(k)
         ],
     )  # fmt: skip
+    results.document({"curves": [curve.to_json() for curve in curves]})
     if output is not None:
         figures.save(plot_readings.readings_chart(curves), output)
-    results.document({"curves": [curve.to_json() for curve in curves]})

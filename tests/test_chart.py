@@ -109,6 +109,33 @@ def test_an_interrupted_chart_is_continued_and_a_finished_one_measured_again(two
         assert isinstance(row.predict, RelativeTime)
 
 
+def test_a_chart_that_is_interrupted_while_it_is_drawn_is_written_and_continued(
+    two_laps, tmp_path, monkeypatch
+):
+    library, document = small_library.small_library(tmp_path), tmp_path / "chart.json"
+    command = ["chart", "-L", library, "--only", "nearest", "-o", tmp_path / "chart.png", "--json", document]
+    measured = []
+
+    def measure(self, setting, measure=held_out.HeldOut.measure):
+        measured.append(setting.key)
+        return measure(self, setting)
+
+    def draw(made):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(held_out.HeldOut, "measure", measure)
+    with monkeypatch.context() as patch:
+        patch.setattr(plot_chart, "chart", draw)
+        result = CliRunner().invoke(app, [*map(str, command)])
+    assert result.exit_code == 130
+    assert "nearest" in result.output
+    assert [row["key"] for row in json.loads(document.read_text())["rows"]] == ["nearest"]
+    for times in (1, 2):  # continued, then measured again
+        assert CliRunner().invoke(app, [*map(str, command)]).exit_code == 0
+        assert measured == ["nearest"] * times
+    assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_chart_of_few_settings_has_numbers_that_do_not_overlap(made):
     few = tuple(row for row in made.rows if row.key in ("nearest", "pca_2_identity"))
     figure = plot_chart.chart(replace(made, rows=few, fronts=fronts(few)))

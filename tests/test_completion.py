@@ -433,19 +433,26 @@ def test_interrupted_curves_are_continued_and_finished_ones_measured_again(sampl
         if done == 2:
             raise KeyboardInterrupt
 
-    def curves(on_progress=None, only=("nearest",)):
+    def curves(on_progress=None, only=("nearest",), on_result=None):
         measured.clear()
-        return measure_curves(samples, (1, 6), only, on_progress, Library.open(library))
+        return measure_curves(samples, (1, 6), only, on_progress, Library.open(library), on_result)
 
     monkeypatch.setattr("manifold.experiments.readings.curve._errors_of", measure)
     everything = list(range(len(samples.names)))
+
+    def interrupt_drawing(curves) -> None:
+        raise KeyboardInterrupt
+
     with pytest.raises(KeyboardInterrupt):
         curves(interrupt)
     assert measured == [0, 1]
     curves(only=("completion",))
     assert measured == everything  # another chart shares nothing with it
-    nearest, fixed, _ = curves()
+    with pytest.raises(KeyboardInterrupt):
+        curves(on_result=interrupt_drawing)
     assert measured == everything[2:]
+    nearest, fixed, _ = curves()
+    assert measured == []
     np.testing.assert_array_equal(nearest.errors[1, :, 2], everything)
     np.testing.assert_array_equal(fixed.errors[0, :, 2], -np.array(everything))
     curves()

@@ -9,6 +9,7 @@ from pathlib import Path
 from manifold.brdf.synthetic import corpus
 from manifold.errors import LibraryError
 from manifold.experiments.budget import example_scenes
+from manifold.experiments.chart.experiment import Chart
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.importing import import_files
@@ -103,7 +104,11 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
         pictures += _with_mitsuba(folder, model, predicted.path, stage)
     with stage("Charting speed against accuracy") as step:
         pictures.append(folder / "chart.png")
-        figures.save(plot_chart.chart(charts.chart(library, only=CHARTED, on_progress=step)), pictures[-1])
+
+        def draw(made: Chart) -> None:
+            figures.save(plot_chart.chart(made), pictures[-1])
+
+        charts.chart(library, only=CHARTED, on_progress=step, on_result=draw)
     with stage("Testing failure modes") as step:
         pictures.append(folder / "stability.png")
         failures.stability(TRIED, pictures[-1], on_progress=step)

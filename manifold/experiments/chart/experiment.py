@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -97,6 +97,7 @@ def make_chart(
     fitted: int = 3,
     neural: str | None = None,
     library: Library | None = None,
+    on_result: Callable[[Chart], None] | None = None,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -107,8 +108,9 @@ def make_chart(
         grid: direction pairs of the errors; by default 45 x 23 x 12.
         fitted: how many materials the fits of `fits.METHODS` represent.
         neural: file, zip file or folder of published neural fits; also show those of these materials.
-        library: of the files, where settings that are done are kept until all are, so that an interrupted run is
-            continued on the same machine.
+        library: of the files, where settings that are done are kept until all are and `on_result` has returned, so
+            that an interrupted run is continued on the same machine.
+        on_result: called with the chart, to write it.
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
     """
@@ -154,12 +156,15 @@ def make_chart(
             skipped[key] = str(error)
         else:
             add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
-    kept.finish()
     measured_rows = tuple(rows[key] for key in known if key in rows)
-    return Chart(
+    made = Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,
         held.watch.reference_seconds, held.scaled, skipped,
     )  # fmt: skip
+    if on_result is not None:
+        on_result(made)
+    kept.finish()
+    return made
 
 
 def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:

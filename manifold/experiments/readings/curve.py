@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,6 +68,7 @@ def measure_curves(
     only: Sequence[str] = (),
     on_progress: Progress | None = None,
     library: Library | None = None,
+    on_result: Callable[[list[Curve]], None] | None = None,
 ) -> list[Curve]:
     """Complete every material of a library from the others, from n readings, by every method.
 
@@ -80,7 +81,9 @@ def measure_curves(
         counts: n, increasing.
         only: keys of methods; all by default.
         on_progress: called with (done, total, name).
-        library: where materials that are done are kept until all are, so that an interrupted run is continued.
+        library: where materials that are done are kept until all are and `on_result` has returned, so that an
+            interrupted run is continued.
+        on_result: called with the curves, to write them.
     Raises:
         UsageError: there is no such method.
     """
@@ -103,12 +106,15 @@ def measure_curves(
         for key, found in _errors_of(samples, m, counts, methods, (wi, wo, at), fixed).items():
             errors[key][:, m] = found
         kept.put(errors | {"done": np.array([m + 1])})
-    kept.finish()
     curves = [Curve(method.key, method.title, tuple(counts), errors[method.key]) for method in methods]
-    return curves + [
+    curves += [
         Curve(key, title, (len(fixed[key][1]) + len(angles),), errors[key])
         for key, (title, angles) in _FIXED.items()
     ]
+    if on_result is not None:
+        on_result(curves)
+    kept.finish()
+    return curves
 
 
 def _fixed_readings(samples: LibrarySamples) -> dict[str, tuple[Array, Readings, Array]]:

@@ -17,10 +17,11 @@ from manifold.cli.main import app
 from manifold.errors import UsageError
 from manifold.experiments.chart import fits, held_out, registry, storage_forms
 from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of, fronts, make_chart
-from manifold.experiments.chart.held_out import without_small_weights
-from manifold.experiments.chart.instruments import RelativeTime, some_pairs
+from manifold.experiments.chart.held_out import HeldOut, without_small_weights
+from manifold.experiments.chart.instruments import RelativeTime, Stopwatch, some_pairs
 from manifold.experiments.chart.registry import AS_PUBLISHED, PUBLISHED, settings
 from manifold.experiments.evaluation.methods import fit_nearest
+from manifold.experiments.evaluation.tabulated import Data
 from manifold.library.store import Library
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
@@ -156,6 +157,21 @@ def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):
     assert 0.49 < half.bytes / whole.bytes < 0.51
     assert half.relative_error == pytest.approx(whole.relative_error, rel=0.01)  # float16 keeps 11 bits
     assert half.delta_e == pytest.approx(whole.delta_e, rel=0.05)
+
+
+def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
+    tabulating = iter([90.0, 3.0, 2.0])
+
+    def lap(self, work):
+        is_tabulating = getattr(work, "func", None) == Data.evaluate
+        return work(), next(tabulating) if is_tabulating else 1.0
+
+    monkeypatch.setattr(held_out, "_REPEATS", 3)
+    monkeypatch.setattr(Stopwatch, "lap", lap)
+    nearest = settings(3)[0]
+    fit = HeldOut(FILES, GRID, [nearest]).measure(nearest).fit
+    assert fit.median == 1.0 + 3.0
+    assert next(tabulating, None) is None
 
 
 def test_small_weights_are_dropped_and_the_others_keep_their_proportions_and_the_sum_of_all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -62,7 +63,8 @@ class HeldOut:
             bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
         materials = [MeasuredBRDF(file) for file in files]
         grid = grid.suited_to(all_isotropic(materials))
-        self._data, self._tabulating = self.watch.lap(partial(Data.evaluate, materials, grid, bands))
+        tabulate = partial(Data.evaluate, materials, grid, bands)
+        self._data, self._tabulating = tabulate(), self.watch.laps(tabulate, _REPEATS)
         wi, wo, above = grid.directions()
         self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
         self._block = instruments.some_pairs(_BLOCK_PAIRS, grid)
@@ -75,14 +77,14 @@ class HeldOut:
         self._resampling = RelativeTime.of_several(once).median * _DENSE_PAIRS / _BLOCK_PAIRS * len(files)
         self.scaled = {
             "timed_pairs": _BLOCK_PAIRS, "dense_pairs": _DENSE_PAIRS, "resampling": self._resampling,
-            "tabulating": self._tabulating,
+            "tabulating": RelativeTime.of(self._tabulating).median,
         }  # fmt: skip
 
     def measure(self, setting: Setting) -> Measurement:
         """Errors of all materials, each left out once, and costs."""
         combinations, fit, warned = self._fitted(setting)
         if setting.is_dense:
-            fit = RelativeTime(fit.median - self._tabulating + self._resampling, fit.spread)
+            fit = RelativeTime(fit.median - self.scaled["tabulating"] + self._resampling, fit.spread)
         combinations = [without_small_weights(c, setting.threshold) for c in combinations]
         stored = self._stored_as(setting.storage)
         errors = instruments.summary(self.target.errors_of(stored, combinations))
@@ -113,7 +115,7 @@ class HeldOut:
 
             splits = leave_out(self._data.n_materials, self.folds)
             encoded = cross_validate(self._data, setting.fit, splits, lap=lap, own_tables=_REPEATS)
-            times = [self._tabulating + ratio for ratio in encoded.fit_times[:_REPEATS]]
+            times = list(map(operator.add, self._tabulating, encoded.fit_times))  # as many as both have
             self._fits[setting.method] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
         return self._fits[setting.method]
 

@@ -44,7 +44,7 @@ def test_the_highlight_stands_in_the_mirror_direction(gloss):
     for column, incidence in enumerate(INCIDENCES_DEG[:2]):  # at 60 degrees grazing values are higher
         x, y = grid[0, column].lines[0].get_data()
         shown = np.abs(x) < 75
-        assert x[shown][np.argmax(y[shown])] == pytest.approx(-incidence, abs=6.0)
+        assert x[shown][np.argmax(y[shown])] == pytest.approx(incidence, abs=6.0)
 
 
 def test_slices_of_a_diffuser_are_level_to_their_ends():
@@ -97,6 +97,12 @@ def test_spectra_are_those_of_the_material():
     for axes in spectra_at([grey]).axes:
         np.testing.assert_allclose(axes.lines[0].get_xdata(), BANDS.wavelengths_nm)
         np.testing.assert_allclose(axes.lines[0].get_ydata(), np.array([0.1, 0.2, 0.4]) / np.pi)
+
+
+def test_spectra_are_highest_in_the_mirror_direction(gloss):
+    peaks = {axes.get_title(): axes.lines[0].get_ydata().max() for axes in spectra_at([gloss]).axes}
+    assert "mirror direction" in max(peaks, key=peaks.get)
+    assert sum("mirror direction" in title for title in peaks) == 1
 
 
 def test_what_cannot_be_drawn_is_refused(gloss):

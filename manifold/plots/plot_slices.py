@@ -18,8 +18,8 @@ from manifold.plots.figures import new_figure, shortened
 from manifold.records import Array
 
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
-GEOMETRIES_DEG = ((45.0, 0.0), (45.0, 30.0), (45.0, -45.0), (60.0, -75.0))
-"""(theta_i, theta_o) of spectra, in the plane of incidence: negative is the mirror side."""
+GEOMETRIES_DEG = ((45.0, 0.0), (45.0, -30.0), (45.0, 45.0), (60.0, 75.0))
+"""(theta_i, theta_o) of spectra, in the plane of incidence, theta_o positive on the mirror side."""
 
 # Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (docs/design/goniometer.md).
 _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
@@ -47,9 +47,9 @@ class Source:
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
-    """f over the outgoing elevation in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
+    """f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
-    A row per channel of linear sRGB under D65, or per wavelength where some are given.
+    Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength where some are given.
 
     Raises:
         UsageError: there are no or too many sources, or a wavelength is outside their bands.
@@ -67,7 +67,7 @@ def draw_slices(
 ) -> None:
     """Draw `angle_slices` into axes (rows, 3) of a figure, or of a part of one."""
     rows = [f"{w:g} nm" for w in wavelengths_nm] or ["R", "G", "B"]
-    wo = _in_plane(_ELEVATIONS_DEG)
+    wo = _outgoing(_ELEVATIONS_DEG)
     for column, incidence in enumerate(INCIDENCES_DEG):
         wi = from_spherical(np.deg2rad(incidence), 0.0)
         for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
@@ -75,12 +75,12 @@ def draw_slices(
             for row, axes in enumerate(grid[:, column]):
                 axes.plot(_ELEVATIONS_DEG, values[:, row], color=colour, linestyle=style, linewidth=1.6)
         grid[0, column].set_title(f"incidence {incidence:g}°", fontsize=11)
-        grid[-1, column].set_xlabel("outgoing elevation (°)" + ", mirror side negative" * (column == 1))
+        grid[-1, column].set_xlabel("outgoing angle (°)" + ", mirror side positive" * (column == 1))
     for row, name in enumerate(rows):
         _logarithmic(grid[row])
         grid[row, 0].set_ylabel(f"{name}: $f$ (1/sr)")
         for axes, incidence in zip(grid[row], INCIDENCES_DEG, strict=True):
-            axes.axvline(-incidence, color="0.75", linewidth=0.8, zorder=0)
+            axes.axvline(incidence, color="0.75", linewidth=0.8, zorder=0)
             axes.set_xticks(np.arange(-90, 91, 30))
             axes.grid(alpha=0.25, linewidth=0.5)
     _legend(figure, grid[0, 0], sources)
@@ -134,12 +134,12 @@ def spectra_at(sources: Sequence[Source]) -> Figure:
     grid = figure.subplots(2, 2, sharex=True)
     x = np.arange(3) if bands.is_rgb else np.asarray(bands.wavelengths_nm)
     for axes, (theta_i, theta_o) in zip(grid.flat, GEOMETRIES_DEG, strict=True):
-        wi, wo = _in_plane(np.array([theta_i, theta_o]))
+        wi, wo = from_spherical(np.deg2rad(theta_i), 0.0), _outgoing(np.array(theta_o))
         for source, colour, style in zip(sources, _COLOURS, _STYLES, strict=False):
             f = source.brdf.eval(wi, wo)
             marker = "o" if bands.is_rgb else None
             axes.plot(x, f, color=colour, linestyle=style, linewidth=1.6, marker=marker)
-        side = ", mirror direction" if theta_o == -theta_i else ""
+        side = ", mirror direction" if theta_o == theta_i else ""
         axes.set_title(rf"$\theta_i$ = {theta_i:g}°, $\theta_o$ = {theta_o:g}°{side}", fontsize=11)
         axes.set_ylabel("$f$ (1/sr)")
         axes.set_ylim(bottom=0.0)
@@ -157,10 +157,9 @@ def _require_sources(sources: Sequence[Source]) -> None:
         raise UsageError(f"found {len(sources)} materials to draw, expected 1 to {len(_COLOURS)}")
 
 
-def _in_plane(theta_deg: Array) -> Array:
-    """Directions in the plane of incidence, signed elevation from the normal, shape (..., 3)."""
-    theta = np.deg2rad(theta_deg)
-    return np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
+def _outgoing(theta_deg: Array) -> Array:
+    """Directions in the plane of incidence, positive angles on the mirror side of the normal, shape (..., 3)."""
+    return from_spherical(np.deg2rad(theta_deg), np.pi)
 
 
 def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) -> Array:

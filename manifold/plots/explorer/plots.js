@@ -65,7 +65,7 @@ export function drawSlices(svg, slices, other, otherName) {
   const line = (dash) => ({ angles, f }, k) => ({ x: angles, y: f, class: `line slice-${k}${dash}` });
   const label = withOther(`BRDF in the plane of incidence: ${peaks(slices)}`, other && peaks(other), otherName);
   draw(svg, [...(other ?? []).map(line(" other")), ...slices.map(line(""))], label, {
-    xRange: [-85, 85], xTicks: [-60, -40, -20, 0, 20, 40, 60], xLabel: "outgoing angle in degrees, mirror side right",
+    xRange: [-85, 85], xTicks: [-60, -40, -20, 0, 20, 40, 60], xLabel: "outgoing angle in degrees, mirror side positive",
     yMax: most, yTicks: [0, ...yTicks], yLabel: "f in 1/sr", scale: Math.cbrt,
   });
 }

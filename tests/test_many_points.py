@@ -11,12 +11,13 @@ import time
 
 import numpy as np
 import pytest
-from small_library import NAMES, small_model
+from small_library import NAMES, small_library, small_model
 from typer.testing import CliRunner
 
 from manifold.cli.main import app
 from manifold.errors import FileFormatError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
+from manifold.library.importing import import_files
 from manifold.model import predicted_file
 from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
@@ -102,6 +103,26 @@ def test_what_speaks_against_a_prediction_is_said_of_rows_too(model, tmp_path):
     points = table(tmp_path, "x,y,name\n90,90,far\n")
     result = run("predict", "--from", points, "-M", model, "-o", tmp_path / "out")
     assert "far_rgb.bsdf: not supported by the data" in result.output
+
+
+def test_cells_that_are_names_are_those_materials_before_they_are_coordinates(tmp_path, monkeypatch):
+    files = small_library(tmp_path).parent / "files"
+    names = ["0,0", "4711", "blue, matt", "1;2"]
+    for name, path in zip(names, sorted(files.glob("*.bsdf")), strict=False):
+        path.rename(files / f"{name}_rgb.bsdf")
+    import_files(tmp_path / "numbers.zarr", [files])
+    Manifold.fit(tmp_path / "numbers.zarr").save(tmp_path / "numbers.h5")
+    places = [*names, "0, 0", "4711:blue, matt:0.5"]
+    rows = "latent,name\n" + "".join(f'"{place}",p{k}\n' for k, place in enumerate(places))
+    found = []
+
+    def record(model, place, *_, **__):
+        found.append(place)
+        raise UsageError("recorded")
+
+    monkeypatch.setattr(predicted_file, "predict", record)
+    many_points.predict_all(tmp_path / "numbers.h5", read_points(table(tmp_path, rows)), tmp_path / "out")
+    assert found == [*names, (0.0, 0.0), places[-1]]
 
 
 def test_names_are_rows_numbers_where_there_are_none(tmp_path):

@@ -49,7 +49,8 @@ class Source:
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
     """f over the outgoing angle in the plane of incidence, to 85 degrees, at incidences of 20, 40 and 60 degrees.
 
-    Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength where some are given.
+    Angles are positive on the mirror side of the normal. A row per channel of linear sRGB under D65, or per wavelength
+    where some are given.
 
     Raises:
         UsageError: there are no or too many sources, or a wavelength is outside their bands.

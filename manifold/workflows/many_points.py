@@ -63,7 +63,8 @@ def predict_all(
     """
     loaded = Manifold.load(model, library)
     ending = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
-    paths = [_path(folder, point, ending, (".bsdf",)) for point in table.points]
+    points = table.among(loaded.names).points
+    paths = [_path(folder, point, ending, (".bsdf",)) for point in points]
     how = {"physical": physical, "resolution": resolution, "incidences": n_theta_i}
 
     def make(point: Point, path: Path) -> dict[str, Any]:
@@ -74,7 +75,7 @@ def predict_all(
 
     made_of = _made_of(model, loaded, how)
     with OutputIndex(folder, "predictions") as index:
-        return _make_missing(index, table.points, paths, made_of, make, loaded.prepare, check, stage)
+        return _make_missing(index, points, paths, made_of, make, loaded.prepare, check, stage)
 
 
 def render_all(
@@ -111,9 +112,10 @@ def render_all(
             return renders.render(source, path, settings).to_json()
 
     made_of = _made_of(model, loaded, how)
-    paths = [_path(folder, point, ".png", images.SUFFIXES) for point in table.points]
+    points = table.among(loaded.names).points
+    paths = [_path(folder, point, ".png", images.SUFFIXES) for point in points]
     with OutputIndex(folder, "renders") as index:
-        return _make_missing(index, table.points, paths, made_of, make, loaded.prepare, check, stage)
+        return _make_missing(index, points, paths, made_of, make, loaded.prepare, check, stage)
 
 
 def _made_of(model: Path, loaded: Manifold, how: dict[str, Any]) -> Callable[[Point], dict[str, Any]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import re
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from manifold.errors import FileFormatError, UsageError
@@ -30,14 +31,16 @@ class Point:
     Attributes:
         line: of the table, from 1.
         name: of what is made of it.
-        place: coordinates, or the name of a material.
+        place: coordinates, or the name of a material, or a path between two.
         colour: that it asks for.
+        latent: the cell of the column of that name as it is; empty where there is none.
     """
 
     line: int
     name: str
     place: tuple[float, ...] | str
     colour: ColourChoice
+    latent: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,11 @@ class PointTable:
 
     points: tuple[Point, ...]
     failures: tuple[tuple[int, str], ...]
+
+    def among(self, names: Collection[str]) -> PointTable:
+        """The same rows, where cells of `latent` that are exactly a material's name are not read as coordinates."""
+        points = (replace(p, place=p.latent) if p.latent in names else p for p in self.points)
+        return replace(self, points=tuple(points))
 
 
 def read_points(path: Path) -> PointTable:
@@ -137,7 +145,7 @@ def _point(
     first = lines.setdefault(alike(name), line)
     if first != line:
         raise UsageError(f"found the name '{name}' of line {first}; name every row differently")
-    return Point(line, name, place, choice)
+    return Point(line, name, place, choice, row.get("latent", ""))
 
 
 def _place(row: dict[str, str]) -> tuple[float, ...] | str:
@@ -155,9 +163,8 @@ def _place(row: dict[str, str]) -> tuple[float, ...] | str:
         return row["material"]
     between = r"[;\s]+" if ";" in row["latent"] else r"[,\s]+"  # beside semicolons, commas are decimal ones
     words = [word for word in re.split(between, row["latent"]) if word]
-    if len(words) == 1 and number(words[0]) is None:
-        return words[0]
-    return tuple(_coordinate(word, "latent") for word in words)
+    coordinates = tuple(value for word in words if (value := number(word)) is not None)
+    return coordinates if len(coordinates) == len(words) else row["latent"]
 
 
 def _coordinate(text: str, column: str) -> float:

@@ -14,7 +14,6 @@ that value instead of mapping it back and forth.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ import numpy as np
 
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array
+from manifold.system.names import names_like
 
 
 class Mapping(Protocol):
@@ -205,9 +205,7 @@ def mapping_named(name: str, **parameters: float | Array) -> Mapping:
         UsageError: the name is unknown, or the mapping has no such parameter.
     """
     if name not in MAPPINGS:
-        near = difflib.get_close_matches(name.lower(), MAPPINGS, 1)
-        advice = f"; did you mean {near[0]}?" if near else ""
-        raise UsageError(f"no mapping is called '{name}', expected one of {', '.join(MAPPINGS)}{advice}")
+        raise UsageError(f"no mapping is called '{name}'; {names_like(MAPPINGS, name, 'there are')}")
     try:
         return MAPPINGS[name](**parameters)
     except TypeError:

@@ -255,7 +255,7 @@ def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
 
 def test_an_unknown_setting_is_one_clear_error():
     with pytest.raises(
-        UsageError, match="no setting is called 'blend'; near are blend_2, blend_3, "
+        UsageError, match="no setting is called 'blend'; did you mean blend_2, blend_3, "
     ) as raised:
         make_chart(FILES, ["blend"])
     assert len(str(raised.value)) < 200

@@ -468,7 +468,7 @@ def test_materials_are_held_out_of_a_model(run, folder, tmp_path):
 def test_a_held_out_name_that_the_library_lacks_is_told_with_those_like_it(run, folder, arguments):
     code, _, err = run(*arguments, "--without", "satin", cwd=folder)
     assert code == 2
-    assert "no material 'satin' in library.zarr; near are syn_satin_gold" in one_line(err)
+    assert "no material 'satin' in library.zarr; did you mean syn_satin_gold" in one_line(err)
 
 
 def test_nothing_is_reconstructed_from_no_material(run, folder):

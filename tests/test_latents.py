@@ -60,7 +60,7 @@ def test_a_material_is_a_latent_by_its_name(model):
     np.testing.assert_array_equal(loaded.require_latent(name), loaded.latent(name))
     (source,) = pictures.sources([], [name], model)
     assert distance(source.brdf, loaded.material(name)) == 0.0
-    with pytest.raises(UsageError, match="near are syn_felt_green"):
+    with pytest.raises(UsageError, match="did you mean syn_felt_green"):
         loaded.require_latent("syn_felt_gren")
     with pytest.raises(LatentError, match=r"latents of shape \(3, 2\), expected one, \(2,\)"):
         loaded.predict(np.zeros((3, 2)))

@@ -11,6 +11,7 @@ from small_library import small_library, small_model
 
 from manifold.cli.main import app
 from manifold.cli.mistyped import kind_of
+from manifold.system.names import names_like
 
 
 def _typed_options():
@@ -66,3 +67,19 @@ def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch
     status, _, err = run(*command, "--anchor", "absent.zip", cwd=tmp_path)
     assert status == 2
     assert err.startswith("manifold: absent.zip: no such file or folder")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("satin", "did you mean satin_blue, Satin_red?"),
+        ("FELT", "did you mean felt?"),
+        ("Satin_bleu", "did you mean satin_blue, Satin_red?"),
+        ("qqq", "it holds felt, satin_blue, Satin_red, paper, copper and 1 more"),
+        ("", "it holds felt, satin_blue, Satin_red, paper, copper and 1 more"),
+    ],
+)
+def test_names_that_contain_a_word_or_are_close_to_it_are_offered(name, expected):
+    assert (
+        names_like(["felt", "satin_blue", "Satin_red", "paper", "copper", "gold", "felt"], name) == expected
+    )

@@ -167,7 +167,7 @@ def test_a_place_on_the_path_between_two_materials_is_written(tmp_path):
     [
         ("syn_satin_gold:syn_gloss_red:1.5", r"found '1\.5'.*expected a number from 0 to 1"),
         ("syn_satin_gold:syn_gloss_red:half", "found 'half'"),
-        ("syn_satin_gold:syn_gloss_re:0.5", "near are syn_gloss_red"),
+        ("syn_satin_gold:syn_gloss_re:0.5", "did you mean syn_gloss_red"),
     ],
 )
 def test_places_on_no_path_are_refused(tmp_path, place, words):

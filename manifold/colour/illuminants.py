@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from manifold.colour.columns import read_columns
-from manifold.colour.tables import near_names, standard_tables
+from manifold.colour.tables import standard_tables
 from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array, Bands
+from manifold.system.names import names_like
 
 _MOST_POWER = 1e30  # renders are in single precision
 
@@ -93,5 +94,5 @@ def illuminant_key(name: str) -> str:
     """
     key = _CIE_FLUORESCENT.get(name, name)
     if key not in standard_tables().illuminants:
-        raise UsageError(f"no illuminant named {name!r}; {near_names(name, illuminant_names())}")
+        raise UsageError(f"no illuminant named {name!r}; {names_like(illuminant_names(), name, 'there are')}")
     return key

@@ -10,9 +10,10 @@ import numpy as np
 
 from manifold.colour.columns import read_columns
 from manifold.colour.conversion import decode_srgb, to_srgb
-from manifold.colour.tables import colour_science, distribution, frozen, near_names
+from manifold.colour.tables import colour_science, distribution, frozen
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.records import Array, Bands
+from manifold.system.names import names_like
 
 _VISIBLE_NM = (400.0, 700.0)
 
@@ -46,7 +47,7 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     key = name if name in known else next((k for k in known if k.split("/", 1)[1] == name), None)
     if key is None:
         plain = [k.split("/", 1)[1] for k in known]
-        raise UsageError(f"no reflectance named {name!r}; {near_names(name, [*known, *plain])}")
+        raise UsageError(f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'there are')}")
     return np.clip(np.interp(wavelengths_nm, *known[key]), 0.0, 1.0)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -87,12 +86,3 @@ def frozen(a: Array) -> Array:
     """The same array, read-only: cached arrays are shared."""
     a.setflags(write=False)
     return a
-
-
-def near_names(name: str, known: Iterable[str]) -> str:
-    """`did you mean ...?`, or the known names where none is near."""
-    by_lower = {k.lower(): k for k in known}
-    near = [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, n=5, cutoff=0.5)]
-    if near:
-        return f"did you mean {', '.join(near)}?"
-    return f"known: {', '.join(sorted(by_lower.values()))}"

@@ -7,7 +7,6 @@ DOI 10.1145/3272127.3275059 (CC0 1.0). Sizes and checksums: `manifold/library/rg
 from __future__ import annotations
 
 import csv
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +14,7 @@ from importlib import resources
 from types import MappingProxyType
 
 from manifold.errors import UsageError
+from manifold.system.names import names_like
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,5 @@ def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic:
         return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
     for name in names:
         if name not in table:
-            near = difflib.get_close_matches(name, table, n=3)
-            advice = f"did you mean {' or '.join(near)}?" if near else "leave the name out to fetch all"
-            raise UsageError(f"{name}: no such material in the RGL database; {advice}")
+            raise UsageError(f"{name}: no such material in the RGL database; {names_like(table, name)}")
     return [table[name] for name in dict.fromkeys(names)]

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 _SHOWN = 5
 
 
-def names_like(names: Sequence[str], name: str, among: str = "it holds") -> str:
+def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
     """Similar names for an error message: those that contain a name, or are close matches; else the first few.
 
     Args:
         names: that are known.
-        name: that is not.
+        name: that is not; upper and lower case do not matter.
         among: what stands before the first few.
     """
-    within = [known for known in names if name and name.lower() in known.lower()]
-    near = (within or difflib.get_close_matches(name, names))[:_SHOWN]
+    known, name = list(dict.fromkeys(names)), name.lower()
+    within = [k for k in known if name and name in k.lower()]
+    close = difflib.get_close_matches(name, [k.lower() for k in known])
+    near = within or [k for match in dict.fromkeys(close) for k in known if k.lower() == match]
     if near:
-        return f"near are {', '.join(near)}"
-    more = len(names) - _SHOWN
-    return f"{among} {', '.join(names[:_SHOWN])}" + f" and {more} more" * (more > 0)
+        return f"did you mean {', '.join(near[:_SHOWN])}?"
+    more = len(known) - _SHOWN
+    return f"{among} {', '.join(known[:_SHOWN])}" + f" and {more} more" * (more > 0)

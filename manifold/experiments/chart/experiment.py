@@ -123,8 +123,8 @@ def make_chart(
         known[fits.NEURAL] = fits.NEURAL
     unknown = [key for key in only if key not in known]
     if unknown:
-        near = names_like(list(known), unknown[0], "there are")
-        raise UsageError(f"no setting is called {unknown[0]!r}; {near}; docs/design/chart.md lists all")
+        near = names_like(known, unknown[0], "there are")
+        raise UsageError(f"no setting is called {unknown[0]!r}; {near} (docs/design/chart.md lists all)")
     chosen = [known[key] for key in only or known]
     held_out = [s for s in chosen if isinstance(s, Setting)]
     names, machine = [file.name for file in files], platform.node()

@@ -288,6 +288,18 @@ def test_the_report_names_synthetic_materials_and_every_method(reports, kind):
         assert name in text
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_material_is_shown_with_its_left_out_errors(reports, kind):
+    made = reports[kind]
+    text = format_report(made)
+    first = method(made, "blend_refitted" if kind == "blend" else "gp_refitted")
+    assert f"ball dE: of '{first.title}'" in text
+    for k, name in enumerate(made.names):
+        (row,) = (line.split() for line in text.splitlines() if line.startswith(f"{name} "))
+        errors = [f"{first.ball_delta_e[k]:.2f}", f"{first.relative_error[k]:.3f}"]
+        assert row[3:5] == errors
+
+
 def test_methods_without_errors_of_their_own_have_no_table_of_them(made):
     assert "rms z" in format_report(made)
     unknown = [replace(m, rms_standardised_error=None) for m in made.methods]

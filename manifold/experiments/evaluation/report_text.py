@@ -220,22 +220,26 @@ def _expected_errors(report: Report) -> list[str]:
 
 
 def _materials(report: Report) -> list[str]:
-    """One row per material: latent, reconstruction, and held-out relative errors."""
-    reconstruction = next(m for m in report.methods if m.key == "reconstruction")
+    """One row per material: latent, and held-out errors."""
     by_key = {m.key: m for m in report.methods}
     shown = [key for key in _MATERIAL_COLUMNS if key in by_key][:_SHOWN_METHODS]
-    head = ("material", "latent", "RMSE", *(_MATERIAL_COLUMNS[key] for key in shown))
+    first = by_key[shown[0]]
+    head = ("material", "latent", "ball dE", *(_MATERIAL_COLUMNS[key] for key in shown))
     rows = [
         (
             name,
             _latent(report.latents[k]),
-            f"{reconstruction.rmse[k]:.3g}",
+            f"{first.ball_delta_e[k]:.2f}",
             *(_fixed(by_key[key].relative_error[k]) for key in shown),
         )
         for k, name in enumerate(report.names)
     ]
-    note = "RMSE: of the reconstruction. To its right: linear errors of the other methods."
-    return [*_table(head, rows), "", note]
+    return [
+        *_table(head, rows),
+        "",
+        f"ball dE: of '{first.title}'.",
+        f"To its right: linear errors, first of the same method ({_MATERIAL_COLUMNS[shown[0]]}).",
+    ]
 
 
 def _closing(report: Report) -> list[str]:

@@ -128,7 +128,8 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(told, tmp_
     from manifold.cli.main import run
 
     monkeypatch.setattr("manifold.experiments.stability.catalogue.MODES", (told,))
-    files = {"--json": "s.json", "--markdown": "s.md", "--picture": "s.png"}
+    (tmp_path / "images").mkdir()
+    files = {"--json": "s.json", "--markdown": "s.md", "--picture": "images/s.png"}
     with pytest.raises(SystemExit) as left:
         run(
             [
@@ -141,10 +142,10 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(told, tmp_
     written = json.loads((tmp_path / "s.json").read_text())
     assert [one["outcome"] for one in written["rows"][0]["results"]] == [FINE, WARNED, WRONG]
     assert written["modes"][0]["advice"] == "Do this."
-    assert (
-        "fine; warned from 1; silently wrong from 2 | beware \\| of this |" in (tmp_path / "s.md").read_text()
-    )
-    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+    page = (tmp_path / "s.md").read_text()
+    assert "fine; warned from 1; silently wrong from 2 | beware \\| of this |" in page
+    assert "](images/s.png)" in page
+    assert (tmp_path / "images/s.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_files_that_cannot_be_written_are_refused_before_the_work(tmp_path, monkeypatch):

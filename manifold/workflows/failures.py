@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,5 +39,6 @@ def stability(
     if picture is not None:
         figures.save(plot_stability.panels(made, modes), picture)
     if page is not None:
-        atomic.write_text(page, advice_page.markdown(made, modes))
+        link = None if picture is None else os.path.relpath(picture, page.parent).replace(os.sep, "/")
+        atomic.write_text(page, advice_page.markdown(made, modes, link))
     return made

@@ -54,13 +54,13 @@ def summary(made: Stability) -> str:
     )
 
 
-def markdown(made: Stability, modes: Sequence[Mode]) -> str:
-    """A page: what every mode is, what happened, and what a user should do."""
+def markdown(made: Stability, modes: Sequence[Mode], picture: str | None = None) -> str:
+    """A page: what every mode is, what happened, and what a user should do; the link of its picture, if it has one."""
     tried = {row.mode for row in made.rows}
     parts = [
         "# Failure modes, and what to do",
         "",
-        "Written by `manifold stability --markdown docs/stability.md -o docs/images/stability.png`; do not edit.",
+        "Written by `manifold stability --markdown`; do not edit.",
         "",
         "Every failure mode is applied with increasing severity. A trial is *fine* if its error stays below the "
         "limit, *warned* if the package issued a warning or a diagnostic, *refused* if it ended with an error "
@@ -69,8 +69,7 @@ def markdown(made: Stability, modes: Sequence[Mode]) -> str:
         "are defects and fail the tests. A warning at a later severity although the error is below the limit is "
         "an *early warning*. *Undetected* is the largest error without a warning or an error message.",
         "",
-        "![Error against severity of every failure mode](images/stability.png)",
-        "",
+        *(() if picture is None else (f"![Error against severity of every failure mode]({picture})", "")),
         summary(made) + ".",
         "",
     ]

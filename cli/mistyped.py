@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import types
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
@@ -26,9 +27,11 @@ class Command(TyperCommand):
         """As Typer's.
 
         Raises:
-            UsageError: a value is not of its option's kind.
+            UsageError: a value is not of its option's kind, or a path is empty.
         """
         given = list(args)
+        if any(word == "" or word.endswith("=") for word in given):  # rarely
+            self._refuse_empty_paths(ctx, given)
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:
@@ -43,9 +46,26 @@ class Command(TyperCommand):
 
     def _found(self, ctx: Any, args: list[str], name: str) -> str | None:
         """The first value that was given for a parameter, as it was typed."""
-        value = self.make_parser(ctx).parse_args(args)[0].get(name)
-        value = value[0] if isinstance(value, list) and value else value
-        return value if isinstance(value, str) else None
+        return next(iter(self._typed(ctx, args).get(name, [])), None)
+
+    def _typed(self, ctx: Any, args: list[str]) -> dict[str, list[str]]:
+        """The values that were given for every parameter, as they were typed."""
+        given = self.make_parser(ctx).parse_args(list(args))[0]
+        several = {
+            name: value if isinstance(value, list | tuple) else [value] for name, value in given.items()
+        }
+        return {name: [v for v in values if isinstance(v, str)] for name, values in several.items()}
+
+    def _refuse_empty_paths(self, ctx: Any, args: list[str]) -> None:
+        """Raise UsageError for `""`, which a shell makes of a variable that is not set, and Python the folder `.`."""
+        typed = self._typed(ctx, args)
+        for parameter in self.params:
+            if (
+                "" in typed.get(str(parameter.name), [])
+                and kind_of(self._annotation(str(parameter.name))) is Path
+            ):
+                name = parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.metavar
+                raise UsageError(f"{name} '': expected a path; see `{ctx.command_path} --help`")
 
     def _annotation(self, name: str) -> Any:
         return inspect.signature(self.callback, eval_str=True).parameters[name].annotation  # type: ignore[arg-type]

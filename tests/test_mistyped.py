@@ -46,6 +46,23 @@ def test_ranges_and_choices_are_in_the_message(run, tmp_path, arguments, words):
     assert words in run(*arguments, cwd=tmp_path)[2]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["import", ""], "SOURCE"),
+        (["import", "x", "", "-L", "l.zarr"], "SOURCE"),
+        (["import", "x", "-L", ""], "--library"),
+        (["corpus", ""], "FOLDER"),
+        (["info", "--json="], "--json"),
+        (["predict", "--latent", "0,0", "-o", ""], "--output"),
+    ],
+)
+def test_empty_paths_are_refused_and_not_the_current_folder(run, tmp_path, arguments, name):
+    command = f"see `manifold {arguments[0]} --help`"
+    assert run(*arguments, cwd=tmp_path) == (2, "", f"manifold: {name} '': expected a path; {command}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_arguments_that_are_missing_are_named(run, tmp_path):
     status, _, err = run("corpus", cwd=tmp_path)
     assert status == 2

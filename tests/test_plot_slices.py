@@ -129,6 +129,14 @@ def test_files_materials_and_predictions_are_drawn_together(folder, tmp_path, ki
     assert (tmp_path / "picture.png").stat().st_size > 10_000
 
 
+def test_files_of_one_name_are_labelled_by_their_paths(folder, tmp_path):
+    file = folder / "files" / "syn_gloss_red_rgb.bsdf"
+    other = tmp_path / file.name
+    other.write_bytes(file.read_bytes())
+    drawn = sources([str(file), str(other), "syn_gloss_red", "syn_felt_green"], [], folder / "model.h5")
+    assert [s.label for s in drawn] == [str(file), str(other), "syn_gloss_red", "syn_felt_green"]
+
+
 def test_nothing_to_draw_is_refused(folder):
     with pytest.raises(UsageError, match="nothing to draw"):
         sources([], [], folder / "model.h5")

@@ -134,7 +134,7 @@ def require_material_name(name: str) -> None:
     is_portable = not re.search(r'[<>:"|?*\\]|[ .]$', name) and unicodedata.is_normalized("NFC", name)
     if not is_material_name(name) or is_reserved or not is_portable or len(name.encode()) > 200:
         raise UsageError(
-            f"{name!r} cannot be the name of a material on every system; rename the file: letters, digits, - and _"
+            f"{name!r} cannot be the name of a material on every system; name it with letters, digits, - and _"
         )
 
 

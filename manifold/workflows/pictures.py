@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from manifold.brdf.measured import MeasuredBRDF
@@ -27,7 +28,7 @@ def sources(
     library: Path | None = None,
     colour: ColourChoice = NEAREST,
 ) -> list[Source]:
-    """BRDFs by file name, by material of the model, and by latent.
+    """BRDFs by file name, by material of the model, and by latent; those of one name are labelled as they were given.
 
     Args:
         names: paths that end in `.bsdf`, fits that end in `.json`, or names of materials.
@@ -36,28 +37,31 @@ def sources(
         library: where the model's library is now, if not where the model remembers it.
         colour: of the latents, on a monochrome manifold.
     """
-    found = []
+    found: list[tuple[str, Source]] = []
     loaded: Manifold | None = None
     for name in names:
         if name.endswith(".bsdf"):
             file = read_bsdf(Path(name))
-            found.append(Source(file.name, MeasuredBRDF(file)))
+            found.append((name, Source(file.name, MeasuredBRDF(file))))
         elif name.endswith(".json"):
             content = fit_json.read(Path(name))
-            found.append(Source(f"{content['source']['name']}, fitted", FittedBRDF(content)))
+            found.append((name, Source(f"{content['source']['name']}, fitted", FittedBRDF(content))))
         else:
             loaded = loaded or Manifold.load(model, library)
-            found.append(Source(name, loaded.material(name)))
+            found.append((name, Source(name, loaded.material(name))))
     for latent in latents:
         loaded = loaded or Manifold.load(model, library)
         x, brdf, diagnosis = diagnostics.predict_and_diagnose(loaded, latent, colour)
         at = latent if isinstance(latent, str) else ", ".join(f"{v:.3g}" for v in x)
-        found.append(Source(f"predicted at {at}", brdf, diagnosis))
+        found.append((f"predicted at {at}", Source(f"predicted at {at}", brdf, diagnosis)))
     if not found:
         raise UsageError(
             "found nothing to draw; name .bsdf files or materials of the model, or give --latent"
         )
-    return found
+    labels = [source.label for _, source in found]
+    return [
+        replace(source, label=given) if labels.count(source.label) > 1 else source for given, source in found
+    ]
 
 
 def slices(

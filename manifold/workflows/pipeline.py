@@ -92,7 +92,6 @@ def report(
         raise UsageError(
             f"{model}: found {len(loaded.names)} materials, expected at least 3 to leave one out; import more"
         )
-    made = make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands, anchors=anchors)
-    if picture is not None:
+    if picture is not None:  # first: an interruption then costs little
         figures.save(plot_latents.latent_map(loaded), picture)
-    return made
+    return make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands, anchors=anchors)

@@ -142,7 +142,7 @@ def complete(
         ],
     )  # fmt: skip
     if made.suggested is not None:
-        _show_suggested(results, made.suggested, "Measure next")
+        _show_suggested(results, made.suggested, "\nMeasure next")
     results.document(made.to_json())
 
 
@@ -189,7 +189,7 @@ def calibrate(
 
 
 def _show_suggested(results: terminal.Results, suggested: Suggested, title: str) -> None:
-    results.text(f"\n{title}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n")
+    results.text(f"{title}, angles in degrees; azimuth 0 is on the side of the mirror direction:\n")
     results.table(
         ("incidence", "outgoing", "azimuth"),
         [tuple(f"{angle:.0f}" for angle in row) for row in suggested.angles_deg],

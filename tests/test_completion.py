@@ -598,6 +598,13 @@ def test_the_command_writes_a_file_from_a_table_of_readings(run, library, tmp_pa
     assert document["expected"]["ball"] > 0.0
 
 
+def test_directions_to_measure_first_are_the_first_line(run, library, tmp_path):
+    status, out, err = run("complete", "-L", library, "--suggest", "2", cwd=tmp_path)
+    assert status == 0, err
+    assert out.startswith("Measure first")
+    assert len(out.splitlines()) == 4
+
+
 def test_what_returns_too_much_light_can_be_made_physical_and_keeps_its_hue(library, tmp_path, monkeypatch):
     asked = {}
 

@@ -62,7 +62,7 @@ def embed(
         typer.Option(
             "--latent-dim",
             "-q",
-            help="Dimensions of the manifold; auto chooses by held-out error.",
+            help="Dimensions of the manifold; auto chooses by held-out error (minutes).",
             metavar="Q|auto",
         ),
     ] = "2",

@@ -131,7 +131,12 @@ def embed(
     )  # fmt: skip
     fitted, settings = made.model, made.model.settings
     if made.candidates:
-        results.text("Held-out errors, median / 90th percentile; the first, a mean, makes the choice:\n")
+        from manifold.experiments.evaluation.selection import PAYS
+
+        results.text(
+            "Held-out errors, median / 90th percentile; the first, a mean, makes the choice;\n"
+            f"more dimensions have to lower it by {PAYS:.0%}:\n"
+        )
         results.table(
             ("mapping", "dimensions", "error", "linear", "cube root", "ball dE", "seconds", "chosen"),
             [

@@ -9,6 +9,7 @@ import pytest
 import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
 from small_library import NAMES, measured, small_library
 
 from manifold.brdf.measured import MeasuredBRDF
@@ -70,6 +71,16 @@ def test_a_layout_gives_distances_back_that_a_plane_can_have(rng):
     ratio = found[upper] / distance[upper]
     np.testing.assert_allclose(ratio, np.median(ratio), rtol=1e-3)  # ends of L-BFGS-B
     assert layout.objective <= layout.objective_start + 1e-9
+
+
+@pytest.mark.parametrize(("n", "q"), [(6, 4), (6, 5), (8, 6), (12, 8)])
+def test_neighbours_are_within_reach_of_the_kernel_in_many_dimensions_too(rng, n, q):
+    """Their hull is all but flat, whose volume says nothing of distances: they lay 10 to 300 length scales apart."""
+    X = rng.normal(size=(n, q)) * 0.3 ** np.arange(q)
+    distance = cdist(X, X)
+    found = blend_layout(distance, 0.5 * distance, np.zeros((n, n)), q).X
+    apart = cdist(found, found) + np.diag(np.full(n, np.inf))
+    assert 0.5 < np.median(apart.min(axis=1)) <= 2.5 + 1e-9
 
 
 def test_a_layout_keeps_apart_what_does_not_blend():

@@ -27,6 +27,7 @@ _ROUNDS = 2  # of the last refinement, each at new places inside the hull
 _STRENGTH = 3.0  # weight of implausible blends against stress
 _SEPARATION = 10.0  # weight of the least distances against stress
 _RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
+_NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
 _ITERATIONS = 300
 
 Cost = Callable[[Array], tuple[Array, Array]]
@@ -70,9 +71,14 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
 
 def widest_gap(X: Array) -> float:
     """The largest distance of a sample of X (N, Q) from its nearest other one; infinity for a single sample."""
+    return float(_gaps(X).max())
+
+
+def _gaps(X: Array) -> Array:
+    """The distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
     apart = cdist(X, X)
     np.fill_diagonal(apart, np.inf)
-    return float(apart.min(axis=1).max())
+    return np.asarray(apart.min(axis=1))
 
 
 def blend_layout(
@@ -84,7 +90,7 @@ def blend_layout(
     short of `separation`, plus the mean of `u^T implausible u` over blends u inside the convex hull, from principal
     coordinates and a few random starts; then, from the best end, with the mean of `cost(u)` added, at places drawn
     uniformly from the present hull. The unit is then chosen so that a kernel of length scale 1 spans about the side of
-    a sample's share of the hull.
+    a sample's share of the hull, and reaches neighbours.
 
     Args:
         distance: target distances, shape (N, N), positive off the diagonal.
@@ -230,11 +236,14 @@ def _places(N: int) -> int:
 
 
 def _kernel_radius(X: Array) -> float:
-    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume."""
+    """Length scale of the kernel: about the side of a sample's share of the convex hull's volume.
+
+    No less than what reaches neighbours: else blends would be copies of the nearest sample.
+    """
     N, Q = X.shape
     extent = np.ptp(X, axis=0)
     try:
         volume = float(ConvexHull(X).volume) if Q > 1 else float(extent[0])
     except (QhullError, ValueError):  # too few samples, or all in a plane
         volume = float(np.prod(np.maximum(extent, 1e-3 * extent.max())))
-    return max(_RADIUS * (volume / N) ** (1.0 / Q), 1e-9)
+    return max(_RADIUS * (volume / N) ** (1.0 / Q), float(np.median(_gaps(X))) / _NEAREST, 1e-9)

@@ -253,6 +253,12 @@ def test_what_fits_warn_of_is_kept_with_their_setting(monkeypatch):
     assert linear.warnings == ()
 
 
+@pytest.mark.parametrize(("count", "found"), [(1, "1 material,"), (3, "3 materials,")])
+def test_few_materials_are_one_clear_error(count, found):
+    with pytest.raises(UsageError, match=f"found {found} expected at least 4"):
+        make_chart(FILES[:count])
+
+
 def test_an_unknown_setting_is_one_clear_error():
     with pytest.raises(
         UsageError, match="no setting is called 'blend'; did you mean blend_2, blend_3, "

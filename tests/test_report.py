@@ -288,6 +288,13 @@ def test_the_report_names_synthetic_materials_and_every_method(reports, kind):
         assert name in text
 
 
+def test_one_dimension_is_not_several(made):
+    assert ": 2 dimensions" in format_report(made)
+    assert ": 1 dimension;" in format_report(
+        replace(made, settings=made.settings | {"kind": "material", "latent_dim": 1})
+    )
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_material_is_shown_with_its_left_out_errors(reports, kind):
     made = reports[kind]

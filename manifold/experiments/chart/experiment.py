@@ -115,7 +115,9 @@ def make_chart(
         UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
     """
     if len(files) < 4:
-        raise UsageError(f"{len(files)} materials, expected at least 4 to leave some out; import more files")
+        raise UsageError(
+            f"found {len(files)} material{'s' * (len(files) != 1)}, expected at least 4 to leave some out; import more"
+        )
     known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
     known |= {f"fit_{method}": method for method in fits.METHODS}
     if neural is not None:

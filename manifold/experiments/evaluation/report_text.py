@@ -24,9 +24,9 @@ _MANY_DIGITS = 1e5
 
 
 _KINDS = {
-    "blend": "Blends of materials: {} dimensions, and two colours per band",
-    "material": "GPLVM of whole materials: {} dimensions",
-    "monochrome": "GPLVM of single bands: {} dimensions, and a colour per band",
+    "blend": "Blends of materials: {}, and two colours per band",
+    "material": "GPLVM of whole materials: {}",
+    "monochrome": "GPLVM of single bands: {}, and a colour per band",
 }
 
 
@@ -62,9 +62,10 @@ def _heading(report: Report) -> list[str]:
             " (synthetic corpus)" if synthetic == len(report.names) else f" ({synthetic} of them synthetic)"
         )
     s = report.settings
+    dimensions = f"{s['latent_dim']} dimension{'s' * (s['latent_dim'] != 1)}"
     return [
         f"{len(report.names)} materials{kind}, {report.bands}",
-        f"{_KINDS[s['kind']].format(s['latent_dim'])}; mapping {s['mapping']}",
+        f"{_KINDS[s['kind']].format(dimensions)}; mapping {s['mapping']}",
         f"Kernel: {s['kernel']} + delta, mu {s['mu']:g}, length scale {s['length_scale']:g}, "
         f"condition of K {report.condition:.3g}",
         f"Errors over {report.n_pairs:,} direction pairs (grid '{report.grid}'){_error_bands(report)}",

@@ -189,3 +189,16 @@ def test_info_tells_the_renderer_and_why(tmp_path):
 def test_kinds_of_colour_that_do_not_exist_are_refused():
     with pytest.raises(UsageError, match="expected spectral, rgb, mono"):
         backend.mitsuba("cmyk")
+
+
+def test_dr_jit_has_one_thread_while_processor_times_are_measured():
+    dr = backend.drjit()
+    before = dr.thread_count()
+    dr.set_thread_count(3)
+    try:
+        with pytest.raises(KeyError), backend.one_thread():
+            assert dr.thread_count() < 3
+            raise KeyError
+        assert dr.thread_count() == 3
+    finally:
+        dr.set_thread_count(before)

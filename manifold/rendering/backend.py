@@ -274,3 +274,15 @@ def drjit() -> Any:
     import drjit as dr
 
     return dr
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Dr.Jit without worker threads, which use a core while they wait: processor times then count work only."""
+    dr = drjit()
+    before = dr.thread_count()
+    dr.set_thread_count(0)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)

@@ -145,19 +145,19 @@ def make_chart(
         # Settings that keep files alike stand together: only one set of kept files is in memory.
         for setting in sorted((s for s in held_out if s.key not in rows), key=lambda s: s.storage.key):
             add(setting.key, setting.title, setting.family, held.measure(setting))
-    for key in only or known:
-        method = known[key]
-        if isinstance(method, Setting) or key in rows:
-            continue
-        try:
-            if neural is not None and method == fits.NEURAL:
-                measured = fits.measure_neural(neural, files, held.target, held.watch)
+        for key in only or known:
+            method = known[key]
+            if isinstance(method, Setting) or key in rows:
+                continue
+            try:
+                if neural is not None and method == fits.NEURAL:
+                    measured = fits.measure_neural(neural, files, held.target, held.watch)
+                else:
+                    measured = fits.measure(method, files, fitted, held.target, held.watch)
+            except (RendererError, UsageError) as error:
+                skipped[key] = str(error)
             else:
-                measured = fits.measure(method, files, fitted, held.target, held.watch)
-        except (RendererError, UsageError) as error:
-            skipped[key] = str(error)
-        else:
-            add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
+                add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
     measured_rows = tuple(rows[key] for key in known if key in rows)
     made = Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,

@@ -14,6 +14,7 @@ from manifold.fitting import principled
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.principled import FitResult
 from manifold.records import Array, BsdfFile, evenly_spaced
+from manifold.rendering import backend
 
 METHODS = ("gauss-newton", "adam", "swarm")
 """Of `principled.METHODS`."""
@@ -43,14 +44,15 @@ def measure(
     errors, fits, predicts, numbers = [], [], [], []
     for i in evenly_spaced(len(files), count):
         file = files[i]
-        result, seconds = watch.lap(partial(principled.fit_bsdf, file, method=method))
-        fits.append(seconds)
-        evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.balls.pairs)]
-        on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
+        with backend.one_thread():
+            result, seconds = watch.lap(partial(principled.fit_bsdf, file, method=method))
+            fits.append(seconds)
+            evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.balls.pairs)]
+            on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
+            scale = file.luminance.size / len(target.pairs)
+            predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
         errors.append(target.errors(int(i), on_grid, on_ball))
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
-        scale = file.luminance.size / len(target.pairs)
-        predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
     return Measurement(
         **summary(errors),
         fit=RelativeTime.of(np.array(fits) * len(files)),

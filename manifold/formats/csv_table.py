@@ -1,6 +1,7 @@
 """CSV files of readings: the table of a spectrophotometer's workbook, or directions in degrees beside f in 1/sr.
 
-Separators are `;`, tab, `|` or comma; with the first three, decimal commas are numbers.
+Separators are `;`, tab, `|` or comma, or blanks below a head that names directions. Unless commas separate, decimal
+commas are numbers.
 """
 
 from __future__ import annotations

@@ -22,18 +22,12 @@ from manifold.system.stages import with_progress
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
 _UNIT = 20.0  # CIEDE2000 of the ball per unit of distance, before the layout is scaled
-_MEASURED_VALLEY = (
-    0.08  # depth allowed in all blends; more only in blends with a material that has a deeper valley
-)
-_VALLEY_APART = (
-    300.0  # CIEDE2000 added to the distance of two materials per depth of the valley in their blend
-)
+# Depth allowed in all blends: hardly any measured material has a deeper valley; where one has, blends with it may.
+_MEASURED_VALLEY = 0.08
+_VALLEY_APART = 300.0  # CIEDE2000 between two materials per depth of the valley in their blend, added
 _VALLEY_COST = 10.0  # of valleys in blends of two, against stress
 _SQUARED_VALLEY_COST = 20000.0  # of squared depths in blends of several, against stress
-_PROFILE_BANDS, _PROFILE_STRIDE = (
-    4,
-    2,
-)  # bands, and one in how many directions, of profiles of blends of several
+_PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # bands and stride of directions, of profiles of blends of several
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that are evaluated
 

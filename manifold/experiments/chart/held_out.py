@@ -64,7 +64,8 @@ class HeldOut:
         materials = [MeasuredBRDF(file) for file in files]
         grid = grid.suited_to(all_isotropic(materials))
         tabulate = partial(Data.evaluate, materials, grid, bands)
-        self._data, self._tabulating = tabulate(), self.watch.laps(tabulate, _REPEATS)
+        self._data = tabulate()
+        self._tabulating = [self.watch.lap(tabulate)[1] for _ in range(_REPEATS)]
         wi, wo, above = grid.directions()
         self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
         self._block = instruments.some_pairs(_BLOCK_PAIRS, grid)

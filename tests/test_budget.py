@@ -140,7 +140,8 @@ def test_a_candidate_that_is_the_reference_differs_by_nothing(tmp_path):
     assert candidates[-1].is_full
     assert [c.size for c in candidates] == sorted(c.size for c in candidates)
     found = pictures.differences({key: candidates[-1]})[key]
-    assert found.delta_e == found.rendered == found.flip == 0.0
+    # Threads add to a pixel in any order, which changes last bits: 3e-6 in one run of many.
+    assert max(found.delta_e, found.rendered, found.flip) < 1e-4
     diffuse = next(c for c in candidates if c.name == "diffuse, 17 bands")
     assert 0.0 < pictures.differences({key: diffuse})[key].rendered < 2.0
 

@@ -72,10 +72,6 @@ def run(arguments: list[str] | None = None) -> None:
         warnings.showwarning = _refuse_warning if strict else _show_warning
     try:
         app(args=arguments, prog_name="manifold")
-    except UsageError as error:
-        _fail(str(error), debug, _EXIT_USAGE)
-    except ManifoldError as error:
-        _fail(str(error), debug)
     except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
         if leaving.code == _EXIT_INTERRUPTED:
             _say_interrupted()
@@ -84,21 +80,34 @@ def run(arguments: list[str] | None = None) -> None:
         # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(_EXIT_ERROR)
-    except MemoryError:
-        _fail("out of memory; close other programs, or use a smaller library", debug)
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        _fail(f"{where}{error.strerror or error}; check the path, its permissions and the free space", debug)
     except Exception as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # in the moment of a call into compiled code
+        if debug:
+            traceback.print_exc()
+        if _is_interruption(error):
             _say_interrupted()
             sys.exit(_EXIT_INTERRUPTED)
-        if _is_in_cache_of_numba(error):
-            _fail(
-                "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold",
-                debug,
-            )
-        _fail(f"internal error: {type(error).__name__}: {error}; run again with --debug and report it", debug)
+        print(f"manifold: {_one_line(_message(error))}", file=sys.stderr)
+        sys.exit(_EXIT_USAGE if isinstance(error, UsageError) else _EXIT_ERROR)
+
+
+def _message(error: Exception) -> str:
+    if isinstance(error, ManifoldError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "out of memory; close other programs, or use a smaller library"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the path, its permissions and the free space"
+    if _is_in_cache_of_numba(error):
+        return "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold"
+    return f"internal error: {type(error).__name__}: {error}; run again with --debug and report it"
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused it: calls into compiled code, and imports of it, replace that by errors of their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _is_in_cache_of_numba(error: Exception) -> bool:
@@ -108,13 +117,6 @@ def _is_in_cache_of_numba(error: Exception) -> bool:
 
 def _say_interrupted() -> None:
     print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
-
-
-def _fail(message: str, debug: bool, status: int = _EXIT_ERROR) -> None:
-    if debug:
-        traceback.print_exc()
-    print(f"manifold: {_one_line(message)}", file=sys.stderr)
-    sys.exit(status)
 
 
 def _one_line(message: object) -> str:

@@ -1,5 +1,16 @@
-"""`python -m manifold` is the command `manifold`."""
+"""The command `manifold`, also as `python -m manifold`."""
 
-from manifold.cli.main import run
+import sys
 
-run()
+
+def run() -> None:
+    """Load the command line and run it. Loading takes a moment, and Ctrl-C in it is no error."""
+    try:
+        from manifold.cli import main
+    except KeyboardInterrupt:
+        sys.exit(130)
+    main.run()
+
+
+if __name__ == "__main__":
+    run()

@@ -564,15 +564,42 @@ def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkey
     assert "RuntimeError: first line second line; run again with --debug" in one_line(err)
 
 
-def test_an_interruption_that_numba_wraps_is_an_interruption(run, folder, monkeypatch):
-    def fail(*_, **__):
-        # as CPython does where a C function, numba's dispatcher, returns with a Ctrl-C pending
-        raise SystemError("CPUDispatcher returned a result with an exception set") from KeyboardInterrupt()
+def wrapped_twice():
+    # as CPython does where a C function returns with a Ctrl-C pending: numba's dispatcher, and within it the one that
+    # loads a compiled function
+    inner = SystemError("_numba_unpickle returned a result with an exception set")
+    inner.__cause__ = KeyboardInterrupt()
+    raise SystemError("CPUDispatcher returned a result with an exception set") from inner
 
-    monkeypatch.setattr("manifold.workflows.pipeline.report", fail)
+
+def replaced():
+    # as the import of Dr.Jit does
+    try:
+        raise ImportError from KeyboardInterrupt()
+    except ImportError:
+        raise NameError("name '_drjit_ext' is not defined")  # noqa: B904
+
+
+@pytest.mark.parametrize("interrupt", [wrapped_twice, replaced])
+def test_an_interruption_of_compiled_code_is_an_interruption(run, folder, monkeypatch, interrupt):
+    monkeypatch.setattr("manifold.workflows.pipeline.report", lambda *_, **__: interrupt())
     status, _, err = run("report", cwd=folder)
     assert status == 130
     assert "interrupted; finished outputs are kept" in one_line(err)
+
+
+def test_an_interruption_while_the_command_loads_is_silent(tmp_path):
+    code = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(name, path, target=None):\n"
+        "        if name == 'typer': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted)\n"
+        "from manifold.__main__ import run\n"
+        "run()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):

@@ -80,7 +80,7 @@ def run(arguments: list[str] | None = None) -> None:
         # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(_EXIT_ERROR)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
         if _is_interruption(error):
@@ -90,7 +90,7 @@ def run(arguments: list[str] | None = None) -> None:
         sys.exit(_EXIT_USAGE if isinstance(error, UsageError) else _EXIT_ERROR)
 
 
-def _message(error: Exception) -> str:
+def _message(error: BaseException) -> str:
     if isinstance(error, ManifoldError):
         return str(error)
     if isinstance(error, MemoryError):
@@ -110,7 +110,7 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _is_in_cache_of_numba(error: Exception) -> bool:
+def _is_in_cache_of_numba(error: BaseException) -> bool:
     frames = traceback.extract_tb(error.__traceback__)
     return any(frame.filename.endswith(os.path.join("numba", "core", "caching.py")) for frame in frames)
 

@@ -588,6 +588,16 @@ def test_an_interruption_of_compiled_code_is_an_interruption(run, folder, monkey
     assert "interrupted; finished outputs are kept" in one_line(err)
 
 
+def test_an_interruption_before_the_command_runs_is_one_line(run, monkeypatch, tmp_path):
+    def interrupt(**_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("manifold.cli.main.app", interrupt)
+    status, _, err = run("corpus", "out", cwd=tmp_path)
+    assert status == 130
+    assert "interrupted" in one_line(err)
+
+
 def test_an_interruption_while_the_command_loads_is_silent(tmp_path):
     code = (
         "import sys\n"

@@ -54,8 +54,8 @@ for _commands in (
 def run(arguments: list[str] | None = None) -> None:
     """Run the command line and leave with its status.
 
-    0: done. 2: the command line cannot be followed (a word of it, or a file or folder that it names). 1: anything
-    else that went wrong. 130: interrupted.
+    0: done. 2: the command line cannot be followed. 1: anything else that went wrong, such as a model or a library
+    that is missing or damaged. 130: interrupted.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments

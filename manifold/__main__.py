@@ -7,9 +7,10 @@ def run() -> None:
     """Load the command line and run it. Loading takes a moment, and Ctrl-C in it is no error."""
     try:
         from manifold.cli import main
+
+        main.run()
     except KeyboardInterrupt:
         sys.exit(130)
-    main.run()
 
 
 if __name__ == "__main__":

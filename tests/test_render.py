@@ -180,7 +180,7 @@ def test_tone_mapping_keeps_what_a_display_can_show_and_never_reaches_white():
 
 def test_the_same_seed_gives_the_same_picture_and_another_seed_another():
     a, b, c = (render_bsdf(GREY, True, RenderSettings(size=24, samples=9, seed=s)) for s in (3, 3, 4))
-    np.testing.assert_allclose(a, b, rtol=1e-6)
+    np.testing.assert_allclose(a, b, rtol=1e-5)  # threads add to a pixel in any order
     assert np.abs(a - c).max() > 1e-3
 
 

@@ -574,6 +574,29 @@ def test_an_import_killed_at_any_moment_leaves_exactly_the_finished_materials(
     assert any(0 < count < 16 for count in counts), counts
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_an_interruption_while_the_last_materials_are_published_waits_for_them(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    sync = staging.atomic.sync_trees
+
+    def slow(folders) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            for _ in range(times):
+                time.sleep(0.3)  # until the main thread has nothing left to do but wait
+                os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.3)
+        sync(folders)
+
+    monkeypatch.setattr(staging.atomic, "sync_trees", slow)
+    with pytest.raises(KeyboardInterrupt):
+        import_files(tmp_path / "new.zarr", folder)
+    library = Library.open(tmp_path / "new.zarr")
+    assert library.names
+    assert library.verify() == []
+    assert beside(library.path) == set()
+
+
 def names_of_whole_materials(library: Path, expected: dict[str, BsdfFile]) -> tuple[str, ...]:
     """The names in a library, after comparing each material with its file."""
     if not library.exists():  # Killed before the library itself was made.

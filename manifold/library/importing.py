@@ -19,6 +19,7 @@ from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.library.store import Library
 from manifold.library.writing import make_store, read_bands, write_material
 from manifold.records import Bands, BsdfFile, Progress
+from manifold.system import interrupts
 
 Outcome = Literal["imported", "skipped", "replaced"]
 
@@ -265,5 +266,9 @@ def _outcome(library: Library, source: _Source, replace: bool, spellings: Mappin
 
 def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Hashing, copying and writing release the interpreter's lock, so threads are enough."""
-    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+    pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1))
+    try:
         return list(pool.map(function, items))  # which leaves out what has not begun when one fails
+    finally:
+        with interrupts.deferred():
+            pool.shutdown()

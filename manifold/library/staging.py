@@ -21,7 +21,7 @@ from typing import Self
 from filelock import FileLock, Timeout
 
 from manifold.errors import LibraryError
-from manifold.system import atomic
+from manifold.system import atomic, interrupts
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # of a link that somebody put there
 
@@ -81,7 +81,8 @@ class Publisher:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._thread.shutdown()
+        with interrupts.deferred():
+            self._thread.shutdown()
         for group in self._groups:
             group.result()
 

@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument(
         "--flips", type=int, default=0, help="single-bit flips of a model, all checked in one process"
     )
-    parser.add_argument("--kills", type=int, default=0, help="SIGKILLs over commands that write")
+    parser.add_argument("--kills", type=int, default=0, help="SIGKILLs and Ctrl-Cs over commands that write")
     parser.add_argument("--only", help="one case, such as scenes:17")
     options = parser.parse_args()
     work = Path(tempfile.mkdtemp(prefix="attack-"))

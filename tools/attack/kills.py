@@ -1,4 +1,4 @@
-"""Commands that write, killed at any moment: what they write is old or whole, and the next run tidies up."""
+"""Commands that write, killed or interrupted at any moment: what they write is old or whole, the next run tidies up."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import random
 import shutil
 import signal
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,6 +29,10 @@ def _is_bsdf(path: Path) -> bool:
     return read_bsdf(path).spectra.size > 0
 
 
+def _are_bsdfs(path: Path) -> bool:
+    return all(_is_bsdf(file) for file in path.glob("[!.]*.bsdf"))
+
+
 def _is_library(path: Path) -> bool:
     from manifold.library.store import Library
 
@@ -44,6 +49,7 @@ def _is_picture(path: Path) -> bool:
 
 Check = Callable[[Path], bool]
 COMMANDS: tuple[tuple[tuple[str, ...], str, Check], ...] = (
+    (("corpus", "made"), "made", _are_bsdfs),
     (("import", "files", "--library", "new.zarr"), "new.zarr", _is_library),
     (("embed", "--kind", "material", "--model", "new.h5"), "new.h5", _is_model),
     (("predict", "--latent", "0,0", "--resolution", "8", "-o", "p_rgb.bsdf"), "p_rgb.bsdf", _is_bsdf),
@@ -53,7 +59,7 @@ COMMANDS: tuple[tuple[tuple[str, ...], str, Check], ...] = (
 
 
 def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) -> list[str]:
-    """Kill commands `count` times; what went wrong."""
+    """Kill or interrupt commands `count` times; what went wrong."""
     problems = []
     for number, (arguments, output, check) in enumerate(COMMANDS):
         work = folder / f"kills{number}"
@@ -64,15 +70,23 @@ def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) 
                 path = work / output
                 with suppress(OSError):
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
-            pid = sandbox.start(command(*arguments), work, log)
-            time.sleep(rng.uniform(0.0, 1.1 * length))
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
+            after = rng.uniform(0.0, 1.1 * length)
+            if k % 2:
+                what = f"interruption {k} of {arguments[0]}"
+                ended = sandbox.run(_interrupted(command(*arguments), after), work, log)
+                if ended.status not in (0, 130) or "Traceback" in ended.err:
+                    problems.append(f"{what}: status {ended.status}: {ended.err.strip()[-200:]}")
+            else:
+                what = f"kill {k} of {arguments[0]}"
+                pid = sandbox.start(command(*arguments), work, log)
+                time.sleep(after)
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
             try:
                 if (work / output).exists() and not check(work / output):
-                    problems.append(f"kill {k} of {arguments[0]}: half of {output}")
+                    problems.append(f"{what}: half of {output}")
             except Exception as error:
-                problems.append(f"kill {k} of {arguments[0]}: {output}: {error}")
+                problems.append(f"{what}: {output}: {error}")
         ended = sandbox.run(command(*arguments), work, log)
         if ended.status != 0:
             problems.append(f"{arguments[0]} after kills: {ended.err.strip()[:200]}")
@@ -80,3 +94,17 @@ def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) 
         if left:
             problems.append(f"{arguments[0]}: left {', '.join(left)}")
     return problems
+
+
+def _interrupted(task: Callable[[], object], after: float) -> Callable[[], object]:
+    """A task with Ctrl-C some seconds after it began."""
+
+    def call() -> None:
+        timer = threading.Timer(after, os.kill, (os.getpid(), signal.SIGINT))
+        timer.start()
+        try:
+            task()
+        finally:
+            timer.cancel()
+
+    return call

@@ -46,6 +46,8 @@ def stability(
         made = failures.stability(only or (), picture, markdown, step)
     results.table(advice_page.COLUMNS, advice_page.table(made))
     results.text(advice_page.summary(made) + "\n")
+    for what, reason in made.skipped.items():
+        results.sentence(f"{what} was skipped: {reason}")
     results.document(made.to_json(MODES))
     if made.wrong or made.false_alarms:
         raise typer.Exit(1)

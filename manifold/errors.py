@@ -37,7 +37,7 @@ class NumericalError(ManifoldError):
 
 
 class RendererError(ManifoldError):
-    """Mitsuba, which rendering and fitting need, is missing."""
+    """Mitsuba, which rendering and fitting need, is missing, or lacks the backend that a method needs."""
 
 
 class UsageError(ManifoldError):

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from manifold.errors import UsageError
+from manifold.errors import RendererError, UsageError
 from manifold.experiments.stability import advice_page
 from manifold.experiments.stability.catalogue import MODES
 from manifold.experiments.stability.testbed import TestBed
@@ -61,6 +61,14 @@ def test_outcomes_follow_from_what_happened():
     assert [one.message for one in row.results] == [
         "", "beware", "no such thing; use another", "", "", "ValueError: oops"
     ]  # fmt: skip
+
+
+def test_a_method_that_this_machine_cannot_run_is_skipped_and_named():
+    made = run_modes([mode_of(RendererError("it needs LLVM; use another")), mode_of(Measurement(0.5))])
+    assert made.skipped == {"told: it": "it needs LLVM; use another"}
+    assert [row.is_false_alarm for row in made.rows] == [False]
+    assert made.to_json(MODES)["skipped"] == made.skipped
+    assert "told: it was skipped: it needs LLVM; use another." in advice_page.markdown(made, MODES)
 
 
 def test_of_several_results_each_is_judged_by_what_was_said_about_it():

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import to_rusinkiewicz
-from manifold.errors import UsageError
+from manifold.errors import RendererError
 from manifold.fitting.bsdf_evaluation import Evaluator, bsdf_keys, evaluator, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter
 from manifold.fitting.fit_metrics import Metric
@@ -76,11 +76,13 @@ def adam(
         metric: in which the result's cost is given; Adam does not see it.
         options: hyperparameters.
     Raises:
-        UsageError: Mitsuba runs in a scalar variant, which cannot differentiate.
+        RendererError: Mitsuba runs in a scalar variant, which cannot differentiate.
     """
     mi, dr = backend.mitsuba(colour="rgb"), backend.drjit()
     if not mi.variant().startswith("llvm"):
-        raise UsageError(f"method adam needs Mitsuba's LLVM backend, found {mi.variant()}; use gauss-newton")
+        raise RendererError(
+            f"method adam needs Mitsuba's LLVM backend, found {mi.variant()}; use gauss-newton"
+        )
     keys = bsdf_keys(mi, family)
     shared = [o for o in family.parameters if not o.per_band]
     colours = [o for o in family.parameters if o.per_band]

@@ -135,6 +135,7 @@ def fit_bsdf(
         on_progress: called with how much of the stages of method gauss-newton is done.
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
+        RendererError: Mitsuba is missing, or lacks the backend that the method needs.
         ShapeError: the samples have wrong shapes or values that are no numbers.
     """
     options = _options(method, options)

@@ -73,6 +73,8 @@ def markdown(made: Stability, modes: Sequence[Mode], picture: str | None = None)
         summary(made) + ".",
         "",
     ]
+    for what, reason in made.skipped.items():
+        parts += [f"{what} was skipped: {_cell(reason)}.", ""]
     for mode in modes:
         if mode.key in tried:
             parts += _chapter(mode, [row for row in made.rows if row.mode == mode.key])

@@ -3,20 +3,21 @@
 A mode makes its inputs by severity and runs every method that it concerns on them. A trial measures an error, and keeps
 what the package said of its own accord: an error of `manifold.errors` is a refusal; a warning, a diagnostic or a note
 is a warning. An error above the mode's limit about which nothing was said is *silently wrong*; a warning or a refusal
-at the first severity, which is harmless, is a *false alarm*. Both are defects of the package.
+at the first severity, which is harmless, is a *false alarm*. Both are defects of the package. Methods that cannot run
+on this machine are left out.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold.errors import ManifoldError, UsageError
+from manifold.errors import ManifoldError, RendererError, UsageError
 from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
 from manifold.system.names import names_like
@@ -145,9 +146,11 @@ class Stability:
 
     Attributes:
         rows: mode by mode, method by method.
+        skipped: why a method could not run on this machine, by mode and method.
     """
 
     rows: tuple[Row, ...]
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def wrong(self) -> tuple[Row, ...]:
@@ -182,6 +185,7 @@ class Stability:
                 | {"results": [_plain(one) for one in row.results]}
                 for row in self.rows
             ],
+            "skipped": dict(self.skipped),
         }
 
 
@@ -218,27 +222,37 @@ def run_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Sta
         on_progress: called with (done, total, what) after each method.
     """
     rows: list[Row] = []
+    skipped: dict[str, str] = {}
     total = sum(len(mode.methods) for mode in modes)
     # A dozen materials: sharing the work among threads costs more than it gains.
     with TestBed() as bed, threadpool_limits(1, "blas"):
         for mode in modes:
             for method in mode.methods:
-                results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
-                rows.append(Row(mode.key, method, mode.limit.value, results))
+                what = f"{mode.key}: {method}"
+                try:
+                    results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
+                    rows.append(Row(mode.key, method, mode.limit.value, results))
+                except RendererError as error:
+                    skipped[what] = str(error)
                 if on_progress is not None:
-                    on_progress(len(rows), total, f"{mode.key}: {method}")
-    return Stability(tuple(rows))
+                    on_progress(len(rows) + len(skipped), total, what)
+    return Stability(tuple(rows), skipped)
 
 
 def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:
     """Run a method at a severity and classify it by its errors and its messages.
 
     An exception that is not one of this package's errors counts as silently wrong.
+
+    Raises:
+        RendererError: the method cannot run on this machine.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             found = mode.methods[method](bed, severity)
+        except RendererError:
+            raise
         except ManifoldError as error:
             return TrialResult(severity, None, None, REFUSED, str(error))
         except Exception as error:

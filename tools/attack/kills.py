@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from xml.etree import ElementTree
 
 from attack import sandbox
 from attack.cases import command
@@ -47,14 +48,56 @@ def _is_picture(path: Path) -> bool:
     return path.read_bytes().endswith(b"IEND\xaeB`\x82")
 
 
+def _is_page(path: Path) -> bool:
+    return path.read_bytes().rstrip().endswith(b"</html>")
+
+
+def _is_asset(path: Path) -> bool:
+    return int.from_bytes(path.read_bytes()[8:12], "little") == path.stat().st_size  # as its header says
+
+
+def _is_merl(path: Path) -> bool:
+    from manifold.formats import registry
+
+    return bool(registry.read_all(path))
+
+
+def _are_workbooks(path: Path) -> bool:
+    from manifold.formats import registry
+
+    return all(registry.read_all(file) for file in path.glob("[!.]*.xlsx"))
+
+
+def _is_scene(path: Path) -> bool:
+    scene = path / "felt.xml"  # last, when all that it names is there
+    if not scene.exists():
+        return True
+    named = [
+        one.get("value", "")
+        for one in ElementTree.parse(scene).iter("string")
+        if one.get("name") == "filename"
+    ]
+    return all((path / name).is_file() for name in named)
+
+
 Check = Callable[[Path], bool]
+FELT = "files/syn_felt_green_rgb.bsdf"
 COMMANDS: tuple[tuple[tuple[str, ...], str, Check], ...] = (
     (("corpus", "made"), "made", _are_bsdfs),
+    (("corpus", "measured", "--instrument", "ma-t12"), "measured", _are_workbooks),
     (("import", "files", "--library", "new.zarr"), "new.zarr", _is_library),
     (("embed", "--kind", "material", "--model", "new.h5"), "new.h5", _is_model),
     (("predict", "--latent", "0,0", "--resolution", "8", "-o", "p_rgb.bsdf"), "p_rgb.bsdf", _is_bsdf),
+    (("reconstruct", FELT, "-o", "r_rgb.bsdf"), "r_rgb.bsdf", _is_bsdf),
     (("info", "library.zarr", "--json", "info.json"), "info.json", _is_json),
-    (("slices", "files/syn_felt_green_rgb.bsdf", "-o", "slices.png"), "slices.png", _is_picture),
+    (("report", "--json", "report.json"), "report.json", _is_json),
+    (("slices", FELT, "-o", "slices.png"), "slices.png", _is_picture),
+    (("map", "-o", "map.png"), "map.png", _is_picture),
+    (("explore", "--html", "map.html"), "map.html", _is_page),
+    (("fit", FELT, "-o", "felt.fit.json"), "felt.fit.json", _is_json),
+    (("export", "--latent", "0,0", "-o", "there.glb"), "there.glb", _is_asset),
+    (("convert", FELT, "-o", "felt.binary"), "felt.binary", _is_merl),
+    (("budget", "--example", "felt", "-o", "lean"), "lean", _is_scene),
 )
 
 
@@ -65,7 +108,7 @@ def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) 
         work = folder / f"kills{number}"
         shutil.copytree(base / "whole", work)
         length = sandbox.run(command(*arguments), work, log).waited
-        for k in range(count // len(COMMANDS)):
+        for k in range(count // len(COMMANDS) + (number < count % len(COMMANDS))):
             if rng.random() < 0.5:
                 path = work / output
                 with suppress(OSError):

@@ -16,10 +16,8 @@ def deferred() -> Iterator[None]:
     Where a wait is interrupted, Python 3.11 takes the thread for ended, so that waiting again would not help.
     """
     handler = signal.getsignal(signal.SIGINT)
-    if (
-        not callable(handler) or threading.current_thread() is not threading.main_thread()
-    ):  # none is raised here
-        yield
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield  # none would be raised in the block
         return
     arrived: list[tuple[int, FrameType | None]] = []
     signal.signal(signal.SIGINT, lambda number, frame: arrived.append((number, frame)))

@@ -44,7 +44,7 @@ def test_mutations_are_those_of_their_seed():
 @pytest.mark.slow
 def test_a_short_attack_finds_nothing():
     ended = subprocess.run(
-        [sys.executable, "tools/attack", "--minutes", "0.3", "--flips", "500", "--kills", "30"],
+        [sys.executable, "tools/attack", "--minutes", "0.3", "--flips", "500", "--kills", "19", "--interrupts", "19"],
         cwd=REPOSITORY, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stdout + ended.stderr

@@ -35,7 +35,8 @@ def main() -> int:
     parser.add_argument(
         "--flips", type=int, default=0, help="single-bit flips of a model, all checked in one process"
     )
-    parser.add_argument("--kills", type=int, default=0, help="SIGKILLs and Ctrl-Cs over commands that write")
+    parser.add_argument("--kills", type=int, default=0, help="SIGKILLs over commands that write")
+    parser.add_argument("--interrupts", type=int, default=0, help="Ctrl-Cs over the same commands")
     parser.add_argument("--only", help="one case, such as scenes:17")
     options = parser.parse_args()
     work = Path(tempfile.mkdtemp(prefix="attack-"))
@@ -58,9 +59,10 @@ def _attack(options: argparse.Namespace, work: Path) -> int:
     problems: list[str] = []
     if options.flips:
         problems += _flips(base, work, options.flips, random.Random(options.seed))
-    if options.kills:
-        found = kills.attack(base, work, options.kills, random.Random(options.seed), log)
-        print(f"kills: {options.kills}, {len(found)} problems")
+    if options.kills or options.interrupts:
+        rng = random.Random(options.seed)
+        found = kills.attack(base, work, options.kills, options.interrupts, rng, log)
+        print(f"kills: {options.kills}, interrupts: {options.interrupts}, {len(found)} problems")
         problems += found
     counts: Counter[str] = Counter()
     until = time.monotonic() + 60.0 * options.minutes

@@ -1,4 +1,7 @@
-"""Commands that write, killed or interrupted at any moment: what they write is old or whole, the next run tidies up."""
+"""Commands that write, killed or interrupted at any moment: what they write is old or whole, the next run tidies up.
+
+Not among them are calibrate, compare, demo, fetch, stability and walk.
+"""
 
 from __future__ import annotations
 
@@ -90,9 +93,13 @@ COMMANDS: tuple[tuple[tuple[str, ...], str, Check], ...] = (
     (("predict", "--latent", "0,0", "--resolution", "8", "-o", "p_rgb.bsdf"), "p_rgb.bsdf", _is_bsdf),
     (("reconstruct", FELT, "-o", "r_rgb.bsdf"), "r_rgb.bsdf", _is_bsdf),
     (("info", "library.zarr", "--json", "info.json"), "info.json", _is_json),
+    (("locate", FELT, "--json", "latent.json"), "latent.json", _is_json),
+    (("complete", "--suggest", "2", "--json", "next.json"), "next.json", _is_json),
+    (("chart", "--only", "nearest", "--json", "chart.json"), "chart.json", _is_json),
     (("report", "--json", "report.json"), "report.json", _is_json),
     (("slices", FELT, "-o", "slices.png"), "slices.png", _is_picture),
     (("map", "-o", "map.png"), "map.png", _is_picture),
+    (("render", FELT, "--size", "32", "-o", "ball.png"), "ball.png", _is_picture),
     (("explore", "--html", "map.html"), "map.html", _is_page),
     (("fit", FELT, "-o", "felt.fit.json"), "felt.fit.json", _is_json),
     (("export", "--latent", "0,0", "-o", "there.glb"), "there.glb", _is_asset),
@@ -101,20 +108,22 @@ COMMANDS: tuple[tuple[tuple[str, ...], str, Check], ...] = (
 )
 
 
-def attack(base: Path, folder: Path, count: int, rng: random.Random, log: Path) -> list[str]:
-    """Kill or interrupt commands `count` times; what went wrong."""
+def attack(base: Path, folder: Path, kills: int, interrupts: int, rng: random.Random, log: Path) -> list[str]:
+    """Kill and interrupt commands, so many times in all; what went wrong."""
     problems = []
+    signals = [signal.SIGKILL] * kills + [signal.SIGINT] * interrupts
+    rng.shuffle(signals)
     for number, (arguments, output, check) in enumerate(COMMANDS):
         work = folder / f"kills{number}"
         shutil.copytree(base / "whole", work)
         length = sandbox.run(command(*arguments), work, log).waited
-        for k in range(count // len(COMMANDS) + (number < count % len(COMMANDS))):
+        for k, sent in enumerate(signals[number :: len(COMMANDS)]):
             if rng.random() < 0.5:
                 path = work / output
                 with suppress(OSError):
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
             after = rng.uniform(0.0, 1.1 * length)
-            if k % 2:
+            if sent == signal.SIGINT:
                 what = f"interruption {k} of {arguments[0]}"
                 ended = sandbox.run(_interrupted(command(*arguments), after), work, log)
                 if ended.status not in (0, 130) or "Traceback" in ended.err:

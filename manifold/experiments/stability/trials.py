@@ -39,7 +39,10 @@ class Measurement:
 
 
 Trial = Callable[[TestBed, float], Measurement | Sequence[Measurement]]
-"""From the test bed and a severity to what was measured, of one result or of several; a ManifoldError is a refusal."""
+"""From the test bed and a severity to what was measured, of one result or of several.
+
+A ManifoldError is a refusal, but a RendererError says that the method cannot run on this machine.
+"""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import typer
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
+from manifold.system import interrupts
 
 from . import terminal
 from .application import app
@@ -83,7 +84,7 @@ def run(arguments: list[str] | None = None) -> None:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        if _is_interruption(error):
+        if interrupts.is_interruption(error):
             _say_interrupted()
             sys.exit(_EXIT_INTERRUPTED)
         print(f"manifold: {_one_line(_message(error))}", file=sys.stderr)
@@ -101,13 +102,6 @@ def _message(error: BaseException) -> str:
     if _is_in_cache_of_numba(error):
         return "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold"
     return f"internal error: {type(error).__name__}: {error}; run again with --debug and report it"
-
-
-def _is_interruption(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused it: calls into compiled code, and imports of it, replace that by errors of their own."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _is_in_cache_of_numba(error: BaseException) -> bool:

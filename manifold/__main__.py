@@ -2,13 +2,16 @@
 
 import sys
 
+from manifold.system import interrupts
 
-def run() -> None:
+
+def run(arguments: list[str] | None = None) -> None:
     """Load the command line and run it. Loading takes a moment, and Ctrl-C in it is no error."""
     try:
-        from manifold.cli import main
+        with interrupts.repeated_where_ignored():
+            from manifold.cli import main
 
-        main.run()
+            main.run(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
 

@@ -201,3 +201,15 @@ def test_dr_jit_has_one_thread_while_processor_times_are_measured():
         assert dr.thread_count() == 3
     finally:
         dr.set_thread_count(before)
+
+
+def test_an_interrupted_import_of_mitsuba_is_not_a_missing_one(monkeypatch):
+    class Interrupted:
+        def find_spec(self, name, path, target=None):
+            if name == "mitsuba":
+                raise ImportError("half of it is loaded") from KeyboardInterrupt()
+
+    monkeypatch.delitem(sys.modules, "mitsuba", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted()])
+    with pytest.raises(KeyboardInterrupt):
+        backend.is_available()

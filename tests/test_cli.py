@@ -26,6 +26,7 @@ from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.metrics import relative_error
 from manifold.model.manifold import Manifold
 from manifold.models.decoder import EncodingPairs
+from manifold.system import interrupts
 
 RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
 COMMANDS = (
@@ -610,6 +611,37 @@ def test_an_interruption_while_the_command_loads_is_silent(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_an_interruption_in_a_destructor_is_not_lost(tmp_path):
+    code = (
+        "import signal, time\n"
+        "from manifold import __main__\n"
+        "from manifold.cli import main\n"
+        "class Interrupted:\n"
+        "    def __del__(self): signal.raise_signal(signal.SIGINT)\n"
+        "def command(**_):\n"
+        "    Interrupted()\n"
+        "    time.sleep(60)\n"
+        "main.app = command\n"
+        "__main__.run([])"
+    )
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=50)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert "interrupted" in one_line(done.stderr)
+
+
+def test_other_errors_in_destructors_are_shown_as_before(monkeypatch):
+    class Broken:
+        def __del__(self):
+            raise ValueError
+
+    shown = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda ignored: shown.append(ignored.exc_type))
+    with interrupts.repeated_where_ignored():
+        Broken()
+    assert shown == [ValueError]
 
 
 def test_a_demo_goes_on_where_an_earlier_one_stopped(tmp_path, monkeypatch):

@@ -71,6 +71,13 @@ def test_a_method_that_this_machine_cannot_run_is_skipped_and_named():
     assert "told: it was skipped: it needs LLVM; use another." in advice_page.markdown(made, MODES)
 
 
+def test_an_interruption_of_compiled_code_is_no_result():
+    interrupted = SystemError("CPUDispatcher returned a result with an exception set")
+    interrupted.__cause__ = KeyboardInterrupt()
+    with pytest.raises(SystemError):
+        run_modes([mode_of(interrupted)])
+
+
 def test_of_several_results_each_is_judged_by_what_was_said_about_it():
     warned, silent = Measurement(9.0, ("beware",)), Measurement(0.5)
     (row,) = run_modes([mode_of([warned, silent], [warned, Measurement(2.0)], [warned, warned])]).rows

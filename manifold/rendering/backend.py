@@ -24,6 +24,7 @@ from typing import Any
 from manifold.errors import RendererError, UsageError
 from manifold.rendering import libllvm
 from manifold.rendering.libllvm import INSTALL, LIBRARY_VARIABLE, WORKS, Probe, mitsuba_version
+from manifold.system import interrupts
 
 RENDERER_VARIABLE = "MANIFOLD_RENDERER"
 """Environment variable that forces a backend: `llvm`, `scalar`, or `auto` (as if it were not set)."""
@@ -85,6 +86,8 @@ def _import_mitsuba() -> Any:
     try:
         import mitsuba
     except ImportError as error:
+        if interrupts.is_interruption(error):
+            raise KeyboardInterrupt from error
         raise RendererError(
             f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
             "it has a wheel for"

@@ -35,7 +35,7 @@ def _anything(ended: Ended) -> str | None:
 
 def command(*arguments: object) -> Callable[[], object]:
     """A task that runs the command line."""
-    from manifold.cli.main import run
+    from manifold.__main__ import run
 
     return lambda: run([str(argument) for argument in arguments])
 

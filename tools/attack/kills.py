@@ -126,9 +126,7 @@ def attack(base: Path, folder: Path, kills: int, interrupts: int, rng: random.Ra
             if sent == signal.SIGINT:
                 what = f"interruption {k} of {arguments[0]}"
                 ended = sandbox.run(_interrupted(command(*arguments), after), work, log)
-                # In a destructor Python prints Ctrl-C, ignores it and goes on.
-                said = "" if "Exception ignored in" in ended.err else ended.err
-                if ended.status not in (0, 130) or "Traceback" in said:
+                if ended.status not in (0, 130) or "Traceback" in ended.err:
                     problems.append(f"{what}: status {ended.status}: {ended.err.strip()[-200:]}")
             else:
                 what = f"kill {k} of {arguments[0]}"

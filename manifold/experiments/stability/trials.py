@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from manifold.errors import ManifoldError, RendererError, UsageError
 from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
+from manifold.system import interrupts
 from manifold.system.names import names_like
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
@@ -259,6 +260,8 @@ def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialRe
         except ManifoldError as error:
             return TrialResult(severity, None, None, REFUSED, str(error))
         except Exception as error:
+            if interrupts.is_interruption(error):
+                raise
             return TrialResult(severity, None, None, WRONG, f"{type(error).__name__}: {error}")
     measured = [found] if isinstance(found, Measurement) else list(found)
     ours = [str(one.message) for one in caught if one.category.__module__.startswith("manifold")]

@@ -622,12 +622,12 @@ def test_an_interruption_in_a_destructor_is_not_lost(tmp_path):
         "    def __del__(self): signal.raise_signal(signal.SIGINT)\n"
         "def command(**_):\n"
         "    Interrupted()\n"
-        "    time.sleep(60)\n"
+        "    time.sleep(300)\n"
         "main.app = command\n"
         "__main__.run([])"
     )
     words = [sys.executable, "-c", code]
-    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=50)
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=180)
     assert (done.returncode, done.stdout) == (130, "")
     assert "interrupted" in one_line(done.stderr)
 

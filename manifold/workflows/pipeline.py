@@ -88,9 +88,10 @@ def report(
     if picture is not None:
         figures.require_writable(picture)
     loaded = Manifold.load(model, library)
-    if len(loaded.names) < 3:
+    count = len(loaded.names)
+    if count < 3:
         raise UsageError(
-            f"{model}: found {len(loaded.names)} materials, expected at least 3 to leave one out; import more"
+            f"{model}: found {count} material{'s' * (count != 1)}, expected at least 3 to leave one out; import more"
         )
     if picture is not None:  # first: an interruption then costs little
         figures.save(plot_latents.latent_map(loaded), picture)

@@ -82,9 +82,10 @@ def choose(
     Raises:
         UsageError: there are fewer than four materials.
     """
-    if len(materials) < 4:
+    count = len(materials)
+    if count < 4:
         raise UsageError(
-            f"found {len(materials)} materials, expected at least 4 to choose by held-out error; "
+            f"found {count} material{'s' * (count != 1)}, expected at least 4 to choose by held-out error; "
             "give --mapping and --latent-dim, or import more"
         )
     trials = _Trials(materials, settings)

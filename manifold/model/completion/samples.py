@@ -83,9 +83,10 @@ class LibrarySamples:
             UsageError: there are fewer than three.
             LibraryError: a material cannot be read.
         """
-        if len(cache.names) < 3:
+        count = len(cache.names)
+        if count < 3:
             raise UsageError(
-                f"{cache.library.path}: {len(cache.names)} materials, expected at least three to complete "
+                f"{cache.library.path}: {count} material{'s' * (count != 1)}, expected at least three to complete "
                 "readings from; import more"
             )
         bands = cache.library.bands

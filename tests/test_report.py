@@ -34,6 +34,7 @@ from manifold.metrics import (
 from manifold.model.appearance import appearance_pairs
 from manifold.model.manifold import Manifold, Settings
 from manifold.model.materials import MaterialCache
+from manifold.models.decoder import EncodingPairs
 from manifold.plots import figures, plot_latents
 
 KINDS = ("monochrome", "material")
@@ -42,11 +43,14 @@ KINDS = ("monochrome", "material")
 @pytest.fixture(scope="module", autouse=True)
 def small_grid():
     """The default grid with a tenth of its pairs: what holds for these holds for all."""
+    made_of_it = (appearance_pairs, EncodingPairs.default)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(metrics.NAMED_GRIDS, "default", RusinkiewiczGrid(20, 11, 6))
-        appearance_pairs.cache_clear()
+        for made in made_of_it:
+            made.cache_clear()
         yield
-    appearance_pairs.cache_clear()  # other modules have the whole grid again
+    for made in made_of_it:
+        made.cache_clear()  # other modules have the whole grid again
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default, require_replaceable
+from .outputs import or_default, unnamed
 
 if TYPE_CHECKING:
     from manifold.model.completion.suggest import Suggested
@@ -92,10 +92,8 @@ def complete(
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     taken = completions.read(readings, sample, correction, completions.parse_gloss(gloss or []))
-    target = or_default(output, completions.file_name(taken.readings), "complete", force)
-    ball = target.with_suffix(".png") if picture else None
-    if ball is not None and not force:
-        require_replaceable("complete", {"picture": ball})
+    target = or_default(output, completions.file_name(taken.readings))
+    ball = unnamed("picture", target.with_suffix(".png")) if picture else None
     with terminal.progress("Completing") as step:
         made = completions.complete_readings(
             taken, library, target, picture=ball, count=suggest, instrument=instrument,

@@ -93,11 +93,11 @@ def export(
         many = TARGETS[target or "gltf"]
         folder = output or Path("exports")
         with terminal.progress("Exporting") as step:
-            check = replacing("export", source, force)
+            check = replacing(force)
             outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct, check=check)
         _show_all(results, outcomes, folder)
         return
-    path = or_default(output, "material.glb", "export", force)
+    path = or_default(output, "material.glb")
     chosen = exports.target_for(target, path, source)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:

@@ -11,6 +11,7 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
+from .outputs import unnamed
 
 if TYPE_CHECKING:
     from manifold.model.colours import ColourChoice
@@ -165,7 +166,7 @@ def _draw(
         for done, outcome in enumerate(outcomes, start=1):
             if outcome.content is None:
                 continue
-            target = outcome.path.with_suffix(".png")
+            target = unnamed("picture", outcome.path.with_suffix(".png"))
             if outcome.file is not None:
                 made = fit_pictures.picture_of_fit(outcome.path, outcome.file, target)
             else:

@@ -245,7 +245,7 @@ def predict(
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
             model, table, folder, library=library, physical=physical, force=force, resolution=resolution,
-            n_theta_i=n_theta_i, check=replacing("predict", points, force), stage=terminal.progress,
+            n_theta_i=n_theta_i, check=replacing(force), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
@@ -257,7 +257,7 @@ def predict(
         made = predicted_file.predict(
             model,
             latent,
-            or_default(output, "predicted.bsdf", "predict", force),
+            or_default(output, "predicted.bsdf"),
             library=library,
             colour=colour,
             physical=physical,
@@ -345,7 +345,7 @@ def reconstruct(
     from manifold.model import reconstructed
 
     results = terminal.Results(json)
-    target = or_default(output, "reconstructed.bsdf", "reconstruct", force)
+    target = or_default(output, "reconstructed.bsdf")
     with terminal.progress("Reading materials") as step:
         made = reconstructed.reconstruct_file(
             library, path, target, without=without or (), physical=physical, force=force, on_progress=step

@@ -6,6 +6,7 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,8 @@ from . import mistyped
 
 _NAMES = ("output", "picture", "markdown", "json")  # of parameters that are files to be written
 _HEAD = 1 << 16
+_given: ContextVar[tuple[str, dict[str, Any]] | None] = ContextVar("_given", default=None)
+"""The name and the parameters of the command that runs, unless --force is among them."""
 _PICTURES = {".png": b"\x89PNG", ".exr": b"\x76\x2f\x31\x01", ".pdf": b"%PDF", ".svg": b"<svg"}
 
 Force = Annotated[bool, typer.Option("--force", help="Allow overwriting inputs and files of another kind.")]
@@ -46,22 +49,43 @@ def guarded(function: Callable[..., Any]) -> Callable[..., Any]:
     def run(**values: Any) -> Any:
         if not values["force"]:
             require_replaceable(function.__name__, values)
+        before = _given.set(None if values["force"] else (function.__name__, dict(values)))
         if not is_own:
             del values["force"]
-        return function(**values)
+        try:
+            return function(**values)
+        finally:
+            _given.reset(before)
 
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in parameters}
     return run
 
 
-def or_default(output: Path | None, default: str, command: str, force: bool) -> Path:
+def or_default(output: Path | None, default: str) -> Path:
     """The output that was named, which `guarded` has looked at, or else a default, looked at here."""
-    if output is not None:
-        return output
-    if not force:
-        require_replaceable(command, {"output": Path(default)})
-    return Path(default)
+    return unnamed("output", Path(default)) if output is None else output
+
+
+def unnamed(name: str, path: Path) -> Path:
+    """An output of the running command that its user did not name, looked at beside all that was.
+
+    Args:
+        name: the parameter that it stands for.
+    Raises:
+        UsageError: as `require_replaceable`.
+    """
+    if (given := _given.get()) is not None:
+        command, values = given
+        values[name] = path
+        require_replaceable(command, values)
+    return path
+
+
+def require_unused(json: Path) -> None:
+    """Raise UsageError where the running command has written another output than its JSON to this file."""
+    if (given := _given.get()) is not None:
+        require_replaceable(given[0], {"json": json})
 
 
 def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
@@ -140,7 +164,7 @@ def _is_own_kind(command: str, name: str, path: Path, to: str | None = None) -> 
     if name == "model":
         return head.startswith(b"manifold model\r\n") or b"manifold-model" in head
     is_fit = b'"format": "manifold fit"' in head
-    if name == "json" or command == "fit":
+    if name == "json" or (command, name) == ("fit", "output"):
         return b'"program": "manifold ' in head and is_fit == (name != "json")
     if name == "markdown":
         return b"manifold stability" in head

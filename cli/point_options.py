@@ -10,7 +10,7 @@ import typer
 from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
-from .outputs import require_replaceable
+from .outputs import unnamed
 
 if TYPE_CHECKING:
     from manifold.workflows.many_points import Check, PointOutcome
@@ -40,11 +40,13 @@ def folder_or_default(output: Path | None, default: str) -> Path:
     return output or Path(default)
 
 
-def replacing(command: str, points: Path, force: bool) -> Check | None:
-    """A check that refuses to replace a file that this command did not write."""
-    if force:
-        return None
-    return lambda path: require_replaceable(command, {"points": points, "output": path})
+def replacing(force: bool) -> Check | None:
+    """A check that refuses to replace a file that the running command did not write."""
+
+    def check(path: Path) -> None:
+        unnamed("output", path)
+
+    return None if force else check
 
 
 def show_points(

@@ -105,11 +105,11 @@ def render(
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,
-            check=replacing("render", points, force), stage=terminal.progress,
+            check=replacing(force), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
-    output = or_default(output, "render.png", "render", force)
+    output = or_default(output, "render.png")
     images.require_image_path(output)
     with terminal.progress("Rendering") as step:
         stages = Stages(step, {"": 1, "rendering": 1})

@@ -26,6 +26,8 @@ from rich.progress import (
 from manifold import __version__
 from manifold.system import atomic, stages
 
+from . import outputs
+
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
 
@@ -134,6 +136,7 @@ class Results:
         if self._only_json:
             sys.stdout.write(text)
         else:
+            outputs.require_unused(self._target)
             atomic.write_text(self._target, text)
 
 

@@ -68,6 +68,31 @@ def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folde
     assert _content(folder) == before
 
 
+def test_outputs_that_nobody_named_destroy_nothing_either(run, folder):
+    small, file = ("--resolution", "8", "--incidences", "4"), f"files/{NAMES[0]}_rgb.bsdf"
+    assert run("predict", "--latent", "0,0", *small, "-o", "reconstructed.bsdf", cwd=folder)[0] == 0
+    before = _content(folder)
+    for words, arguments in {
+        "reconstructed.bsdf: is an input of this command": ("reconstruct", "reconstructed.bsdf"),
+        "named for --output and for --json": ("predict", "--latent", "0,0", "--json", "predicted.bsdf"),
+        "named for --output and for": ("render", file, "--json", "render.png"),
+    }.items():
+        status, _, err = run(*arguments, cwd=folder)
+        assert status == 2, arguments
+        assert words in one_line(err)
+    assert _content(folder) == before
+
+
+def test_the_json_of_results_never_replaces_a_result(run, folder):
+    fit = f"{NAMES[0]}.fit.json"
+    status, _, err = run(
+        "fit", f"files/{NAMES[0]}_rgb.bsdf", "--free", "roughness", "--json", fit, cwd=folder
+    )
+    assert status == 2
+    assert f"{fit}: exists, and was not written" in one_line(err)
+    assert json.loads((folder / fit).read_text())["format"] == "manifold fit"
+
+
 def test_commands_write_again_what_they_wrote(run, folder):
     for arguments in (
         ("info", "model.h5", "--json", "info.json"),

@@ -175,6 +175,29 @@ def test_render_finishes_with_a_picture_and_one_line_of_advice_without_llvm(tmp_
     assert "install" in advice[0]
 
 
+def loaded_with_a_wrong_library(first: str) -> subprocess.CompletedProcess[str]:
+    """A process whose environment names no libLLVM, which does something first and then renders."""
+    script = f"from manifold.rendering import backend\n{first}\nprint(backend.mitsuba('rgb').variant())"
+    wrong = os.environ | {libllvm.LIBRARY_VARIABLE: "/nonexist"}
+    return subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, env=wrong, check=False
+    )
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="no libLLVM works on this machine")
+def test_a_named_library_that_is_none_gives_way_to_one_that_works():
+    done = loaded_with_a_wrong_library("backend.is_available()")
+    assert (done.stdout, done.stderr) == ("llvm_ad_rgb\n", "")
+
+
+@pytest.mark.skipif(not backend.choose().is_llvm, reason="no libLLVM works on this machine")
+def test_dr_jit_that_somebody_imported_with_a_wrong_library_is_one_clear_error():
+    done = loaded_with_a_wrong_library("import drjit")
+    assert done.stderr.splitlines()[-1].startswith(
+        "manifold.errors.RendererError: Dr.Jit was imported while DRJIT_LIBLLVM_PATH named no libLLVM that works"
+    )
+
+
 def test_info_tells_the_renderer_and_why(tmp_path):
     done = subprocess.run(
         [*PROGRAM, "info", "--renderer", "--json", "-"],

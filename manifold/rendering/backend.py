@@ -4,9 +4,9 @@ Mitsuba's fast variants compile with a libLLVM that Dr.Jit finds on the machine;
 This module (and nothing else) imports Mitsuba and Dr.Jit; others ask `mitsuba()` and `drjit()` for them, and get a
 `RendererError` where Mitsuba is missing.
 
-Caveats: Dr.Jit takes its libLLVM when the first LLVM variant is set and never another one in the same process. The
-variant is one setting of the whole process, so threads must not render in different ones at a time; objects of one
-variant mean nothing in another. Neither survives a fork: use spawned processes.
+Caveats: Dr.Jit takes its libLLVM when it is imported and never another one in the same process. The variant is one
+setting of the whole process, so threads must not render in different ones at a time; objects of one variant mean
+nothing in another. Neither survives a fork: use spawned processes.
 """
 
 from __future__ import annotations
@@ -78,22 +78,9 @@ def is_available() -> bool:
 
 
 def _import_mitsuba() -> Any:
-    """Mitsuba, in whatever variant is set.
-
-    Raises:
-        RendererError: it is not installed, or does not load on this machine.
-    """
-    try:
-        import mitsuba
-    except ImportError as error:
-        if interrupts.is_interruption(error):
-            raise KeyboardInterrupt from error
-        raise RendererError(
-            f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
-            "it has a wheel for"
-        ) from error
-    _require_own_plugins_first(mitsuba)
-    return mitsuba
+    """Mitsuba, in whatever variant is set. Raises: as `choose`."""
+    choose()
+    return sys.modules["mitsuba"]
 
 
 @cache
@@ -155,12 +142,23 @@ def choose(*, refresh: bool = False) -> Backend:
         refresh: try the libraries again, whatever is remembered of them.
     Raises:
         UsageError: `MANIFOLD_RENDERER` is none of its values, or asks for an LLVM that is not there.
-        RendererError: Mitsuba is missing.
+        RendererError: Mitsuba is not installed, or does not load on this machine.
     """
     global _chosen
-    _import_mitsuba()
-    if _chosen is None or refresh:
-        _chosen = choose_among(libllvm.find_libraries(), libllvm.probe, refresh=refresh)
+    try:
+        if _chosen is None or refresh:
+            _chosen = choose_among(libllvm.find_libraries(), libllvm.probe, refresh=refresh)
+            if _chosen.library is not None:  # for Dr.Jit, which reads it once, as it is imported
+                os.environ[LIBRARY_VARIABLE] = str(_chosen.library)
+        import mitsuba
+    except ImportError as error:
+        if interrupts.is_interruption(error):
+            raise KeyboardInterrupt from error
+        raise RendererError(
+            f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
+            "it has a wheel for"
+        ) from error
+    _require_own_plugins_first(mitsuba)
     return _chosen
 
 
@@ -196,14 +194,12 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
         backend: by default `choose()`.
     Raises:
         UsageError: no such kind of colour, or Mitsuba was built without the variant.
-        RendererError: Mitsuba is missing.
+        RendererError: Mitsuba is missing, or Dr.Jit was imported with a libLLVM that does not work.
     """
     global _is_advised
     if colour not in _COLOURS:
         raise UsageError(f"no kind of colour is called '{colour}', expected {', '.join(_COLOURS)}")
     backend = backend or choose()
-    if backend.library is not None:
-        os.environ[LIBRARY_VARIABLE] = str(backend.library)
     if backend.advice is not None and not _is_advised:
         _is_advised = True
         warnings.warn(backend.advice, RendererWarning, stacklevel=2)
@@ -213,7 +209,13 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
         raise UsageError(f"this Mitsuba has no variant {variant}, expected one of {', '.join(mi.variants())}")
     _require_same_process()
     if mi.variant() != variant:
-        mi.set_variant(variant)
+        try:
+            mi.set_variant(variant)
+        except ImportError as error:
+            raise RendererError(
+                f"Dr.Jit was imported while {LIBRARY_VARIABLE} named no libLLVM that works; set it to "
+                f"{backend.library} before, or leave it unset"
+            ) from error
     return mi
 
 

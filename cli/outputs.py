@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
@@ -13,11 +14,14 @@ from typing import Annotated, Any
 import typer
 
 from manifold.errors import UsageError
+from manifold.library.location import require_outside_libraries
 
 from . import mistyped
 
 _NAMES = ("output", "picture", "markdown", "json")  # of parameters that are files to be written
 _HEAD = 1 << 16
+_JSON_FORMATS = {("fit", "output"): b"fit", ("calibrate", "output"): b"colour correction"}
+_JSON_FORMAT = re.compile(rb'\{\s*"format": "manifold ([a-z ]+)"')  # reports have none
 _given: ContextVar[tuple[str, dict[str, Any]] | None] = ContextVar("_given", default=None)
 """The name and the parameters of the command that runs, unless --force is among them."""
 _PICTURES = {".png": b"\x89PNG", ".exr": b"\x76\x2f\x31\x01", ".pdf": b"%PDF", ".svg": b"<svg"}
@@ -109,7 +113,7 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
         other = targets.setdefault(target, name)
         if other != name:
             raise UsageError(f"{path}: named for --{other} and for --{name}; name two files")
-        _require_outside_libraries(path)
+        require_outside_libraries(path)
         if not path.is_file():
             continue
         if any(os.path.realpath(source) == target or _is_same(source, path) for source in inputs):
@@ -140,14 +144,6 @@ def _is_same(a: Path, b: Path) -> bool:
         return False
 
 
-def _require_outside_libraries(path: Path) -> None:
-    for folder in Path(os.path.realpath(path)).parents:
-        if (folder / "zarr.json").is_file():
-            raise UsageError(
-                f"{path}: lies in the library {folder}, which it would damage; name another path"
-            )
-
-
 def _is_own_kind(command: str, name: str, path: Path, to: str | None = None) -> bool:
     """Whether a file is one that this parameter of the command writes; empty files belong to no command.
 
@@ -163,9 +159,10 @@ def _is_own_kind(command: str, name: str, path: Path, to: str | None = None) -> 
         return True
     if name == "model":
         return head.startswith(b"manifold model\r\n") or b"manifold-model" in head
-    is_fit = b'"format": "manifold fit"' in head
-    if name == "json" or (command, name) == ("fit", "output"):
-        return b'"program": "manifold ' in head and is_fit == (name != "json")
+    expected = _JSON_FORMATS.get((command, name))
+    if name == "json" or expected is not None:
+        found = _JSON_FORMAT.match(head)
+        return b'"program": "manifold ' in head and (found[1] if found else None) == expected
     if name == "markdown":
         return b"manifold stability" in head
     if command == "explore":

@@ -38,7 +38,7 @@ _WIDTH = 80  # columns that sentences and lists are broken to; a line with a sin
 def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress | None]:
     """A progress bar on stderr, or None where stderr is no terminal; or lines for the program that asked for them."""
     listening = os.environ.get(stages.PROGRESS_VARIABLE, "")
-    if listening.isdecimal():
+    if listening.isdecimal() and len(listening) < 6:
         yield _json_lines_to(int(listening))
         return
     if not sys.stderr.isatty():

@@ -107,6 +107,31 @@ def test_arrays_that_announce_more_than_they_hold_are_refused_at_once(library, h
         library.read("m00")
 
 
+@pytest.mark.parametrize("part", ["codecs", "index_codecs"])
+def test_compressed_chunks_of_a_shard_are_not_expanded(library, part):
+    path = library.path / "materials" / "m00" / "spectra" / "zarr.json"
+    content = json.loads(path.read_text())
+    (shard,) = content["codecs"]
+    shard["configuration"][part].append({"name": "zstd", "configuration": {"level": 0, "checksum": False}})
+    path.write_text(json.dumps(content))
+    with pytest.raises(LibraryError, match=r"ZstdCodec.*expected plain numbers"):
+        library.read("m00")
+
+
+def test_no_library_is_made_in_a_library(library, tmp_path):
+    inside = library.path / "materials" / "new.zarr"
+    for make in (lambda: import_files(inside, tmp_path), lambda: Library.create(inside, library.bands)):
+        with pytest.raises(UsageError, match="lies in the library"):
+            make()
+    assert library.names == ("m00", "m01")
+
+
+def test_a_path_that_cannot_be_resolved_is_one_error(library):
+    for make in (Library.open, lambda path: Library.create(path, library.bands)):
+        with pytest.raises(UsageError, match=r"~nobody_of_this_name/a.zarr: .*name another path"):
+            make("~nobody_of_this_name/a.zarr")
+
+
 @pytest.mark.parametrize("place", ["zarr.json", "extra/zarr.json", "extra/0/zarr.json", "extra/0/c.0"])
 def test_pipes_in_place_of_files_are_not_waited_for(library, place):
     path = library.path / "materials" / "m00" / place

@@ -135,7 +135,9 @@ def test_files_are_replaced_by_their_own_kind_only(tmp_path):
     with h5py.File(tmp_path / "data.h5", "w") as file:
         file["data"] = 1
     for name, text in {
-        "fit.json": fit, "info.json": other, "scene.json": '{"type": "scene"}', "empty": "", "a.bsdf": "tensor_file",
+        "fit.json": fit, "info.json": other, "fits.json": '{"program": "manifold 1", "fits": [' + fit + "]}",
+        "correction.json": fit.replace("fit", "colour correction"),
+        "scene.json": '{"type": "scene"}', "empty": "", "a.bsdf": "tensor_file",
         "p.bsdf": "tensor_file ... Predicted (1, 2) from a synthetic corpus by manifold 0.1", "x.svg": "<?xml?><svg>",
         "x.png": "notes", "page.md": "Written by `manifold stability`", "mine.md": "# Mine",
         "map.html": make_page({}), "site.html": "<title>Mine</title>",
@@ -150,8 +152,15 @@ def test_files_are_replaced_by_their_own_kind_only(tmp_path):
         return True
 
     for command, name, right, wrong in (
-        ("fit", "output", ("fit.json", "empty", "absent"), ("info.json", "scene.json", "a.bsdf")),
-        ("info", "json", ("info.json", "empty"), ("fit.json", "scene.json", "old.h5")),
+        (
+            "fit",
+            "output",
+            ("fit.json", "empty", "absent"),
+            ("info.json", "fits.json", "scene.json", "a.bsdf"),
+        ),
+        ("calibrate", "output", ("correction.json", "empty"), ("info.json", "fit.json")),
+        ("info", "json", ("info.json", "empty"), ("fit.json", "correction.json", "scene.json", "old.h5")),
+        ("fit", "json", ("fits.json",), ("fit.json",)),
         ("embed", "model", ("old.h5", "empty"), ("data.h5", "a.bsdf")),
         ("predict", "output", ("p.bsdf", "empty"), ("a.bsdf", "x.png")),
         ("map", "output", ("x.svg",), ("x.png", "fit.json")),

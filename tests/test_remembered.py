@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from manifold.system.remembered import cache_folder, remembered
@@ -41,3 +43,18 @@ def test_a_folder_that_cannot_be_written_costs_time_only(computed):
     cache_folder().write_text("in the way")
     assert remembered("x.json", "1", compute) == remembered("x.json", "1", compute)
     assert len(calls) == 2
+
+
+def test_a_pipe_in_place_of_the_file_is_not_waited_for(computed):
+    calls, compute = computed
+    cache_folder().mkdir()
+    os.mkfifo(cache_folder() / "x.json")
+    assert remembered("x.json", "1", compute) == {"a": [0.1, 1e-300]}
+    assert len(calls) == 1
+
+
+def test_the_home_of_an_unknown_user_is_a_folder_like_any_other(computed, tmp_path, monkeypatch):
+    _, compute = computed
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "~nobody_of_this_name")
+    assert remembered("x.json", "1", compute) == {"a": [0.1, 1e-300]}

@@ -10,6 +10,7 @@ import sys
 import pytest
 from small_library import small_model
 
+from manifold.cli import terminal
 from manifold.system.stages import PROGRESS_VARIABLE, Stages, with_progress
 
 
@@ -54,3 +55,9 @@ def test_commands_tell_what_they_are_at(tmp_path, command, stages):
     assert len(set(shares)) >= 4
     for stage in stages:
         assert any(what.startswith(stage) for _, _, what in heard), stage
+
+
+def test_numbers_that_are_no_descriptor_are_no_listener(monkeypatch):
+    monkeypatch.setenv(PROGRESS_VARIABLE, "9" * 5000)
+    with terminal.progress("Working") as step:
+        assert step is None or callable(step)

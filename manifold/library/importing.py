@@ -14,7 +14,7 @@ from typing import Literal, TypeVar
 
 from manifold.errors import FileFormatError, LibraryError, ManifoldError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.library import staging
+from manifold.library import location, staging
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.library.store import Library
 from manifold.library.writing import make_store, read_bands, write_material
@@ -86,12 +86,13 @@ def import_files(
     Returns:
         What became of each file; `failed` must be looked at.
     Raises:
-        UsageError: a source does not exist, or a folder holds no `*.bsdf`.
+        UsageError: a source does not exist, a folder holds no `*.bsdf`, or the library would lie in another one.
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
     """
     paths = _find([sources] if isinstance(sources, str | Path) else sources)
-    library = staging.resolved(library_path)
+    library = location.resolved(library_path)
+    location.require_outside_libraries(library)
     expected = Library.open(library).bands if library.exists() else None
     report = _Report(2 * len(paths), on_progress)
     loaded = _load(paths, report)

@@ -26,11 +26,6 @@ from manifold.system import atomic, interrupts
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # of a link that somebody put there
 
 
-def resolved(library: Path | str) -> Path:
-    """The library's real absolute path, so that staging lands on its file system and not beside a link."""
-    return Path(library).expanduser().resolve()
-
-
 @contextmanager
 def writing(library: Path) -> Iterator[Path]:
     """Hold the library's write lock, recover from killed writers, and lend an empty staging folder.

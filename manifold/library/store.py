@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from manifold.errors import LibraryError, ManifoldError, UsageError
-from manifold.library import cache, staging
+from manifold.library import cache, location, staging
 from manifold.library.identity import MaterialInfo, content_sha256, info_of, is_material_name
 from manifold.library.schema import FIELDS, SCHEMA_VERSION
 from manifold.library.writing import first_line, make_store, read_bands
@@ -82,7 +82,7 @@ class Library:
         Raises:
             LibraryError: nothing there, no library of this package, another schema version, or damaged.
         """
-        folder = staging.resolved(path)
+        folder = location.resolved(path)
         if folder.exists() and not folder.is_dir():
             raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
         if not folder.is_dir():
@@ -97,9 +97,11 @@ class Library:
         """Create an empty library for materials of the given bands.
 
         Raises:
+            UsageError: the path lies in a library.
             LibraryError: something is there already, or the folder cannot be written.
         """
-        folder = staging.resolved(path)
+        folder = location.resolved(path)
+        location.require_outside_libraries(folder)
         folder.parent.mkdir(parents=True, exist_ok=True)
         with staging.writing(folder) as staged:
             make_store(folder, bands, staged)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,10 @@ _MOST_ARRAY = 4 << 30  # bytes
 # By default every chunk of a shard is a task of its own. zarr asks its configuration at every read, from any thread, so
 # that it cannot be set for our arrays alone: other arrays of the process are read in such batches, too.
 zarr.config.set({"codec_pipeline.batch_size": 1024})
-_CODECS = ("BytesCodec", "ShardingCodec")  # of this package: no few bytes stand for many
+_NUMBERS, _INDEX = (
+    ["BytesCodec"],
+    ["BytesCodec", "Crc32cCodec"],
+)  # of this package: no few bytes stand for many
 
 
 def open_group(folder: Path) -> zarr.Group:
@@ -74,13 +77,20 @@ def _array(group: zarr.Group, name: str) -> zarr.Array:
     array = group[name]
     if not isinstance(array, zarr.Array):
         raise LookupError(f"field '{name}' is no array")
-    codecs = [type(codec).__name__ for codec in getattr(array.metadata, "codecs", ())]
-    if array.dtype.kind not in "iuf" or len(codecs) != 1 or codecs[0] not in _CODECS:
-        found = f"dtype {array.dtype}, coded by {', '.join(codecs)}"
+    codecs: Any = getattr(array.metadata, "codecs", ())
+    is_sharded = _names(codecs) == ["ShardingCodec"]
+    inner = codecs[0].codecs if is_sharded else codecs
+    index = _names(codecs[0].index_codecs) if is_sharded else _INDEX
+    if array.dtype.kind not in "iuf" or _names(inner) != _NUMBERS or index != _INDEX:
+        found = f"dtype {array.dtype}, coded by {', '.join([*_names(inner), *index * is_sharded])}"
         raise LookupError(f"field '{name}' has {found}, expected plain numbers")
     if array.nbytes > _MOST_ARRAY:
         raise LookupError(f"field '{name}' has {array.nbytes} bytes, expected at most {_MOST_ARRAY}")
     return array
+
+
+def _names(codecs: Iterable[object]) -> list[str]:
+    return [type(codec).__name__ for codec in codecs]
 
 
 def _require_chunks(array: zarr.Array, selection: tuple[slice, ...]) -> None:

@@ -1,0 +1,29 @@
+"""Where a library may be: its path, and not inside another one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from manifold.errors import UsageError
+
+
+def resolved(library: Path | str) -> Path:
+    """The library's real absolute path, so that staging lands on its file system and not beside a link.
+
+    Raises:
+        UsageError: it names an unknown user's home folder, or its links go in a circle.
+    """
+    try:
+        return Path(library).expanduser().resolve()
+    except (OSError, RuntimeError) as error:
+        raise UsageError(f"{library}: {str(error).rstrip('.')}; name another path") from error
+
+
+def require_outside_libraries(path: Path) -> None:
+    """Raise UsageError where a file or folder to be written lies in a library."""
+    for folder in Path(os.path.realpath(path)).parents:
+        if (folder / "zarr.json").is_file():
+            raise UsageError(
+                f"{path}: lies in the library {folder}, which it would damage; name another path"
+            )

@@ -22,8 +22,10 @@ def resolved(library: Path | str) -> Path:
 
 def require_outside_libraries(path: Path) -> None:
     """Raise UsageError where a file or folder to be written lies in a library."""
-    for folder in Path(os.path.realpath(path)).parents:
-        if (folder / "zarr.json").is_file():
-            raise UsageError(
-                f"{path}: lies in the library {folder}, which it would damage; name another path"
-            )
+    libraries = [
+        folder for folder in Path(os.path.realpath(path)).parents if (folder / "zarr.json").is_file()
+    ]
+    if libraries:  # the last one is the library, others are its groups
+        raise UsageError(
+            f"{path}: lies in the library {libraries[-1]}, which it would damage; name another path"
+        )

@@ -267,3 +267,17 @@ def run_quietly(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as leaving:
         run(arguments)
     assert leaving.value.code == 0
+
+
+@pytest.mark.parametrize("form", [astm, csv_table])
+def test_names_stay_on_their_line_of_a_text_file(form, tmp_path):
+    plain = half_a_goniometer(smooth(MINI_DIFF_BANDS))
+    hostile = replace(plain, name='\x1b[31m"q"\x07\n0,180,0,0,9,9,9', instrument="a\nb\x1b")
+    for name, readings in (("plain.dat", plain), ("hostile.dat", hostile)):
+        form.write(tmp_path / name, readings)
+    written = (tmp_path / "hostile.dat").read_text()
+    assert not {"\x1b", "\x07"} & set(written)
+    assert not any(line.startswith("0,180,") for line in written.splitlines())
+    found, expected = (registry.read_readings(tmp_path / name) for name in ("hostile.dat", "plain.dat"))
+    np.testing.assert_array_equal(found.values, expected.values)
+    assert found.name.endswith("? 0,180,0,0,9,9,9")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 from small_library import measured, small_model
@@ -11,6 +13,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.synthetic.analytic import Lambert
 from manifold.directions import from_spherical
 from manifold.errors import BandMismatchError, UsageError
+from manifold.plots import figures
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
 from manifold.workflows.pictures import slices, sources
@@ -140,3 +143,11 @@ def test_files_of_one_name_are_labelled_by_their_paths(folder, tmp_path):
 def test_nothing_to_draw_is_refused(folder):
     with pytest.raises(UsageError, match="nothing to draw"):
         sources([], [], folder / "model.h5")
+
+
+def test_control_characters_in_names_leave_an_svg_readable(tmp_path):
+    figure = figures.new_figure(2.0, 1.0)
+    figure.text(0.1, 0.5, "a\x01b\x1b[31m\nc")
+    figures.save(figure, tmp_path / "a.svg")
+    ElementTree.parse(tmp_path / "a.svg")
+    assert "a?b?[31m" in (tmp_path / "a.svg").read_text()

@@ -24,6 +24,7 @@ from manifold.formats.text import Place, decode, find_separator, number, read_li
 from manifold.formats.value_columns import Quantity, as_brdf, bands_of, quantity, wavelength_of
 from manifold.records import Array
 from manifold.system import atomic
+from manifold.system.names import in_one_line
 
 _REMEDY = "export the table again"
 _MOST_ROWS = 5_000_000
@@ -202,9 +203,13 @@ def write(path: Path, readings: Readings) -> None:
     if not np.all(readings.measured):
         raise ShapeError(f"{readings.name}: values that were not measured, expected all; select the others")
     lines = [
-        f'SAMPLE_NAME "{readings.name}"', f'SYSTEM_NAME "{readings.instrument}"', 'MEAS_NAME "BRDF"',
+        f"SAMPLE_NAME {_quoted(readings.name)}", f"SYSTEM_NAME {_quoted(readings.instrument)}", 'MEAS_NAME "BRDF"',
         f"NUM_POINTS {len(readings)}", "VARS theta_i,phi_i,theta_s,phi_s," + ",".join(band_heads(readings)),
     ]  # fmt: skip
     table = np.hstack([np.deg2rad(angles_deg(readings)), readings.values])
     lines += [",".join(f"{value:.9g}" for value in row) for row in table]
     atomic.write_text(path, "\n".join(lines) + "\n")
+
+
+def _quoted(name: str) -> str:
+    return '"' + in_one_line(name).replace('"', "'") + '"'

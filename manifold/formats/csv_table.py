@@ -25,6 +25,7 @@ from manifold.formats.table_layouts import names_both
 from manifold.formats.text import LARGEST_TEXT, Place, decode, number, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
+from manifold.system.names import in_one_line
 
 _REMEDY = "export the table again with columns Geometry, 400, 410, ..."
 _HEADS = 3  # of wavelengths, or of geometries beside them, make a line the head of a table
@@ -156,7 +157,7 @@ def _names_wavelength(line: str) -> bool:
 def write(path: Path, readings: Readings) -> None:
     """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured."""
     out = io.StringIO()
-    out.write(f"# name: {_line(readings.name)}\n# instrument: {_line(readings.instrument)}\n")
+    out.write(f"# name: {in_one_line(readings.name)}\n# instrument: {in_one_line(readings.instrument)}\n")
     out.writelines(f"# gloss {angle:g}: {units:.9g}\n" for angle, units in readings.gloss.items())
     out.write("# BRDF in 1/sr; angles in degrees about the normal\n")
     writer = csv.writer(out, lineterminator="\n")
@@ -213,7 +214,3 @@ def _require_width(rows: list[list[str]], place: Place) -> None:
                 f"{len(row)} cells below a header of {width}: decimal commas need quotes, or another separator",
                 f"row {k}",
             )
-
-
-def _line(text: str) -> str:
-    return " ".join(text.split())

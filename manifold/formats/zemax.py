@@ -19,6 +19,7 @@ from manifold.formats.text import decode
 from manifold.formats.tristimulus import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.records import Array
 from manifold.system import atomic
+from manifold.system.names import in_one_line
 
 # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _PADDING_FROM = np.cos(np.deg2rad(75.0))
@@ -152,7 +153,7 @@ def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, 
     if values.shape[-1] == 3:
         values = linear_srgb_to_xyz(values)
     lines = [
-        f"# {name}", "Source Measured", "Symmetry Asymmetrical",
+        f"# {in_one_line(name)}", "Source Measured", "Symmetry Asymmetrical",
         f"SpectralContent {'XYZ' if values.shape[-1] == 3 else 'Monochrome'}", "ScatterType BRDF",
         "SampleRotation 1", "0", f"AngleOfIncidence {theta_i.size}", angle_line(np.rad2deg(theta_i)),
         f"ScatterAzimuth {azimuth.size}", angle_line(np.rad2deg(azimuth)), f"ScatterRadial {radial.size}",

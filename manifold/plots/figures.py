@@ -16,6 +16,7 @@ from manifold.errors import UsageError
 from manifold.plots.glyphs import drawable
 from manifold.records import Array
 from manifold.system import atomic
+from manifold.system.names import without_controls
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""
@@ -97,10 +98,11 @@ def _formulas() -> MathTextParser:
 
 
 def make_drawable(text: Text) -> None:
-    """Let a text be drawn as it is: names may hold dollars, and characters that the font lacks."""
-    words = text.get_text()
+    """Let a text be drawn as it is: names may hold dollars, control characters, and others that the font lacks."""
+    words = without_controls(text.get_text())
     if "$" in words and not _is_formula(words):
         text.set_parse_math(False)
+    text.set_text(words)
     if not words.isascii():
         words, families = drawable(words, text.get_fontfamily())
         text.set_text(words)

@@ -1,8 +1,9 @@
-"""Names that a user may have meant."""
+"""Names that a user may have meant, and names in files of other programs."""
 
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 
 _SHOWN = 5
@@ -24,3 +25,13 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
         return f"did you mean {', '.join(near[:_SHOWN])}?"
     more = len(known) - _SHOWN
     return f"{among} {', '.join(known[:_SHOWN])}" + f" and {more} more" * (more > 0)
+
+
+def without_controls(text: str) -> str:
+    """Question marks for control characters but line breaks: readers of files obey or refuse them."""
+    return "".join("?" if c != "\n" and unicodedata.category(c) in ("Cc", "Cs") else c for c in text)
+
+
+def in_one_line(name: str) -> str:
+    """A name for a line of a text file."""
+    return without_controls(" ".join(name.split()))

@@ -175,6 +175,20 @@ def test_what_has_no_end_is_not_read(tmp_path, name):
         SceneDocument.read(tmp_path / name)
 
 
+def test_what_has_no_end_is_not_read_from_the_current_folder_either(tmp_path):
+    """Mitsuba looks there for what it does not find beside the scene."""
+    os.mkfifo(tmp_path / "pipe")
+    light = '<emitter type="envmap"><string name="filename" value="pipe"/></emitter>'
+    xml(tmp_path / "scenes" / "scene.xml", SENSOR, BALL.format("x"), light)
+    script = "from manifold.cli.main import run; run()"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "budget", "scenes/scene.xml"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert f"{tmp_path / 'pipe'} is not a regular file" in " ".join(done.stderr.split())
+
+
 def test_a_texture_that_announces_more_than_fits_in_memory_is_refused(tmp_path):
     (tmp_path / "bomb.png").write_bytes(
         b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\0\x0f\xff\xff" * 2 + b"\x08\x02\0\0\0"

@@ -101,10 +101,8 @@ def is_registered(name: str) -> bool:
     mi = sys.modules.get("mitsuba")
     if mi is None or mi.variant() is None:
         return False
-    folders = [Path(), *(Path(str(folder)) for folder in mi.file_resolver())]
-    if any(
-        (folder / "plugins").is_dir() and any((folder / "plugins").glob(f"{name}.*")) for folder in folders
-    ):
+    folders = [folder / "plugins" for folder in (Path(), *search_folders())]
+    if any(folder.is_dir() and any(folder.glob(f"{name}.*")) for folder in folders):
         return False
     if mi.PluginManager.instance().plugin_type(name) != mi.ObjectType.Unknown:
         return True
@@ -115,19 +113,9 @@ def is_registered(name: str) -> bool:
     return True
 
 
-@contextmanager
-def searching(folders: Sequence[Path]) -> Iterator[None]:
-    """Let Mitsuba look for the files of a scene in folders, after its own."""
-    resolver = _import_mitsuba().file_resolver()
-    before = [str(folder) for folder in resolver]
-    for folder in folders:
-        resolver.append(str(folder))
-    try:
-        yield
-    finally:
-        resolver.clear()
-        for name in before:
-            resolver.append(name)
+def search_folders() -> list[Path]:
+    """The folders in which Mitsuba looks for files: its own, and the current one of its import."""
+    return [Path(str(folder)) for folder in _import_mitsuba().file_resolver()]
 
 
 _chosen: Backend | None = None

@@ -130,9 +130,7 @@ class SceneDocument:
         content = self._with(bsdfs, film)
         try:
             if isinstance(content, ET.Element):
-                folders = _without_paths(content)
-                with backend.searching(folders):
-                    return mi.load_string(ET.tostring(content, encoding="unicode"))
+                return mi.load_string(ET.tostring(_without_paths(content), encoding="unicode"))
             return mi.load_dict(_with_transforms(mi, content))
         except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
             reason = " ".join(str(error).split())[-200:]
@@ -168,12 +166,12 @@ class SceneDocument:
         return content
 
     def _resolve(self, folder: Path) -> None:
-        """Make paths of files absolute where they start from the folder."""
+        """Make paths of files absolute: from the folder, those that the scene names, or Mitsuba's."""
 
-        folders = [folder]
+        folders, known = [folder], backend.search_folders()
 
         def absolute(value: str) -> str:
-            found = next((f / value for f in folders if scene_files.exists(f / value)), None)
+            found = next((f / value for f in [*folders, *known] if scene_files.exists(f / value)), None)
             if found is None:
                 return value
             _require_harmless(found, self.origin)
@@ -239,14 +237,12 @@ def _material(properties: Mapping[str, str]) -> SceneMaterial:
     return SceneMaterial(f"{kind} {own}", kind, own)
 
 
-def _without_paths(tree: ET.Element) -> list[Path]:
-    """Take the folders out of a scene in which it looks for files, and for plugins too."""
-    found = []
+def _without_paths(tree: ET.Element) -> ET.Element:
+    """A scene without the folders in which it looks for files, which are absolute, and for plugins too."""
     for parent in list(tree.iter()):
         for child in parent.findall("path"):
-            found.append(Path(child.get("value", "")))
             parent.remove(child)
-    return found
+    return tree
 
 
 def _types(content: Any) -> Iterator[object]:

@@ -413,7 +413,6 @@ def test_a_dropped_file_is_located_completed_or_a_colour_by_what_it_holds(browse
     made.page.close()
     server.shutdown()
     server.server_close()
-    server.queue.close()
 
 
 def test_three_dimensions_have_a_slider(browser, tmp_path):

@@ -7,6 +7,7 @@ import http.client
 import json
 import socket
 import sys
+import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -53,7 +54,6 @@ def served(context):
     yield server
     server.shutdown()
     server.server_close()
-    server.queue.close()
 
 
 def request(server, method, path, body=None, **headers):
@@ -316,6 +316,24 @@ def test_dropped_readings_are_completed_under_their_name_and_thrown_away(served,
     assert not Path(job.action.arguments[1]).exists()
 
 
+def test_a_file_that_is_being_dropped_is_removed_with_the_server(context, monkeypatch, tmp_path):
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
+    host = f"127.0.0.1:{server.server_port}"
+    headers = (
+        f"Host: {host}\r\nOrigin: http://{host}\r\nX-Token: {server.token}\r\nX-Name: x\r\nContent-Length: 9"
+    )
+    with socket.create_connection(("127.0.0.1", server.server_port)) as connection:
+        connection.sendall(f"POST /do/locate HTTP/1.1\r\n{headers}\r\n\r\nhalf".encode())
+        while not any(path.is_file() for path in (tmp_path / "temporary").rglob("*")):
+            time.sleep(0.01)
+        server.shutdown()
+        server.server_close()
+        assert list((tmp_path / "temporary").iterdir()) == []
+
+
 def test_parallel_requests_of_one_name_get_names_of_their_own(context):
     server = ExplorerServer("", context, queue=Queue(context.folder, SLEEPS))
     threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
@@ -327,7 +345,6 @@ def test_parallel_requests_of_one_name_get_names_of_their_own(context):
     outputs = [job.action.output for job in server.queue.jobs()]
     server.shutdown()
     server.server_close()
-    server.queue.close()
     assert len(set(outputs)) == len(outputs) == 20
 
 
@@ -374,7 +391,6 @@ def test_a_hundred_renders_are_queued_or_refused_and_can_be_cancelled(context):
         server.queue.cancel(job.number)
     server.shutdown()
     server.server_close()
-    server.queue.close()
     assert all(job.state == "cancelled" for job in server.queue.jobs())
     assert files(context) == []
 
@@ -428,5 +444,4 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
         assert all(address.startswith(f"http://127.0.0.1:{server.server_port}/") for address in made.requests)
     server.shutdown()
     server.server_close()
-    server.queue.close()
     assert (tmp_path / "mine_rgb.bsdf").exists()

@@ -92,7 +92,6 @@ def served(document, tmp_path_factory):
     yield server
     server.shutdown()
     server.server_close()
-    server.queue.close()
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,6 @@ def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], An
         pass
     finally:
         served.server_close()
-        served.queue.close()
 
 
 def _load(model: Path, library: Path | None) -> Manifold:

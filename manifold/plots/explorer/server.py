@@ -15,7 +15,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -26,6 +26,7 @@ from urllib.parse import SplitResult, parse_qs, unquote, urlsplit
 from manifold.errors import UsageError
 from manifold.plots.explorer.actions import Action, Context, action, complete, locate, plain_name
 from manifold.plots.explorer.jobs import Queue
+from manifold.system import temporary
 
 LOOPBACK = "127.0.0.1"
 MOST_JSON = 1 << 20  # bytes
@@ -58,6 +59,7 @@ class ExplorerServer(ThreadingHTTPServer):
     Attributes:
         token: what requests must carry.
         queue: of actions.
+        dropped: folder of the files that were dropped, removed with the server.
     """
 
     daemon_threads = True
@@ -75,11 +77,18 @@ class ExplorerServer(ThreadingHTTPServer):
         self.queue = Queue(context.folder) if queue is None else queue
         self.naming = threading.Lock()  # from the choice of a free name until its job is queued
         self._connections = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._folders = ExitStack()
+        self.dropped = self._folders.enter_context(temporary.folder())
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
-            self.queue.close()
             raise UsageError(f"port {port} cannot be listened on ({error}); choose another --port") from None
+
+    def server_close(self) -> None:
+        """Stop listening, cancel everything, and remove what was dropped."""
+        super().server_close()
+        self.queue.close()
+        self._folders.close()
 
     @property
     def address(self) -> str:
@@ -257,7 +266,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         A request that is refused is not read.
         """
-        folder = Path(mkdtemp(prefix="manifold-explore-"))
+        folder = Path(mkdtemp(dir=self._explorer.dropped))
 
         def remove() -> None:
             shutil.rmtree(folder, ignore_errors=True)

@@ -59,6 +59,7 @@ def corpus(
     from manifold.brdf.synthetic.corpus import write
     from manifold.brdf.synthetic.neural import write_neural
     from manifold.errors import UsageError
+    from manifold.library.location import require_outside_libraries
 
     if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
         raise UsageError(
@@ -74,6 +75,7 @@ def corpus(
         raise UsageError(
             "--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out"
         )
+    require_outside_libraries(folder, into=True)
     with terminal.progress("Measuring synthetic materials") as step:
         if instrument is not None:
             paths = instruments.write(folder, instrument, seed=seed, on_progress=step)

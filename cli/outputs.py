@@ -113,7 +113,7 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
         other = targets.setdefault(target, name)
         if other != name:
             raise UsageError(f"{path}: named for --{other} and for --{name}; name two files")
-        require_outside_libraries(path)
+        require_outside_libraries(path, into=path.is_dir())
         if not path.is_file():
             continue
         if any(os.path.realpath(source) == target or _is_same(source, path) for source in inputs):

@@ -55,8 +55,8 @@ def test_outputs_that_would_destroy_inputs_are_refused_and_leave_them(run, folde
         "is an input of this command": ("info", "model.h5", "--json", "model.h5"),
         "an input of this": ("info", "model.h5", "--json", "link"),
         "an input": ("info", "model.h5", "--json", "second_name.h5"),
-        "lies in the library": ("info", "library.zarr", "--json", "library.zarr/zarr.json"),
-        "lies in the": ("info", "library.zarr", "--json", "library.zarr/materials/new.json"),
+        "in the library": ("info", "library.zarr", "--json", "library.zarr/zarr.json"),
+        "in the": ("info", "library.zarr", "--json", "library.zarr/materials/new.json"),
         "was not written by this command": ("info", "library.zarr", "--json", "model.h5"),
         "not written by this": ("embed", "-M", file),
         "not written by": ("predict", "--latent", "0,0", "-o", file),
@@ -81,6 +81,20 @@ def test_outputs_that_nobody_named_destroy_nothing_either(run, folder):
         assert status == 2, arguments
         assert words in one_line(err)
     assert _content(folder) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("corpus",), ("demo",), ("fetch", "--to"), ("fit", "files", "-o"), ("export", "files", "-o")],
+)
+@pytest.mark.parametrize("place", ["library.zarr", "library.zarr/materials/new"])
+def test_no_command_writes_its_files_into_a_library(run, folder, arguments, place):
+    before = _content(folder / "library.zarr")
+    status, _, err = run(*arguments, place, cwd=folder)
+    assert status == 2
+    assert f"{place}: in the library {folder / 'library.zarr'}, " in one_line(err)
+    assert _content(folder / "library.zarr") == before
+    assert not (folder / "library.zarr/materials/new").exists()
 
 
 def test_the_json_of_results_never_replaces_a_result(run, folder):

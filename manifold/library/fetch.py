@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 from manifold.errors import FetchError, UsageError
 from manifold.library.downloading import Downloader, FatalFetchError, disk, verify
+from manifold.library.location import require_outside_libraries
 from manifold.library.rgl_table import Entry, rgl_table, select
 from manifold.records import Progress
 
@@ -75,13 +76,14 @@ def fetch(
         pause_s: seconds before the second try; doubles each time.
         deadline_s: seconds for one file, after which it is given up; a later call goes on.
     Raises:
-        UsageError: an unknown name, or another kind of URL.
+        UsageError: an unknown name, another kind of URL, or a folder in a library.
         FetchError: the folder cannot be written.
         IncompleteFetchError: files are missing; its `result` tells what worked.
     """
     entries = select(names, rgl_table() if table is None else table, anisotropic)
     _require_url(base_url)
     folder = Path(to)
+    require_outside_libraries(folder, into=True)
     with disk(folder):
         folder.mkdir(parents=True, exist_ok=True)
     meter = _Meter(entries, on_progress)

@@ -13,6 +13,7 @@ from manifold.experiments.chart.experiment import Chart
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
 from manifold.library.importing import import_files
+from manifold.library.location import require_outside_libraries
 from manifold.model.manifold import Settings
 from manifold.model.predicted_file import Prediction, predict
 from manifold.plots import figures, plot_chart, plot_latents
@@ -79,7 +80,11 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
 
     A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
     made anew. Without Mitsuba nothing is rendered or fitted.
+
+    Raises:
+        UsageError: the folder lies in a library.
     """
+    require_outside_libraries(folder, into=True)
     folder.mkdir(parents=True, exist_ok=True)
     files, library, model = folder / "corpus", folder / "library.zarr", folder / "model.h5"
     with stage("Measuring the synthetic corpus") as step:

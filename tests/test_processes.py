@@ -66,17 +66,21 @@ def test_rendering_leaves_the_users_variant(monkeypatch):
 
 KILLED = """
 import os, signal
-from manifold.system import temporary
-with temporary.folder() as folder:
-    (folder / "file").write_text("text")
-    print(folder, flush=True)
+from pathlib import Path
+from manifold.experiments.stability.testbed import TestBed
+from manifold.system import atomic, temporary
+with HOLDER:
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_the_folder_of_a_killed_process_is_removed_by_the_next_and_others_are_not(tmp_path, monkeypatch):
+@pytest.mark.parametrize("holder", ["temporary.folder()", "TestBed()", "atomic.replacing(Path('/dev/null'))"])
+def test_the_folder_of_a_killed_process_is_removed_by_the_next_and_others_are_not(
+    tmp_path, monkeypatch, holder
+):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", KILLED], env=environment, check=False, capture_output=True)
+    script = KILLED.replace("HOLDER", holder)
+    subprocess.run([sys.executable, "-c", script], env=environment, check=False, capture_output=True)
     (tmp_path / "manifold-demo").mkdir()
     assert len(list(tmp_path.iterdir())) == 2
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

@@ -14,7 +14,6 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -25,7 +24,7 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.records import BsdfFile
-from manifold.system import atomic
+from manifold.system import atomic, temporary
 from manifold.system.remembered import cache_folder
 
 LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -133,8 +132,8 @@ def probe(library: Path, timeout_s: float = _TIMEOUT_S) -> str:
     if not library.is_file():
         return "is no file"
     environment = os.environ | {LIBRARY_VARIABLE: str(library)}
-    with tempfile.TemporaryDirectory() as folder:
-        material = Path(folder) / "probe_spec.bsdf"
+    with temporary.folder() as folder:
+        material = folder / "probe_spec.bsdf"
         write_bsdf(material, _tiny_file())
         command = [sys.executable, "-c", _PROBE, str(material)]
         try:

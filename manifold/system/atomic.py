@@ -8,7 +8,6 @@ import re
 import secrets
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -37,8 +36,10 @@ def replacing(path: Path) -> Iterator[Path]:
     require_writable(path)
     try:
         if _is_stream(path):
-            with tempfile.TemporaryDirectory() as folder:
-                partial = Path(folder) / path.name
+            from manifold.system import temporary  # which locks as this module does
+
+            with temporary.folder() as folder:
+                partial = folder / path.name
                 yield partial
                 with partial.open("rb") as made, path.open("ab") as stream:
                     shutil.copyfileobj(made, stream)

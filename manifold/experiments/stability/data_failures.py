@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from manifold.model import predicted_file
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile
+from manifold.system import temporary
 
 _AS_A_FILE = Limit(
     "relative difference to the result of whole files (of the roughness for the fit)",
@@ -98,9 +97,9 @@ def _predicted(spoil: Spoil, t: float) -> Callable[[TestBed, float], Measurement
     def trial(bed: TestBed, severity: float) -> Measurement:
         model = _spoilt(bed, spoil, severity)
         x = model.between(*_PAIR, t)
-        with tempfile.TemporaryDirectory() as folder:
+        with temporary.folder() as folder:
             made = predicted_file.predict(
-                model, x, Path(folder, "predicted_spec.bsdf"), resolution=16, n_theta_i=6, force=True
+                model, x, folder / "predicted_spec.bsdf", resolution=16, n_theta_i=6, force=True
             )
         whole = _whole(bed).interpolate(*_PAIR, t)
         return Measurement(bed.error(model.predict(x), whole), made.diagnostics)
@@ -113,10 +112,10 @@ def _embedded(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
 
     def trial(bed: TestBed, severity: float) -> Measurement:
         model, file = _whole(bed), bed.file(MIDDLE, COLOURS[1])
-        with tempfile.TemporaryDirectory() as folder:
-            model.save(Path(folder, "model.h5"))
-            write_bsdf(Path(folder, "spoilt_rgb.bsdf"), spoil(file, severity))
-            found = locate(Path(folder, "model.h5"), Path(folder, "spoilt_rgb.bsdf"))
+        with temporary.folder() as folder:
+            model.save(folder / "model.h5")
+            write_bsdf(folder / "spoilt_rgb.bsdf", spoil(file, severity))
+            found = locate(folder / "model.h5", folder / "spoilt_rgb.bsdf")
         whole = bed.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
         there = model.predict(np.array(found.latent))
         return Measurement(bed.error(there, model.predict(whole)), found.reconstruction.diagnostics)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,6 +24,7 @@ from manifold.model import model_file
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
 from manifold.records import Array
+from manifold.system import temporary
 
 _FIRST, _SECOND = named(ALPHAS[1], 1), named(ALPHAS[2], 1)
 _FILE = "held_out_spec.bsdf"
@@ -46,8 +46,8 @@ def _copy(bed: TestBed) -> Iterator[Path]:
         write_bsdf(folder / _FILE, bed.file(MIDDLE, COLOURS[1]))
         return folder
 
-    with tempfile.TemporaryDirectory() as name:
-        yield Path(shutil.copytree(bed.once("storage", make), name, dirs_exist_ok=True))
+    with temporary.folder() as folder:
+        yield Path(shutil.copytree(bed.once("storage", make), folder, dirs_exist_ok=True))
 
 
 def _values(bed: TestBed, folder: Path) -> Array:

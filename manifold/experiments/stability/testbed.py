@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 import tempfile
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +37,7 @@ from manifold.model.manifold import Manifold, Settings
 from manifold.model.prediction import PredictedBRDF
 from manifold.models.decoder import EncodingPairs
 from manifold.records import Array, Bands, BsdfFile
+from manifold.system import temporary
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)
@@ -64,13 +66,14 @@ class TestBed:
 
     def __init__(self) -> None:
         self._made: dict[Hashable, Any] = {}
-        self._folder = tempfile.TemporaryDirectory(prefix="manifold-stability-")
+        self._folders = ExitStack()
+        self._folder = self._folders.enter_context(temporary.folder())
 
     def __enter__(self) -> TestBed:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
+        self._folders.close()
 
     def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The cached result of `make` for a key."""
@@ -92,7 +95,7 @@ class TestBed:
 
     def library(self, files: Sequence[BsdfFile]) -> Path:
         """A new library of files."""
-        folder = Path(tempfile.mkdtemp(dir=self._folder.name))
+        folder = Path(tempfile.mkdtemp(dir=self._folder))
         for file in files:
             write_bsdf(folder / f"{file.name}_spec.bsdf", file)
         import_files(folder / "library.zarr", [folder])

@@ -228,7 +228,7 @@ def test_the_page_itself_needs_the_token(served):
         {"name": "../out"}, {"name": "/tmp/out"}, {"name": "a/b"}, {"name": "a\\b"}, {"name": ".."}, {"name": "-x"},
         {"name": ""}, {"name": "x" * 61}, {"name": "a\x00b"}, {"name": 3}, {"name": "a\n"},
         {"latent": [1.0]}, {"latent": ["1", "2"]}, {"latent": "--help"}, {"latent": [True, 1]},
-        {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]}, {"latent": f"{NAMES[0]}:nobody:0.5"},
+        {"latent": [float("nan"), 0.0]}, {"latent": [1e999, 0.0]}, {"latent": [10**400, 0]}, {"spectrum": [[400, 0.5], [500, 10**400]]}, {"latent": f"{NAMES[0]}:nobody:0.5"},
         {"latent": f"{NAMES[0]}:{NAMES[1]}:1.5"}, {"latent": f"{NAMES[0]}:{NAMES[1]}:x"},
         {"like": "nobody"}, {"like": "--force"}, {"srgb": "red"}, {"srgb": "#12345g"},
         {"target": "gltf"}, {"like": NAMES[0], "srgb": "#112233"}, {"spectrum": [[400, 0.5]]},

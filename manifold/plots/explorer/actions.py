@@ -5,9 +5,9 @@ Nothing of a request becomes a path but a plain name, and no shell is between.
 
 from __future__ import annotations
 
-import math
 import os
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,7 +181,9 @@ def _latent(latent: Any, context: Context) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return (
+        isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    )
 
 
 def _colour(request: Mapping[str, Any], context: Context) -> tuple[tuple[str, ...], str | None]:

@@ -235,7 +235,7 @@ def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, m
     status, out, err = run(*arguments, cwd=folder)
     assert status == 2
     assert out == ""
-    reasons = ("expected one of .png", "cannot write this file", "expected a path")
+    reasons = ("expected one of .png", "cannot write this file", "expected a path", "in the library")
     assert any(reason in one_line(err) for reason in reasons)
 
 

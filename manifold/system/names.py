@@ -29,7 +29,7 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
 
 def without_controls(text: str) -> str:
     """Question marks for control characters but line breaks: readers of files obey or refuse them."""
-    return "".join("?" if c != "\n" and unicodedata.category(c) in ("Cc", "Cs") else c for c in text)
+    return "".join("?" if c != "\n" and unicodedata.category(c) == "Cc" else c for c in text)
 
 
 def in_one_line(name: str) -> str:

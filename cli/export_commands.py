@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,8 +13,8 @@ from manifold.system import atomic
 
 from . import options, terminal
 from .application import app
-from .outputs import Force, or_default
-from .point_options import count_words, raise_failed, replacing
+from .outputs import or_default, unnamed
+from .point_options import count_words, raise_failed
 
 if TYPE_CHECKING:
     from manifold.workflows.exports import ExportOutcome
@@ -69,7 +70,6 @@ def export(
             "--direct", help="Fit the target's own model to the material: more accurate; takes seconds."
         ),
     ] = False,
-    force: Force = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Export materials to rendering engines, and report the error of each engine's shading model.
@@ -93,8 +93,9 @@ def export(
         many = TARGETS[target or "gltf"]
         folder = output or Path("exports")
         with terminal.progress("Exporting") as step:
-            check = replacing(force)
-            outcomes = export_folders.export_all(source, many, folder, step, is_direct=direct, check=check)
+            outcomes = export_folders.export_all(
+                source, many, folder, step, is_direct=direct, check=partial(unnamed, "output")
+            )
         _show_all(results, outcomes, folder)
         return
     path = or_default(output, "material.glb")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,8 +12,8 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default
-from .point_options import PointsOption, folder_or_default, replacing, show_points
+from .outputs import or_default, unnamed
+from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
     from manifold.model.predicted_file import Prediction
@@ -245,7 +246,7 @@ def predict(
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
             model, table, folder, library=library, physical=physical, force=force, resolution=resolution,
-            n_theta_i=n_theta_i, check=replacing(force), stage=terminal.progress,
+            n_theta_i=n_theta_i, check=partial(unnamed, "output"), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return

@@ -10,10 +10,9 @@ import typer
 from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
-from .outputs import unnamed
 
 if TYPE_CHECKING:
-    from manifold.workflows.many_points import Check, PointOutcome
+    from manifold.workflows.many_points import PointOutcome
 
 _MOST_WARNED = 5
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
@@ -38,15 +37,6 @@ def folder_or_default(output: Path | None, default: str) -> Path:
     if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for many files; name another")
     return output or Path(default)
-
-
-def replacing(force: bool) -> Check | None:
-    """A check that refuses to replace a file that the running command did not write."""
-
-    def check(path: Path) -> None:
-        unnamed("output", path)
-
-    return None if force else check
 
 
 def show_points(

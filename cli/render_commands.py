@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,8 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import Force, or_default
-from .point_options import PointsOption, folder_or_default, replacing, show_points
+from .outputs import or_default, unnamed
+from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
     from manifold.rendering.image_metrics import Summary
@@ -73,7 +74,6 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
-    force: Force = False,
     json: options.JsonOption = None,
 ) -> None:
     """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
@@ -105,7 +105,7 @@ def render(
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,
-            check=replacing(force), stage=terminal.progress,
+            check=partial(unnamed, "output"), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return

@@ -20,7 +20,7 @@ from manifold.workflows import renders
 from manifold.workflows.output_index import OutputIndex
 from manifold.workflows.point_table import Point, PointTable
 
-Check = Callable[[Path], None]
+Check = Callable[[Path], object]
 """Raises UsageError for a file that is not to be replaced."""
 
 

@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import typer
 
 from manifold.errors import UsageError
-from manifold.library.location import require_outside_libraries
 
 from . import mistyped
 
@@ -100,6 +99,8 @@ def require_replaceable(command: str, values: Mapping[str, Any]) -> None:
         values: its parameters by name; `output`, `picture`, `markdown` and `json`, and the model of `embed`, are what
             it writes, everything else that is there under a path is what it reads.
     """
+    from manifold.library.location import require_outside_libraries
+
     names = (*_NAMES, "model") if command == "embed" else _NAMES
     outputs = {name: values[name] for name in names if isinstance(values.get(name), Path)}
     for name in [name for name, path in outputs.items() if str(path) == "-"]:

@@ -54,7 +54,7 @@ check: .venv/readydev
 	$(BIN)/lint-imports
 
 attack: .venv/readydev
-	$(BIN)/python tools/attack --seed $(SEED) --minutes $(MINUTES) --flips 20000 --kills 200 --interrupts 50
+	$(BIN)/python tools/attack --seed $(SEED) --minutes $(MINUTES) --flips 20000 --kills 200
 
 bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py

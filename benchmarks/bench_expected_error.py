@@ -20,14 +20,12 @@ from scipy.stats import spearmanr
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour import ball_colours
+from manifold.latent.decoder import EncodingPairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
-from manifold.model.fitting import fit_space
 from manifold.model.manifold import Manifold
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import KINDS, Settings
-from manifold.model.spaces import SPACES
-from manifold.models.decoder import EncodingPairs
 from manifold.records import Array
 
 PLACES = 2000  # inside the convex hull, of which some are not supported
@@ -47,16 +45,12 @@ def hold_out(
     library: Library, settings: Settings, held_out: list[str], names: list[str] | None = None
 ) -> list[HeldOut]:
     """Embed and calibrate without some materials, by default all others, and find them there."""
-    is_nonnegative = SPACES[settings.kind].is_nonnegative
     names = [name for name in library.names if name not in held_out] if names is None else names
-    materials = MaterialCache(library, names, is_nonnegative=is_nonnegative)
-    space, statistics = fit_space(materials, settings, None)
-    model = Manifold(materials, space, settings, statistics)
-    model.calibrate()
+    model = Manifold.fit(library, settings, names=names)
     found = []
     for truth in MaterialCache(library, held_out).filled():
         place = model.embed(truth)
-        expected = model.expected_error(place.latent, place.colours)
+        expected = model.expected_error(place.latent, place.colours, place.residual)
         assert expected is not None
         found.append(
             HeldOut(
@@ -80,7 +74,6 @@ def errors(truth: MeasuredBRDF, predicted: BRDF) -> tuple[float, float]:
 def unsupported_share(library: Library, settings: Settings) -> float:
     """Share of random places inside the convex hull of all materials that the data do not support."""
     model = Manifold.fit(library, settings)
-    model.calibrate()
     rng, hull = np.random.default_rng(0), Delaunay(model.X)
     low, high = model.X.min(axis=0), model.X.max(axis=0)
     places: list[Array] = []

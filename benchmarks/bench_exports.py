@@ -1,4 +1,4 @@
-"""What every target of exports loses: the table of docs/exports.md, CIEDE2000 on the ball, mapped / --direct.
+"""What every target of exports loses: the table of docs/exports.md, CIEDE2000 on the ball, --mapped / default.
 
     python benchmarks/bench_exports.py --files FOLDER [--targets gltf,openpbr] [--work FOLDER] [--json FILE]
 
@@ -21,10 +21,10 @@ TABLE = ("gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "uni
 SUMMARIES = {"median": statistics.median, "mean": statistics.mean, "largest": max}
 
 
-def losses(files: Path, target: str, work: Path, *, is_direct: bool) -> dict[str, dict[str, float]]:
+def losses(files: Path, target: str, work: Path, *, is_mapped: bool) -> dict[str, dict[str, float]]:
     """CIEDE2000 of a target and of `principled`, by material."""
-    outcomes = export_all(files, TARGETS[target], work / f"{target}_{is_direct}", is_direct=is_direct)
-    made = {outcome.name: outcome.export or {} for outcome in outcomes}
+    outcomes = export_all(files, TARGETS[target], work / f"{target}_{is_mapped}", is_mapped=is_mapped)
+    made = {outcome.name: outcome.content or {} for outcome in outcomes}
     return {
         name: {"own": e["ciede2000"], "principled": e["principled_ciede2000"]} for name, e in made.items()
     }
@@ -42,7 +42,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         work = options.work or Path(scratch)
         found = {
-            target: [losses(options.files, target, work, is_direct=direct) for direct in (False, True)]
+            target: [losses(options.files, target, work, is_mapped=mapped) for mapped in (True, False)]
             for target in targets
         }
     if options.json:

@@ -20,10 +20,10 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from manifold.brdf import goniometer
+from manifold.brdf.analytic import GGX, Plastic, corpus
+from manifold.brdf.analytic.neural import read_neural_fits
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
-from manifold.brdf.synthetic import GGX, Plastic, corpus
-from manifold.brdf.synthetic.neural import read_neural_fits
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.io_rgl import write_bsdf
@@ -80,7 +80,7 @@ def mean_relative_error(alpha: float, *, in_mitsuba: bool = True, **options: obj
 
 def evaluate_in_mitsuba(file: BsdfFile, wi: Array, wo: Array) -> Array:
     """f_cos (n, B) of a file in RGB or in four bands, by the `measured` plugin."""
-    from mitsuba_reference import measured
+    from helpers.mitsuba_reference import measured
 
     nm = None if file.wavelengths_nm is None else np.tile(file.wavelengths_nm.astype(float), (len(wi), 1))
     with tempfile.TemporaryDirectory() as folder:

@@ -43,14 +43,14 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.gplvm import GPLVM
 from manifold.gpr import IsolatedLatentsWarning
 from manifold.io_rgl import read_bsdf
+from manifold.latent.kernels import SquaredExponential
+from manifold.latent.objective import LatentObjective, centre_gram, pca_start
+from manifold.latent.search import OPTIMIZERS
+from manifold.latent.sparse import SparseGPLVM
+from manifold.latent.sparse_objective import SparseObjective, farthest_points, pca_start_of_factor
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.gram import gram_matrix
-from manifold.models.kernels import SquaredExponential
-from manifold.models.objective import LatentObjective, centre_gram, pca_start
-from manifold.models.search import OPTIMIZERS
-from manifold.models.sparse import SparseGPLVM
-from manifold.models.sparse_objective import SparseObjective, farthest_points, pca_start_of_factor
 
 STARTS = 20
 SIZES = (51, 200, 1000, 5000)

@@ -21,14 +21,14 @@ import numpy as np
 from trial_models import CUBE_ROOT, Power, Setting, fit_trial
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.experiments.evaluation.ball_errors import BallErrors
 from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
+from manifold.experiments.evaluation.errors import BallErrors
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import read_bsdf
+from manifold.latent.criteria import CRITERIA
+from manifold.latent.kernels import KERNELS, kernel_named
 from manifold.mapping import LogRelative, Mapping
 from manifold.metrics import RusinkiewiczGrid, cube_root_error, relative_error
-from manifold.models.criteria import CRITERIA
-from manifold.models.kernels import KERNELS, kernel_named
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def held_out(data: Data, balls: BallErrors, setting: Setting, every: int = 1) ->
         f = here.evaluate(data)
         linear.append(relative_error(data.f[i], f, data.cosines))
         cube_root.append(cube_root_error(data.f[i], f, data.cosines))
-        ball.append(balls.delta_e(i, here.evaluate(balls.values)))
+        ball.append(balls.differences(i, here.evaluate(balls.values))[0])
     return Row(linear, cube_root, ball, max(float(np.abs(c.weights).sum(axis=-1).max()) for c in found))
 
 

@@ -30,10 +30,11 @@ from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model.colours import NEAREST, choose_colour
 from manifold.model.manifold import Manifold
-from manifold.model.predicted_file import predict
+from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.model.settings import KINDS, Settings
 from manifold.records import Array
+from manifold.workflows.prediction import predict
 
 ALBEDO_INCIDENCES_DEG = np.array([0.0, 30.0, 45.0, 60.0, 75.0])
 FILE_INCIDENCES_DEG = np.arange(0.0, 86.0, 5.0)
@@ -101,7 +102,9 @@ class Interior:
     def written(self, folder: Path, *, physical: bool) -> Written:
         """What is measured on the file of a prediction at a random place."""
         x, path = self.draw(), folder / "x.bsdf"
-        found = predict(self._model, x, path, physical=physical, force=True).plausibility
+        found = predict(
+            self._model, x, path, options=OutputOptions(physical=physical, force=True)
+        ).plausibility
         brdf = ClippedBRDF(self._model.predict(x, choose_colour(self._model, x, NEAREST).colours))
         albedo = brdf.albedo(from_spherical(np.deg2rad(FILE_INCIDENCES_DEG), 0.0)).max()
         ball = self.apart(brdf, MeasuredBRDF(read_bsdf(path)))
@@ -157,7 +160,6 @@ def main() -> None:
     parser.add_argument("--written", type=int, default=0)
     given = parser.parse_args()
     model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
-    model.calibrate()
     if given.count:
         print_table(model, given.count, [int(seed) for seed in given.seeds.split(",")])
     for physical in (False, True) if given.written else ():

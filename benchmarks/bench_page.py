@@ -23,18 +23,18 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from browser import chromium, visit
+from helpers.browser import chromium, visit
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import from_spherical
-from manifold.model import predicted_file
 from manifold.model.manifold import Manifold
+from manifold.model.output_file import OutputOptions
 from manifold.records import Array
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
-from manifold.workflows import explore
+from manifold.workflows import explore, prediction
 
 SIZE = 128
 _EDGE = 1.02  # radii of the ball that half the side of the page's picture shows
@@ -117,7 +117,7 @@ def compare_balls(
     is_whole = shown[..., 3] == 1.0
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "predicted.bsdf"
-        predicted_file.predict(model, x, file, force=True)
+        prediction.predict(model, x, file, options=OutputOptions(force=True))
         measured = {"type": "measured", "filename": str(file)}
         renders = [mitsuba_ball(measured, is_rgb, samples, seed) for seed in (0, 1)]
     pictures = [decode_srgb(shown[..., :3]), 0.5 * (renders[0] + renders[1])]

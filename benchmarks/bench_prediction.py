@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.synthetic import corpus
+from manifold.brdf.analytic import corpus
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
+from manifold.workflows import prediction
 
 GRID_BLOCK = 65536  # direction pairs of the grid of Hikichi & Iwasaki evaluated at once
 
@@ -35,7 +35,7 @@ def embed(library: Path, kind: str) -> dict[str, float]:
     opened.cache_put = lambda *_: None  # type: ignore[method-assign]
     opened.cache_get = lambda *_: None  # type: ignore[method-assign]
     start = time.perf_counter()
-    model = Manifold.fit(opened, Settings(kind=kind))
+    model = Manifold.fit(opened, Settings(kind=kind), calibrate=False)
     seconds = time.perf_counter() - start
     model.save(model_path(library, kind))
     return {"seconds": seconds, "model_bytes": model_path(library, kind).stat().st_size}
@@ -46,8 +46,7 @@ def predict(library: Path, kind: str) -> dict[str, float]:
     model, x = loaded(library, kind)
     with tempfile.TemporaryDirectory() as folder:
         seconds = [
-            predicted_file.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds
-            for k in range(4)
+            prediction.predict(model, x + 1e-3 * k, Path(folder) / "p_spec.bsdf").seconds for k in range(4)
         ]
     return {"first_seconds": seconds[0], "seconds": float(np.median(seconds[1:]))}
 
@@ -83,10 +82,14 @@ def loaded(library: Path, kind: str) -> tuple[Manifold, Any]:
     return model, model.between(model.names[0], model.names[-1], 0.4)
 
 
+def stored_bytes(library: Library) -> int:
+    """Of all materials together."""
+    return sum(library.attributes(name).bytes for name in library.names)
+
+
 def reference_seconds(library: Path) -> float:
     """Copying the bytes of all spectra once in memory, the median of five."""
-    info = Library.open(library).info
-    source = np.ones(info.bytes // 8)
+    source = np.ones(stored_bytes(Library(library)) // 8)
     times = []
     for _ in range(5):
         start = time.perf_counter()
@@ -125,10 +128,11 @@ def main() -> None:
             import_files(library, [Path(folder) / "corpus"])
         else:
             library.symlink_to(options.library.resolve())
-        stored = Library.open(library).info
+        stored = Library(library)
+        size = stored_bytes(stored)
         reference = reference_seconds(library)
-        results: dict[str, Any] = {"materials": len(stored.materials), "stored_bytes": stored.bytes}
-        print(f"{len(stored.materials)} materials, {stored.bytes / 1e6:.0f} MB; copied in {reference:.3f} s")
+        results: dict[str, Any] = {"materials": len(stored), "stored_bytes": size}
+        print(f"{len(stored)} materials, {size / 1e6:.0f} MB; copied in {reference:.3f} s")
         for kind in ("blend", "material", "monochrome"):
             for name in MEASUREMENTS:
                 found = measure(library, name, kind)

@@ -16,86 +16,84 @@ from scipy.stats import spearmanr
 from manifold.colour.conversion import to_xyz
 from manifold.colour.correction import learn_correction
 from manifold.colour.difference import delta_e_2000
+from manifold.completion import LibraryAtoms, calibrate, suggest
+from manifold.completion.complete import complete_at
+from manifold.completion.expected import KINDS, errors_of
+from manifold.completion.suggest import all_directions
 from manifold.formats.readings import Readings, aspecular_pair, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.model.completion import LibrarySamples, calibrate, suggest
-from manifold.model.completion.complete import complete_at
-from manifold.model.completion.expected import KINDS, completion_errors, in_sample_bands, sample_axis
-from manifold.model.completion.suggest import all_directions
 from manifold.records import Array, Bands
 
 CASES = 5  # random choices per material
 CHOSEN = 5
 
 
-def read(samples: LibrarySamples, m: int, at: Array, wi: Array, wo: Array, chosen: Array) -> Readings:
-    """Material m of the library at some of the directions, in the sample bands."""
-    nm = sample_axis(samples).wavelengths_nm
-    own = samples.material_of == m
+def read(atoms: LibraryAtoms, m: int, at: Array, wi: Array, wo: Array, chosen: Array) -> Readings:
+    """Material m of the library at some of the directions, in the bands of the atoms."""
+    nm = atoms.band_axis.wavelengths_nm
+    own = atoms.material_of == m
     return Readings(
-        samples.names[m], "library", wi[chosen], wo[chosen], None if nm is None else np.array(nm),
+        atoms.names[m], "library", wi[chosen], wo[chosen], None if nm is None else np.array(nm),
         at[own][:, chosen].T ** 3,
     )  # fmt: skip
 
 
 def errors(
-    samples: LibrarySamples, m: int, others: LibrarySamples, at: Array, wi: Array, wo: Array, chosen: Array
+    atoms: LibraryAtoms, m: int, others: LibraryAtoms, at: Array, wi: Array, wo: Array, chosen: Array
 ) -> Array:
     """Of material m completed from some of the directions."""
-    made = complete_at(others, read(samples, m, at, wi, wo, chosen), at[samples.material_of != m][:, chosen])
-    return np.array(completion_errors(samples, m, made))
+    made = complete_at(others, read(atoms, m, at, wi, wo, chosen), at[atoms.material_of != m][:, chosen])
+    return np.array(errors_of(atoms, m, made.on_grid, made.on_ball))
 
 
-def suggestions(samples: LibrarySamples) -> None:
+def suggestions(atoms: LibraryAtoms) -> None:
     """Five readings, chosen one after the other from what the ones before said, against five at random."""
     wi, wo = all_directions()
-    at = samples.at(wi, wo)
+    at = atoms.at(wi, wo)
     instrument = geometry_ma_t12()
-    at_instrument = samples.at(*instrument)
+    at_instrument = atoms.at(*instrument)
     rng = np.random.default_rng(0)
     wins = np.zeros((2, 3), int)
     cases = 0
-    for m in range(len(samples.names)):
-        own = samples.material_of == m
-        others = in_sample_bands(samples.without(m))
+    for m in range(len(atoms.names)):
+        own = atoms.material_of == m
+        others = atoms.without(m).in_atom_bands()
         chosen: list[int] = []
         for _ in range(CHOSEN):
             known = None
             if chosen:
-                known = complete_at(
-                    others, read(samples, m, at, wi, wo, np.array(chosen)), at[~own][:, chosen]
-                )
+                known = complete_at(others, read(atoms, m, at, wi, wo, np.array(chosen)), at[~own][:, chosen])
             found = suggest(others, 1, known)
             chosen.append(int(np.argmin(np.sum((wi - found.wi) ** 2 + (wo - found.wo) ** 2, axis=1))))
 
-        ours = errors(samples, m, others, at, wi, wo, np.array(chosen))
-        first = errors(samples, m, others, at_instrument, *instrument, np.arange(CHOSEN))
+        ours = errors(atoms, m, others, at, wi, wo, np.array(chosen))
+        first = errors(atoms, m, others, at_instrument, *instrument, np.arange(CHOSEN))
         wins[1] += ours < first
         for _ in range(CASES):
             some = rng.choice(len(wi), CHOSEN, replace=False)
-            wins[0] += ours < errors(samples, m, others, at, wi, wo, some)
+            wins[0] += ours < errors(atoms, m, others, at, wi, wo, some)
             cases += 1
     print(
         f"five suggested readings better than five random ones, of {cases} cases, by {', '.join(KINDS)}: {wins[0]}"
     )
-    print(f"better than an MA-T12's first five, of {len(samples.names)}: {wins[1]}")
+    print(f"better than an MA-T12's first five, of {len(atoms.names)}: {wins[1]}")
 
 
-def expectations(samples: LibrarySamples) -> None:
+def expectations(atoms: LibraryAtoms) -> None:
     """Errors from an instrument's directions and a gloss meter's angles, beside those that are expected."""
     one = aspecular_pair(45.0, 45.0)
     instruments = {"MA-T12": geometry_ma_t12(), "45/0": (one[0][None], one[1][None])}
-    nm = samples.bands.wavelengths_nm
+    nm = atoms.bands.wavelengths_nm
     print(
         "| readings | gloss at | linear | cube root | ball | rank correlation | below twice the expected, % |"
     )
     for name, (wi, wo) in instruments.items():
         for angles in ((), (60,), (20,), (20, 60), (20, 60, 85)):
             blank = Readings(
-                "", "", wi, wo, None if nm is None else np.array(nm), np.ones((len(wi), samples.bands.count)),
+                "", "", wi, wo, None if nm is None else np.array(nm), np.ones((len(wi), atoms.bands.count)),
                 gloss=dict.fromkeys(angles, 1.0),
             )  # fmt: skip
-            found = calibrate(samples, blank)
+            found = calibrate(atoms, blank)
             errors, expected = found.errors[:, ::-1], found.left_out[:, ::-1]
             summary = [f"{np.median(e):.2f} / {np.percentile(e, 90):.2f}" for e in errors.T]
             ranks = [f"{spearmanr(*pair)[0]:.2f}" for pair in zip(expected.T, errors.T, strict=True)]
@@ -115,16 +113,16 @@ def corrections(paints: int = 40) -> None:
     """Simulated paints read by a camera-like instrument and by a spectrophotometer, and new ones."""
     rng = np.random.default_rng(1)
     nm = np.arange(400.0, 701.0, 10.0)
-    bands = Bands(tuple(nm))
+    camera, bands = Bands((465.0, 525.0, 630.0)), Bands(tuple(nm))
     white = to_xyz(np.ones(len(nm)), bands)
-    sensors = np.array([np.exp(-0.5 * ((nm - c) / 25.0) ** 2) for c in (465.0, 525.0, 630.0)])
+    sensors = np.array([np.exp(-0.5 * ((nm - c) / 25.0) ** 2) for c in camera.wavelengths_nm])
     sensors /= sensors.sum(axis=1, keepdims=True)
     shared = np.array([-15, 15, 25, 45, 75, 110, -45, -30, -15, 15, 45, 80], float)
     cameras, spectra, unseen = [], [], []
     for _ in range(2 * paints):
         f = paint(rng, nm, shared)
-        camera = (f @ sensors.T) ** 1.03  # not quite linear
-        cameras.append(camera * (1.0 + 0.01 * rng.standard_normal(camera.shape)))
+        read = (f @ sensors.T) ** 1.03  # not quite linear
+        cameras.append(read * (1.0 + 0.01 * rng.standard_normal(read.shape)))
         spectra.append(f * (1.0 + 0.003 * rng.standard_normal(f.shape)))
         unseen.append(f)
 
@@ -132,17 +130,20 @@ def corrections(paints: int = 40) -> None:
         return float(np.sqrt(np.mean(np.sum((made - truth) ** 2, axis=1) / np.sum(truth**2, axis=1))))
 
     x, y = np.vstack(cameras[:paints]), np.vstack(spectra[:paints])
-    found = learn_correction(x, y, groups=np.repeat(np.arange(paints), len(shared)))
+    found = learn_correction(x, y, camera, bands, groups=np.repeat(np.arange(paints), len(shared)))
     new, truth = np.vstack(cameras[paints:]), np.vstack(unseen[paints:])
-    missed = {form: relative(learn_correction(x, y, (form,)).apply(new), truth) for form in found.errors}
+    on_new = {
+        form: relative(learn_correction(x, y, camera, bands, forms=(form,)).apply(new), truth)
+        for form in found.errors
+    }
     print(f"across {paints} paints, on {paints} new ones, relative error by form:")
-    for form, error in missed.items():
+    for form, error in on_new.items():
         print(
             f"  {form}: {error:.4f}, left out {found.errors[form]:.4f}" + " (chosen)" * (form == found.form)
         )
     differences = []
     for c, measured, f in zip(cameras, spectra, unseen, strict=True):
-        made = learn_correction(c, measured).apply(c)
+        made = learn_correction(c, measured, camera, bands).apply(c)
         xyz = [np.pi * to_xyz(values, bands) for values in (made, f)]
         differences.append(float(np.median(delta_e_2000(*xyz, white))))
     print(f"each paint by its own 12 geometries: CIEDE2000 there, median {np.median(differences):.2f}")
@@ -155,10 +156,10 @@ def main() -> None:
     )
     parser.add_argument("library", type=Path)
     opened = Library.open(parser.parse_args().library)
-    samples = LibrarySamples.of_library(opened)
+    atoms = LibraryAtoms.of_library(opened)
     corrections()
-    expectations(samples)
-    suggestions(samples)
+    expectations(atoms)
+    suggestions(atoms)
 
 
 if __name__ == "__main__":

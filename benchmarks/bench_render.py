@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.synthetic import corpus
+from manifold.brdf.analytic import corpus
 from manifold.library.importing import import_files
 from manifold.library.store import Library
-from manifold.model import predicted_file
 from manifold.model.manifold import Manifold, Settings
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.render import RenderSettings, render_bsdf
+from manifold.workflows import prediction
 
 PAIR = ("syn_satin_gold", "syn_metallic_gold")
 TARGETS = {"predicted file": 1.3, "plugin": 12.0, "plugin, tolerance": 4.0, "scalar, predicted file": 10.0}
@@ -82,12 +82,12 @@ def make_library(folder: Path) -> Path:
 def compare(folder: Path, library: Path, arguments: argparse.Namespace) -> dict:
     """Seconds per picture, and what leaving materials out changes."""
     path = folder / "model.h5"
-    model = Manifold.fit(Library.open(library), Settings(kind="material"))
+    model = Manifold.fit(Library.open(library), Settings(kind="material"), calibrate=False)
     model.save(path)
     latent = model.between(*PAIR, 0.5)
     predicted, measured = folder / "predicted_spec.bsdf", folder / "measured_spec.bsdf"
-    predicted_file.predict(model, latent, predicted)
-    predicted_file.predict(model, model.latent(PAIR[0]), measured)
+    prediction.predict(model, latent, predicted)
+    prediction.predict(model, model.latent(PAIR[0]), measured)
     plugin = {"type": "manifold", "model": str(path), "latent": ",".join(repr(float(v)) for v in latent)}
     materials = {
         "measured file": {"type": "measured", "filename": str(measured)},

@@ -23,13 +23,13 @@ from scipy.optimize import minimize
 from trial_models import CUBE_ROOT, fit_gram
 
 from manifold.brdf import cells, goniometer
+from manifold.brdf.analytic import GGX, Plastic, RoughConductor
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.synthetic import GGX, Plastic, RoughConductor
 from manifold.directions import from_spherical
 from manifold.io_rgl import read_bsdf
+from manifold.latent.criteria import Products, mapped_residual
+from manifold.latent.encoder import Encoder
 from manifold.metrics import RusinkiewiczGrid, cosine_weight, relative_error
-from manifold.models.criteria import Products, mapped_residual
-from manifold.models.encoder import Encoder
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 from manifold.system.parallel import one_blas_thread
 

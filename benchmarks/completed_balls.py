@@ -14,19 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.gloss import gloss_units
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.completion import LibraryAtoms, complete, suggest
+from manifold.completion.complete import Completion
+from manifold.completion.gloss import gloss_units
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import write_bsdf
 from manifold.library.store import Library
-from manifold.model.checked_file import write_checked
-from manifold.model.completion import LibrarySamples, complete, suggest
-from manifold.model.completion.complete import Completion
-from manifold.model.materials import MaterialCache
+from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
 from manifold.rendering import images
+from manifold.rendering.render import RenderSettings
 from manifold.workflows import renders
+from manifold.workflows.output_files import write_checked
 
 SUGGESTED = 3
 GLOSS_DEG = (20, 60)
@@ -38,7 +39,7 @@ def readings_of(brdf: BRDF, name: str, wi: Array, wo: Array) -> Readings:
     return Readings(name, "", wi, wo, None if nm is None else np.array(nm), brdf.eval(wi, wo))
 
 
-def completions(brdf: BRDF, name: str, others: LibrarySamples) -> tuple[Completion, Completion, Completion]:
+def completions(brdf: BRDF, name: str, others: LibraryAtoms) -> tuple[Completion, Completion, Completion]:
     """From the MA-T12's geometries, with gloss beside them, and with readings, each suggested by those before."""
     wi, wo = geometry_ma_t12()
     read = readings_of(brdf, name, wi, wo)
@@ -61,21 +62,20 @@ def main() -> None:
     parser.add_argument("names", nargs="+", metavar="NAME")
     given = parser.parse_args()
     library = Library.open(given.library)
-    cache = MaterialCache(library, library.names, is_nonnegative=True)
-    samples = LibrarySamples.of(cache)
-    settings = renders.make_settings(size=192, samples=72, seed=0, illuminant="D65", environment=None)
+    atoms = LibraryAtoms.of_library(library)
+    settings = RenderSettings(size=192, samples=72)
     columns = []
     with tempfile.TemporaryDirectory() as folder:
         file, picture = Path(folder) / "ball_spec.bsdf", Path(folder) / "ball.png"
         for name in given.names:
-            others = samples.without(library.names.index(name))
+            others = atoms.without(library.names.index(name))
             balls = []
-            for found in (None, *completions(cache.measured(name), name, others)):
+            for found in (None, *completions(MeasuredBRDF(library.read(name)), name, others)):
                 if found is None:
                     write_bsdf(file, library.read(name))
                 else:
-                    write_checked(file, ClippedBRDF(found.brdf), description="", remedy="", force=True)
-                renders.render(renders.file_source(file), picture, settings)
+                    write_checked(file, ClippedBRDF(found.brdf), OutputOptions(force=True))
+                renders.render_file(file, picture, settings)
                 balls.append(images.read_image(picture))
             columns.append(np.vstack(balls))
     images.write_image(given.output, np.hstack(columns))

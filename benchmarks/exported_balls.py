@@ -8,10 +8,7 @@ A file with a fit beside it (`NAME.fit.json`) is not fitted again. Shown in docs
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,26 +16,14 @@ import manifold as mf
 from manifold.fitting import fit_samples
 from manifold.fitting.exports import TARGETS, Principled
 from manifold.fitting.exports.direct import fit_target
-from manifold.fitting.exports.targets import Target
-from manifold.records import Array, Bands
+from manifold.fitting.exports.targets import TargetBRDF
+from manifold.records import Array
 from manifold.rendering import images
 from manifold.workflows import exports
 
 
-@dataclass(frozen=True)
-class TargetBRDF:
-    """A target's shading model with its parameters, as any other BRDF."""
-
-    target: Target
-    parameters: Mapping[str, Any]
-    bands: ClassVar[Bands] = Bands(None)
-    is_isotropic: ClassVar[bool] = True
-
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, shape (..., 3)."""
-        wi, wo = np.broadcast_arrays(wi, wo)
-        f = self.target.brdf(self.parameters, wi.reshape(-1, 3), wo.reshape(-1, 3)).reshape(wi.shape)
-        return np.where((wi[..., 2:] > 0.0) & (wo[..., 2:] > 0.0), f, 0.0)
+class ExportedBRDF(TargetBRDF):
+    """A target's shading model as it is rendered."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., 3)."""
@@ -61,8 +46,8 @@ def main() -> None:
         subject = exports.subject_of(fit, path) if fit.exists() else exports.subject_of(path, None)
         assert subject.material is not None
         mapped = target.parameters(Principled.from_fit(subject.fit["bsdf"], subject.fit["values"]))
-        direct = fit_target(target, mapped, fit_samples.from_brdf(subject.material), subject.material)
-        shown = (mf.read_bsdf(path), TargetBRDF(target, mapped), TargetBRDF(target, direct))
+        direct = fit_target(target, mapped, fit_samples.from_brdf(subject.material))
+        shown = (mf.read_bsdf(path), ExportedBRDF(target, mapped), ExportedBRDF(target, direct))
         columns.append(np.vstack([mf.render_ball(one, size=160) for one in shown]))
     images.write_image(given.output, np.hstack(columns))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.synthetic import corpus
+from manifold.brdf.analytic import corpus
 from manifold.colour.conversion import to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.io_rgl import write_bsdf

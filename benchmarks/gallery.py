@@ -19,6 +19,7 @@ from scipy.spatial import Delaunay
 
 from manifold.model import diagnostics
 from manifold.model.colours import UNCHOSEN, ChosenColour, ColourChoice, choose_colour
+from manifold.model.latents import Place
 from manifold.model.manifold import Manifold
 from manifold.plots import figures
 from manifold.records import Array
@@ -58,7 +59,7 @@ class Gallery:
             for t in np.linspace(0.0, 1.0, STEPS).tolist():
                 brdf = self._model.interpolate(start, end, t)
                 name = {0.0: start, 1.0: end}.get(t, "")
-                found = diagnostics.of_brdf(self._model, self._model.between(start, end, t), brdf, UNCHOSEN)
+                found = diagnostics.diagnose(self._model, Place(self._model.between(start, end, t)), brdf)
                 row.append((thumbnails.of_material(brdf), _caption(name, found.diagnostics)))
             rows.append(row)
         return rows
@@ -74,7 +75,7 @@ class Gallery:
 
     def _cell(self, x: Array, chosen: ChosenColour = UNCHOSEN, name: str = "") -> Cell:
         brdf = self._model.predict(x, chosen.colours)
-        found = diagnostics.of_brdf(self._model, x, brdf, chosen)
+        found = diagnostics.diagnose(self._model, Place(x), brdf, chosen)
         return thumbnails.of_material(brdf), _caption(
             name or ", ".join(f"{v:.1f}" for v in x), found.diagnostics
         )

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.optimize import minimize
 
-from manifold.experiments.evaluation.method import Encode, Fit
-from manifold.experiments.evaluation.samples import LatentProcess, Samples
+from manifold.experiments.evaluation.cross_validation import Encode, Fit
+from manifold.experiments.evaluation.latent_models import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.gpr import GPWeights
+from manifold.latent.kernels import Kernel, SquaredExponential
+from manifold.latent.objective import LatentObjective, centre_gram
+from manifold.latent.per_band import MonochromeGPLVM
 from manifold.mapping import CubeRoot, Mapping
 from manifold.model.combination import Combination
-from manifold.models.kernels import Kernel, SquaredExponential
-from manifold.models.objective import LatentObjective, centre_gram
-from manifold.models.per_band import MonochromeGPLVM
 from manifold.records import Array
 
 

@@ -90,10 +90,10 @@ def _show(results: terminal.Results, made: Budget) -> None:
     rows = [
         [
             one.material if len(one.material) <= _NAME else f"{one.material[: _NAME - 1]}~",
-            one.representation,
-            one.size,
+            one.candidate.name,
+            one.candidate.size,
             f"{one.milliseconds:.0f}" if one.milliseconds >= 10 else f"{one.milliseconds:.1f}",
-            f"{one.predicted:.2f}",
+            f"{one.candidate.predicted:.2f}",
             f"{one.verified.delta_e:.2f}",
             f"{one.verified.flip:.3f}",
         ]

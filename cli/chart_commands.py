@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +15,6 @@ from .application import app
 
 if TYPE_CHECKING:
     from manifold.experiments.chart.experiment import Chart
-    from manifold.experiments.readings.curve import Curve
 
 _LETTERS = {"predict": "P", "bytes": "B", "fit": "F"}
 
@@ -71,8 +69,10 @@ def chart(
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
     front.
     """
+    from manifold.experiments.chart.experiment import make_chart
+    from manifold.library.store import Library
+    from manifold.model.manifold import Manifold
     from manifold.plots import figures
-    from manifold.workflows import charts
 
     results = terminal.Results(json)
     if output is not None:
@@ -80,38 +80,28 @@ def chart(
     if readings:
         if model is not None or anchor is not None:
             raise UsageError("--readings charts a library by itself; leave --model and --anchor out")
-        _chart_readings(results, library, only or (), output)
+        _chart_readings(results, library or options.DEFAULT_LIBRARY, only or (), output)
         return
-    with ExitStack() as bar:
-        step = bar.enter_context(terminal.progress("Chart"))
-
-        def write(made: Chart) -> None:
-            bar.close()
-            _write_chart(made, results, output)
-
-        charts.chart(library, model, only or (), step, anchor, write)
+    if model is None:
+        opened = Library.open(library or options.DEFAULT_LIBRARY)
+        names = opened.names
+    else:
+        loaded = Manifold.load(model, library)
+        opened, names = loaded.library, loaded.names
+    with terminal.progress("Chart") as step:
+        files = [opened.read(name) for name in names]
+        made = make_chart(files, only or (), step, neural=anchor, library=opened)
+    _write_chart(made, results, output)
 
 
 def _write_chart(made: Chart, results: terminal.Results, output: Path | None) -> None:
+    from manifold.experiments.chart.experiment import conclusion
     from manifold.plots import figures, plot_chart
 
-    results.table(
-        [
-            "setting",
-            "CIEDE2000",
-            "front",
-            "cube root",
-            "front",
-            "linear",
-            "front",
-            "ITP",
-            "RMSE",
-            "predict",
-            "MB",
-            "fit",
-        ],
-        _rows(made),
-    )
+    if said := conclusion(made):
+        results.sentence(said)
+    columns = "setting,CIEDE2000,front,cube root,front,linear,front,ITP,RMSE,predict,MB,fit"
+    results.table(columns.split(","), _rows(made))
     results.text(
         "front: Pareto-optimal against P time to predict, B bytes, F time to fit.\n"
         f"predict, fit: in times of a reference, here {1e3 * made.reference_seconds:.3g} ms of a core; "
@@ -136,40 +126,27 @@ def _rows(made: Chart) -> list[list[str]]:
     return [
         [
             row.title,
-            f"{row.delta_e:.2f}",
-            letters("delta_e", row.key),
-            f"{row.cube_root_error:.3f}",
-            letters("cube_root_error", row.key),
-            f"{row.relative_error:.3f}",
-            letters("relative_error", row.key),
-            f"{row.delta_e_itp:.2f}",
-            f"{row.rmse:.3g}",
-            f"{row.predict.median:.3g}",
-            f"{row.bytes / 1e6:.3g}",
+            f"{row.delta_e:.2f}", letters("delta_e", row.key),
+            f"{row.cube_root_error:.3f}", letters("cube_root_error", row.key),
+            f"{row.relative_error:.3f}", letters("relative_error", row.key),
+            f"{row.delta_e_itp:.2f}", f"{row.rmse:.3g}", f"{row.predict.median:.3g}", f"{row.bytes / 1e6:.3g}",
             "" if row.fit is None else f"{row.fit.median:.3g}",
         ]
         for row in made.rows
-    ]
+    ]  # fmt: skip
 
 
 def _chart_readings(
-    results: terminal.Results, library: Path | None, only: Sequence[str], output: Path | None
+    results: terminal.Results, library: Path, only: Sequence[str], output: Path | None
 ) -> None:
-    from manifold.workflows import charts
-
-    with ExitStack() as bar:
-        step = bar.enter_context(terminal.progress("Chart"))
-
-        def write(curves: list[Curve]) -> None:
-            bar.close()
-            _write_curves(curves, results, output)
-
-        charts.readings_chart(library, only, step, write)
-
-
-def _write_curves(curves: list[Curve], results: terminal.Results, output: Path | None) -> None:
+    from manifold.completion.atoms import LibraryAtoms
+    from manifold.experiments.readings.curve import measure_curves
+    from manifold.library.store import Library
     from manifold.plots import figures, plot_readings
 
+    opened = Library.open(library)
+    with terminal.progress("Chart") as step:
+        curves = measure_curves(LibraryAtoms.of_library(opened), only=only, on_progress=step, library=opened)
     results.text("Errors of left-out materials, median / 90th percentile:\n")
     results.table(
         ["method", "readings", "ball CIEDE2000", "cube root", "linear"],

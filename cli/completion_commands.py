@@ -11,10 +11,10 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default, unnamed
+from .outputs import checked, or_default
 
 if TYPE_CHECKING:
-    from manifold.model.completion.suggest import Suggested
+    from manifold.completion.suggest import Suggested
 
 _SHOWN_PROBABILITY = 0.005  # of a mixture, which is printed with two decimals
 
@@ -52,6 +52,13 @@ def complete(
             metavar="ANGLE=UNITS",
         ),
     ] = None,
+    lab: Annotated[
+        str | None,
+        typer.Option(
+            help="Instead of READINGS: the CIELAB colour (45/0, D65), with --gloss where it is known.",
+            metavar="L,a,b",
+        ),
+    ] = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also render its ball, beside the file.")
     ] = False,
@@ -66,21 +73,22 @@ def complete(
     ] = 0,
     instrument: InstrumentOption = None,
     physical: options.PhysicalOption = False,
-    force: Annotated[bool, typer.Option("--force", help="Write it even if its albedo exceeds 1.05.")] = False,
-    resolution: Annotated[
-        int, typer.Option(help="Nodes per axis of the outgoing grid.", metavar="N", min=2, max=512)
-    ] = 32,
-    incidences: Annotated[int, typer.Option(help="Incident elevations.", metavar="N", min=2, max=512)] = 8,
+    force: options.ForceOption = False,
+    resolution: options.ResolutionOption = 32,
+    incidences: options.IncidencesOption = 8,
     json: options.JsonOption = None,
 ) -> None:
     """Complete readings of one material to a full BRDF, with a library of materials as prior.
 
     Reports the expected error, the residual of the readings, and the mixtures of materials that explain them.
     """
+    from manifold.model.output_file import OutputOptions
     from manifold.workflows import completions
 
     results = terminal.Results(json)
-    if not readings:
+    if readings and lab is not None:
+        raise UsageError("found --lab and a file of readings, expected one of them")
+    if not readings and lab is None:
         if not suggest:
             raise UsageError(
                 "no file of readings; name one, or give --suggest K for the directions to measure first"
@@ -91,16 +99,20 @@ def complete(
         return
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
-    taken = completions.read(readings, sample, correction, completions.parse_gloss(gloss or []))
-    target = or_default(output, completions.file_name(taken.readings))
-    ball = unnamed("picture", target.with_suffix(".png")) if picture else None
+    units = completions.parse_gloss(gloss or [])
+    if lab is not None:
+        taken, learned = completions.readings_of_lab(lab, units, library), None
+        target = or_default(output, "completed.bsdf")
+    else:
+        taken, learned = completions.read(readings or [], sample, correction, units)
+        target = or_default(output, completions.file_name(taken))
+    ball = checked(target.with_suffix(".png"), "picture") if picture else None
     with terminal.progress("Completing") as step:
         made = completions.complete_readings(
-            taken, library, target, picture=ball, count=suggest, instrument=instrument,
-            physical=physical, force=force,
-            resolution=resolution, n_theta_i=incidences, on_progress=step,
+            taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
+            options=OutputOptions(physical, force, resolution, incidences), on_progress=step,
         )  # fmt: skip
-    found, expected = made.found, made.expected
+    found, expected = made.completion, made.expected
     results.rows(
         f"Completed {made.path}",
         {
@@ -179,10 +191,10 @@ def calibrate(
         ("form", "error", "chosen"),
         [
             (form, "not measured" if error != error else f"{error:.4f}", "*" * (form == learned.form))
-            for form, error in learned.errors.items()
+            for form, error in {**learned.errors, "none: estimated spectra": learned.uncorrected}.items()
         ],
     )
-    for note in completions.calibration_notes(n_samples):
+    for note in completions.calibration_notes(learned, n_samples):
         results.sentence(f"note: {note}")
 
 

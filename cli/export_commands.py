@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,24 +12,16 @@ from manifold.system import atomic
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default, unnamed
+from .outputs import or_default
 from .point_options import count_words, raise_failed
 
 if TYPE_CHECKING:
-    from manifold.workflows.exports import ExportOutcome
+    from manifold.workflows.output_index import Outcome
 
 
 TargetName = Literal[
-    "gltf",
-    "openpbr",
-    "standard-surface",
-    "usd",
-    "usd-materialx",
-    "blender",
-    "blender-json",
-    "unreal",
-    "unity",
-]
+    "gltf", "openpbr", "standard-surface", "usd", "usd-materialx", "blender", "blender-json", "unreal", "unity"
+]  # fmt: skip
 
 
 @app.command(
@@ -58,27 +49,28 @@ def export(
     ] = None,
     target: Annotated[
         TargetName | None,
-        typer.Option(help="The target, where neither the suffix nor the fit tells it. [default for folders: gltf]"),
+        typer.Option(help="The target, if neither the suffix nor the fit determines it. [default for folders: gltf]"),
     ] = None,
     against: Annotated[
         Path | None,
         typer.Option(help="For a fit: the measured .bsdf to compare with.", metavar="FILE"),
     ] = None,
-    direct: Annotated[
+    mapped: Annotated[
         bool,
-        typer.Option(
-            "--direct", help="Fit the target's own model to the material: more accurate; takes seconds."
-        ),
+        typer.Option("--mapped", help="Compute the parameters from those of principled: faster, less accurate."),
+    ] = False,
+    picture: Annotated[
+        bool, typer.Option("--picture", help="Also draw the material beside the target's model, into NAME.png.")
     ] = False,
     json: options.JsonOption = None,
 ) -> None:  # fmt: skip
     """Export materials to rendering engines, and report the error of each engine's shading model.
 
-    The error is the mean CIEDE2000 on the ball between the material and the target's model, evaluated by its
-    specification. It is shown beside that of Mitsuba's principled, from whose parameters the target's are
-    computed.
+    The target's own model is fitted to the material, which takes seconds. The error is the mean CIEDE2000 on
+    the ball between the two, in a light that the fit did not see, beside that of Mitsuba's principled, where
+    the fit starts.
     """
-    from manifold.fitting.exports.targets import TARGETS
+    from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
 
@@ -91,15 +83,15 @@ def export(
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         many = TARGETS[target or "gltf"]
-        folder = output or Path("exports")
+        folder = or_default(output, "exports")
         with terminal.progress("Exporting") as step:
             outcomes = export_folders.export_all(
-                source, many, folder, step, is_direct=direct, check=partial(unnamed, "output")
+                source, many, folder, step, is_mapped=mapped, with_pictures=picture
             )
         _show_all(results, outcomes, folder)
         return
     path = or_default(output, "material.glb")
-    chosen = exports.target_for(target, path, source)
+    chosen = target_of(target, path)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
         stages = Stages(step, {"": 8, "evaluating the target's model": 2})
@@ -114,27 +106,32 @@ def export(
                 on_progress=stages.begin(""),
             )
         stages.begin("evaluating the target's model")
-        outcome = exports.export(subject, chosen, path, is_direct=direct)
-    _show(results, outcome)
+        drawn = path.with_suffix(".png") if picture else None
+        outcome = exports.export(subject, chosen, path, is_mapped=mapped, picture=drawn)
+    _show(results, outcome, drawn)
 
 
-def _show(results: terminal.Results, outcome: ExportOutcome) -> None:
-    content = outcome.export or {}
+def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None) -> None:
+    content = outcome.content or {}
     rows = terminal.parameter_rows(content["parameters"])
-    rows["CIEDE2000 on the ball"] = f"{content['ciede2000']:.2f}, against the {content['against']}"
+    rows["CIEDE2000 on the ball"] = (
+        f"{content['ciede2000']:.2f}, against the {content['against']}; in the light of the fit "
+        f"{content['ciede2000_in_fitted_light']:.2f}"
+    )
     if content["principled_ciede2000"] is not None:
         rows["of principled"] = f"{content['principled_ciede2000']:.2f}"
-    label = "note on principled" if content["method"] == "direct" else "note"
-    rows |= terminal.numbered(label, outcome.notes)
+    if picture is not None:
+        rows["picture"] = picture
+    rows |= terminal.numbered("note", outcome.notes)
     results.rows(f"Exported {outcome.path} ({content['target']})", rows)
     results.document({"exports": [content | {"path": str(outcome.path)}], "failed": []})
 
 
-def _show_all(results: terminal.Results, outcomes: list[ExportOutcome], folder: Path) -> None:
+def _show_all(results: terminal.Results, outcomes: list[Outcome[Any]], folder: Path) -> None:
     rows = []
     for outcome in outcomes:
-        if outcome.export is not None:
-            losses = (outcome.export["ciede2000"], outcome.export["principled_ciede2000"])
+        if outcome.content is not None:
+            losses = (outcome.content["ciede2000"], outcome.content["principled_ciede2000"])
             rows.append(
                 [outcome.name, *("" if v is None else f"{v:.2f}" for v in losses), "kept" * outcome.was_there]
             )
@@ -142,6 +139,6 @@ def _show_all(results: terminal.Results, outcomes: list[ExportOutcome], folder: 
     failed = [f"{o.name}: {o.failure}" for o in outcomes if o.failure is not None]
     kept = sum(o.was_there for o in outcomes)
     results.text(count_words(len(rows), "materials", folder, kept) + "\n")
-    made = [o.export | {"path": str(o.path)} for o in outcomes if o.export is not None]
+    made = [o.content | {"path": str(o.path)} for o in outcomes if o.content is not None]
     results.document({"exports": made, "failed": failed})
     raise_failed(failed)

@@ -11,16 +11,14 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import unnamed
 
 if TYPE_CHECKING:
     from manifold.model.colours import ColourChoice
-    from manifold.workflows.fits import FitOutcome
+    from manifold.workflows.output_index import Outcome
 
 
 Method = Literal["gauss-newton", "adam", "swarm"]
-Metric = Literal["cube-root", "linear", "log"]
-TargetModel = Literal["gltf", "openpbr", "standard-surface", "usd", "blender", "unreal", "unity"]
+Metric = Literal["appearance", "cube-root", "linear", "log"]
 
 
 @app.command(
@@ -48,7 +46,9 @@ def fit(
         Method, typer.Option(help="gauss-newton: from many starts; adam and swarm: earlier methods, for "
         "comparison.")
     ] = "gauss-newton",
-    metric: Annotated[Metric, typer.Option(help="Domain in which residuals are minimised.")] = "cube-root",
+    metric: Annotated[
+        Metric, typer.Option(help="Residuals: of a lit ball and cube roots of samples; or of samples alone.")
+    ] = "appearance",
     free: Annotated[
         str | None,
         typer.Option(help="Parameters of principled to fit, separated by commas; the others are "
@@ -63,10 +63,6 @@ def fit(
         bool,
         typer.Option("--wide-colours", help="Let base colours range from -0.25 to 1.25; engines accept 0 to 1."),
     ] = False,
-    target: Annotated[
-        TargetModel | None,
-        typer.Option(help="Also fit an engine's own model, for `manifold export`; takes seconds."),
-    ] = None,
     sample: options.SampleOption = None,
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
@@ -81,10 +77,10 @@ def fit(
 ) -> None:  # fmt: skip
     """Fit a BSDF of Mitsuba to measured files or to a predicted material.
 
-    Writes one JSON per material: parameters, residuals, all minima found, and how well the samples
-    determine each parameter. Fits that are up to date are kept. With --target, the JSON also contains the
-    parameters of that engine's own model, and its error on the ball; `manifold export` writes them.
+    Writes one JSON per material: parameters, the difference on a lit ball, residuals, all minima found, and
+    how well the samples determine each parameter. Fits that are up to date are kept.
     """
+    from manifold.fitting.bsdf_parameters import principled
     from manifold.formats import registry
     from manifold.workflows import fits
 
@@ -94,8 +90,10 @@ def fit(
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     if latent is not None and sample is not None:
         raise UsageError("--sample is of a file of readings; leave it or --latent out")
-    if picture and target is not None:
-        raise UsageError("--picture draws Mitsuba's BSDF, not a target's model; leave it or --target out")
+    if bsdf is not None and (free is not None or wide_colours):
+        raise UsageError(
+            "--bsdf goes with neither --free nor --wide-colours: its file has free parameters and ranges"
+        )
     for path in sources or () if picture else ():
         if path.is_file() and (known := registry.identify(path)) is not None:
             raise UsageError(
@@ -103,10 +101,11 @@ def fit(
                 f"`manifold convert` or `manifold complete`"
             )
     results = terminal.Results(json)
-    settings = fits.FitSettings(
-        family=fits.family_of(free, bsdf, wide_colours=wide_colours), method=method, metric=metric,
-        noise=noise, wide_colours=wide_colours, sample=sample, target=target,
-    )  # fmt: skip
+    family = None if bsdf is None else fits.read_family(bsdf)
+    if free is not None:
+        family = principled([name.strip() for name in free.split(",")], wide_colours=wide_colours)
+    settings = fits.FitSettings(family, method, metric, noise, wide_colours, sample)
+    outcomes: list[Outcome[Any]]
     if latent is not None:
         with terminal.progress("Reading materials") as step:
             outcomes = [
@@ -116,33 +115,32 @@ def fit(
             ]
     else:
         with terminal.progress("Fitting") as step:
-            outcomes = fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)
-    _show(results, outcomes, target)
-    for outcome in outcomes:
-        if outcome.diagnosis is not None:
-            results.rows("Fitted to a prediction", outcome.diagnosis.rows)
+            outcomes = [*fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)]
+    _show(results, outcomes)
+    predictions = [outcome.source for outcome in outcomes] if latent is not None else []
+    for prediction in predictions:
+        results.rows("Fitted to a prediction", prediction.rows)
     if picture:
         _draw(results, outcomes, model, library, colour)
     failed = [f"{outcome.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]
-    predictions = [o.diagnosis.to_json() for o in outcomes if o.diagnosis is not None]
     results.document(
         {
             "fits": [o.content for o in outcomes if o.content is not None],
             "failed": failed,
-            "predictions": predictions,
+            "predictions": [prediction.to_json() for prediction in predictions],
         }
     )
     if failed:
         raise FileFormatError(_failures(outcomes))
 
 
-def _failures(outcomes: list[FitOutcome]) -> str:
+def _failures(outcomes: list[Outcome[Any]]) -> str:
     """All that went wrong, in one line; what failed alike together."""
     names: dict[str, list[str]] = {}
     for outcome in outcomes:
         if outcome.failure is not None:
             failed = names.setdefault(outcome.failure, [])
-            is_named = outcome.file and outcome.failure.startswith((str(outcome.file), outcome.file.name))
+            is_named = outcome.failure.startswith((str(outcome.source), outcome.source.name))
             failed += [] if is_named else [outcome.name]
     said = [
         f"{terminal.first_three(failed, ', ')}: {failure}" if failed else failure
@@ -153,7 +151,7 @@ def _failures(outcomes: list[FitOutcome]) -> str:
 
 def _draw(
     results: terminal.Results,
-    outcomes: list[FitOutcome],
+    outcomes: list[Outcome[Any]],
     model: Path,
     library: Path | None,
     colour: ColourChoice,
@@ -166,38 +164,31 @@ def _draw(
         for done, outcome in enumerate(outcomes, start=1):
             if outcome.content is None:
                 continue
-            target = unnamed("picture", outcome.path.with_suffix(".png"))
-            if outcome.file is not None:
-                made = fit_pictures.picture_of_fit(outcome.path, outcome.file, target)
+            target = outcome.path.with_suffix(".png")
+            if isinstance(outcome.source, Path):
+                delta_e, flip = fit_pictures.picture_of_fit(outcome.path, outcome.source, target)
             else:
                 latent = outcome.content["source"]["latent"]
-                made = fit_pictures.picture_of_prediction_fit(
+                delta_e, flip = fit_pictures.picture_of_prediction_fit(
                     outcome.path, model, latent, target, library=library, colour=colour
                 )
-            rows.append([made.path.name, f"{made.ciede2000:.2f}", f"{made.flip:.3f}"])
+            rows.append([target.name, f"{delta_e:.2f}", f"{flip:.3f}"])
             if step is not None:
                 step(done, len(outcomes), outcome.name)
     results.table(["picture", "CIEDE2000", "FLIP"], rows)
 
 
-def _show(results: terminal.Results, outcomes: list[FitOutcome], target: str | None) -> None:
-    """All of a single fit; one line each of several; of a target's model where there is one."""
+def _show(results: terminal.Results, outcomes: list[Outcome[Any]]) -> None:
+    """All of a single fit; one line each of several."""
     fitted = [(outcome, outcome.content) for outcome in outcomes if outcome.content is not None]
     if len(fitted) == 1:
         outcome, content = fitted[0]
-        rows = _rows(content) if target is None else _target_rows(content["target"])
-        what = "" if target is None else f" (the model of {target})"
-        results.rows(f"Fitted {outcome.path}{what}" + " (up to date)" * outcome.was_there, rows)
-    elif fitted and target is not None:
-        table = [
-            [outcome.name, *_errors(content["target"], "ciede2000"), "kept" * outcome.was_there]
-            for outcome, content in fitted
-        ]
-        results.table(["material", "CIEDE2000", "mapped", "of principled", ""], table)
+        results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(content))
     elif fitted:
         rows = [
             [
                 outcome.name,
+                "" if content["ball"] is None else f"{content['ball']['unseen_light']:.2f}",
                 f"{content['residuals'][content['metric']]:.3f}",
                 f"{content['diffuse_residual']:.3f}",
                 len(content["minima"]),
@@ -206,35 +197,22 @@ def _show(results: terminal.Results, outcomes: list[FitOutcome], target: str | N
             ]
             for outcome, content in fitted
         ]
-        results.table(["material", "residual", "diffuse", "minima", "notes", "time"], rows)
+        results.table(["material", "CIEDE2000", "residual", "diffuse", "minima", "notes", "time"], rows)
         if any(content["notes"] for _, content in fitted):
             results.text(
                 "The JSON of a fit contains its notes; they are printed when a single material is fitted.\n"
             )
 
 
-def _errors(entry: dict[str, Any], kind: str) -> list[str]:
-    """Of a target's model: fitted, mapped from the parameters of `principled`, and of that, if known."""
-    return [f"{entry[key]:.2f}" for key in (kind, f"mapped_{kind}", f"principled_{kind}") if key in entry]
-
-
-def _target_rows(entry: dict[str, Any]) -> dict[str, object]:
-    own, mapped, of_principled = _errors(entry, "ciede2000")
-    rows = terminal.parameter_rows(entry["parameters"])
-    rows["CIEDE2000 on the ball"] = f"{own}, against the {entry['against']}"
-    rows["of mapped parameters"], rows["of principled"] = mapped, of_principled
-    rows["relative residual"] = f"cube-root {entry['residual']:.3f}, mapped {entry['mapped_residual']:.3f}"
-    return rows
-
-
 def _rows(content: dict[str, Any]) -> dict[str, object]:
+    from manifold.fitting.fit_metrics import BallDifference
+    from manifold.fitting.identifiability import ParameterIdentifiability
+
     rows: dict[str, object] = {}
     for statement in content["statements"]:
-        about = f"{statement['value']:.3f} +- {statement['standard_error']:.3f}, {statement['state']}"
-        about += ", left at its default" * statement.get("is_kept", False)
-        if statement["entangled_with"] is not None:
-            about += f" (correlated with {statement['entangled_with']})"
-        rows[statement["name"]] = about + ", at the end of its range" * statement["at_bound"]
+        rows[statement["name"]] = str(ParameterIdentifiability(**statement))
+    if content["ball"] is not None:
+        rows["CIEDE2000 on the ball"] = str(BallDifference(**content["ball"]))
     rows["relative residual"] = [f"{name} {value:.3f}" for name, value in content["residuals"].items()]
     rows["best diffuse"] = f"{content['metric']} {content['diffuse_residual']:.3f}"
     if content["spectral_residual"] is not None:

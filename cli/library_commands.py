@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from manifold.errors import LibraryError, UsageError
+
 from . import options, terminal
 from .application import app
 
@@ -55,10 +57,9 @@ def corpus(
     With --neural: published neural fits of about 150 measured materials (Sztrajman et al. 2021), which must be
     downloaded separately.
     """
-    from manifold.brdf.synthetic import instruments
-    from manifold.brdf.synthetic.corpus import write
-    from manifold.brdf.synthetic.neural import write_neural
-    from manifold.errors import UsageError
+    from manifold.brdf.analytic import instruments
+    from manifold.brdf.analytic.corpus import write
+    from manifold.brdf.analytic.neural import write_neural
     from manifold.library.location import require_outside_libraries
 
     if instrument is not None and (neural is not None or anisotropic or rgb or spectral):
@@ -88,13 +89,7 @@ def corpus(
     what = "Synthetic corpus" if neural is None else "Neural fits"
     origin = {"seed": seed} if neural is None else {"from": str(neural)}
     results.rows(f"{what} in {folder}", {"files": len(paths), "size": terminal.megabytes(size), **origin})
-    results.document(
-        {
-            **origin,
-            "bytes": size,
-            "files": [str(path) for path in paths],
-        }
-    )
+    results.document({**origin, "bytes": size, "files": [str(path) for path in paths]})
 
 
 @app.command(
@@ -116,7 +111,7 @@ def fetch(
     ] = False,
     json: options.JsonOption = None,
 ) -> None:
-    """Download measured materials of the RGL database: resumed, checksums verified.
+    """Download measured materials of the RGL database, checksums verified.
 
     Measured by J. Dupuy and W. Jakob (EPFL), in the public domain (CC0 1.0).
     """
@@ -165,7 +160,6 @@ def import_(
 
     Materials are added atomically; those already in the library are skipped.
     """
-    from manifold.errors import LibraryError
     from manifold.library.importing import import_files
 
     results = terminal.Results(json)
@@ -183,10 +177,7 @@ def import_(
     results.document(
         {
             "library": str(library),
-            "imported": list(result.imported),
-            "replaced": list(result.replaced),
-            "skipped": list(result.skipped),
-            "failed": result.failed,
+            **vars(result),
         },
     )
     if result.failed:
@@ -219,7 +210,6 @@ def info(
     Files may be RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12
     workbooks, CSV and CxF3; formats are recognised by their content.
     """
-    from manifold.errors import LibraryError
     from manifold.workflows import inspection
 
     results = terminal.Results(json)
@@ -229,9 +219,10 @@ def info(
         else:
             shown = inspection.inspect(path, library=library, verify=verify, on_progress=step)
     results.rows(shown.title, shown.rows)
-    for table in shown.tables:
-        results.text("\n")
-        results.table(table.columns, table.rows)
+    for columns, rows in shown.tables:
+        if rows:
+            results.text("\n")
+            results.table(columns, rows)
     results.document(shown.document)
     if shown.problems:
         raise LibraryError(_shortened(shown.problems, "damaged"))
@@ -240,3 +231,50 @@ def info(
 def _shortened(messages: list[str], what: str) -> str:
     """The first three messages, behind how many there are."""
     return (f"{len(messages)} {what}: " if messages[1:] else "") + terminal.first_three(messages)
+
+
+@app.command(
+    "find",
+    short_help="Find the materials of a library nearest to a colour and gloss.",
+    epilog="Example: manifold find --lab 50,20,10 --gloss 60=30",
+)
+def find(
+    lab: Annotated[
+        str | None,
+        typer.Option(help="CIELAB colour (45/0, D65): L,a,b with commas between.", metavar="L,a,b"),
+    ] = None,
+    gloss: Annotated[
+        list[str] | None,
+        typer.Option(help="Gloss units at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"),
+    ] = None,
+    count: Annotated[int, typer.Option(help="How many to list.", metavar="N", min=1)] = 10,
+    library: options.LibraryOption = options.DEFAULT_LIBRARY,
+    json: options.JsonOption = None,
+) -> None:
+    """List the materials of a library nearest to a colour, a gloss, or both.
+
+    Distances are CIEDE2000 in the geometry 45/0, and gloss in steps of a fifth, about as visible as a CIEDE2000 of 1.
+    """
+    from manifold.completion.attributes import find as find_materials
+    from manifold.library.store import Library
+    from manifold.workflows.completions import parse_gloss, parse_lab
+
+    if lab is None and not gloss:
+        raise UsageError("found no --lab and no --gloss, expected at least one of them")
+    results = terminal.Results(json)
+    colour, units = None if lab is None else parse_lab(lab), parse_gloss(gloss or [])
+    with terminal.progress("Reading materials") as step:
+        found = find_materials(Library(library), colour, units, step)[:count]
+    angles = list(found[0].gloss) if found else []
+    results.table(
+        ["material", "L", "a", "b", *([] if lab is None else ["CIEDE2000"]), *(f"gloss {a:g}" for a in angles)],
+        [
+            (
+                one.name, *(f"{v:.1f}" for v in one.lab),
+                *([] if one.ciede2000 is None else [f"{one.ciede2000:.1f}"]),
+                *(f"{one.gloss[a]:.3g}" for a in angles),
+            )
+            for one in found
+        ],
+    )  # fmt: skip
+    results.document({"found": [one.to_json() for one in found]})

@@ -7,14 +7,15 @@ import os
 import sys
 import traceback
 import warnings
+from functools import partial
 from importlib import import_module
-from typing import TextIO
+from typing import Any
 
 import typer
 
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
-from manifold.system import interrupts
+from manifold.system.names import printable
 
 from . import terminal
 from .application import app
@@ -22,6 +23,7 @@ from .application import app
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
+_Mistyped: Any = typer.BadParameter.__base__  # Click's UsageError, which newer versions of Typer bring along
 
 
 def _print_version(wanted: bool) -> None:
@@ -53,7 +55,7 @@ for _commands in (
 
 
 def run(arguments: list[str] | None = None) -> None:
-    """Run the command line and leave with its status.
+    """Run the command line and exit with its status.
 
     0: done. 2: the command line cannot be followed. 1: anything else that went wrong, such as a model or a library
     that is missing or damaged. 130: interrupted.
@@ -61,8 +63,6 @@ def run(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments
     arguments = [argument for argument in arguments if argument not in ("--debug", "--strict")]
-    # A closed stream is None, and a write to it would be an error of its own.
-    sys.stdout, sys.stderr = sys.stdout or _nowhere(), sys.stderr or _nowhere()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
@@ -70,65 +70,62 @@ def run(arguments: list[str] | None = None) -> None:
     if strict:
         warnings.simplefilter("always", UserWarning)  # also what this process was warned of before
     if strict or not debug:
-        warnings.showwarning = _refuse_warning if strict else _show_warning
+        warnings.showwarning = partial(_show_warning, strict)
     try:
-        app(args=arguments, prog_name="manifold")
-    except SystemExit as leaving:  # typer turns Ctrl-C into this status, without a word
-        if leaving.code == _EXIT_INTERRUPTED:
-            _say_interrupted()
-        raise
+        if (
+            "" in arguments
+        ):  # a shell's variable that is not set; as a path, Python takes it for the current folder
+            raise UsageError("found an empty argument, expected a value")
+        status = app(args=arguments or ["--help"], prog_name="manifold", standalone_mode=False)
     except BrokenPipeError:
-        # The reader of our output has left, which is its right; keep the interpreter quiet about it at exit.
+        # What reads the output has ended, as `head` does; nothing is printed about it at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(_EXIT_ERROR)
-    except (Exception, KeyboardInterrupt) as error:
-        if debug:
-            traceback.print_exc()
-        if interrupts.is_interruption(error):
-            _say_interrupted()
-            sys.exit(_EXIT_INTERRUPTED)
-        print(f"manifold: {_one_line(_message(error))}", file=sys.stderr)
-        sys.exit(_EXIT_USAGE if isinstance(error, UsageError) else _EXIT_ERROR)
+        status = _EXIT_ERROR
+    except KeyboardInterrupt:
+        status = _EXIT_INTERRUPTED
+    except Exception as error:
+        if _is_interruption(error):
+            status = _EXIT_INTERRUPTED
+        else:
+            if debug:
+                traceback.print_exc()
+            print(f"manifold: {_one_line(_message(error))}", file=sys.stderr)
+            status = _EXIT_USAGE if isinstance(error, UsageError | _Mistyped) else _EXIT_ERROR
+    if status == _EXIT_INTERRUPTED:
+        print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
+    sys.exit(status or 0)
 
 
-def _message(error: BaseException) -> str:
+def _is_interruption(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused the error: compiled code and imports wrap `KeyboardInterrupt` into errors of their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _message(error: Exception) -> str:
     if isinstance(error, ManifoldError):
         return str(error)
+    if isinstance(error, _Mistyped):
+        command = getattr(error.ctx, "command_path", "manifold")
+        return f"{error.format_message().rstrip('.')}; see `{command} --help`"
     if isinstance(error, MemoryError):
         return "out of memory; close other programs, or use a smaller library"
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the free space"
-    if _is_in_cache_of_numba(error):
-        return "the cache of compiled functions is damaged; delete the folders __pycache__ of manifold"
     return f"internal error: {type(error).__name__}: {error}; run again with --debug and report it"
 
 
-def _is_in_cache_of_numba(error: BaseException) -> bool:
-    frames = traceback.extract_tb(error.__traceback__)
-    return any(frame.filename.endswith(os.path.join("numba", "core", "caching.py")) for frame in frames)
-
-
-def _say_interrupted() -> None:
-    print("manifold: interrupted; finished outputs are kept", file=sys.stderr)
-
-
 def _one_line(message: object) -> str:
-    return terminal.printable(" ".join(str(message).split()))
+    return printable(" ".join(str(message).split()))
 
 
-def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
-    """Warnings of this package as one line; those of libraries are for developers."""
-    if category.__module__.startswith("manifold"):
-        terminal.warned.append(_one_line(message))
-        print(f"manifold: warning: {_one_line(message)}", file=sys.stderr)
-
-
-def _refuse_warning(message, category, filename, lineno, file=None, line=None) -> None:  # type: ignore[no-untyped-def]
-    """Warnings of this package as errors."""
-    if category.__module__.startswith("manifold"):
+def _show_warning(strict: bool, message: Warning | str, category: type[Warning], *_: object) -> None:
+    """Warnings of this package as one line, or as errors; those of libraries are for developers."""
+    if not category.__module__.startswith("manifold"):
+        return
+    if strict:
         raise ManifoldError(f"{_one_line(message)} (an error because of --strict)")
-
-
-def _nowhere() -> TextIO:
-    return open(os.devnull, "w", encoding="utf-8")
+    terminal.warned.append(_one_line(message))
+    print(f"manifold: warning: {_one_line(message)}", file=sys.stderr)

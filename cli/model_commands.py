@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,11 +11,12 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default, unnamed
+from .outputs import or_default
 from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
-    from manifold.model.predicted_file import Prediction
+    from manifold.model.diagnostics import Prediction
+    from manifold.model.located import Reconstruction
 
 AUTO = "auto"
 
@@ -31,13 +31,6 @@ WithoutOption = Annotated[
         "--without", help="Leave out this material of the library; may be repeated.", metavar="NAME"
     ),
 ]
-ForceAlbedoOption = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Write it even if its albedo exceeds 1.05, and allow overwriting files of another kind.",
-    ),
-]
 
 
 @app.command(
@@ -47,7 +40,7 @@ ForceAlbedoOption = Annotated[
 )
 def embed(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
-    model: Annotated[
+    output: Annotated[
         Path,
         typer.Option("--model", "-M", "--output", "-o", help="The model, which is written.", metavar="FILE"),
     ] = options.DEFAULT_MODEL,
@@ -114,24 +107,19 @@ def embed(
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
-    given = {
-        "optimizer": optimizer,
-        "mu": mu,
-        "kernel": kernel,
-        "criterion": criterion,
-    }
+    given = {"optimizer": optimizer, "mu": mu, "kernel": kernel, "criterion": criterion}
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
     if not auto_mapping:
         chosen["mapping"] = mapping
     if not auto_dim:
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
-    made = pipeline.embed(
-        library, model, Settings(kind=kind, **chosen), without=without or (),
+    fitted, candidates = pipeline.embed(
+        library, output, Settings(kind=kind, **chosen), without=without or (),
         auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
     )  # fmt: skip
-    fitted, settings = made.model, made.model.settings
-    if made.candidates:
+    settings = fitted.settings
+    if candidates:
         from manifold.experiments.evaluation.selection import PAYS
 
         results.text(
@@ -139,18 +127,18 @@ def embed(
             f"more dimensions have to lower it by {PAYS:.0%}:\n"
         )
         results.table(
-            ("mapping", "dimensions", "error", "linear", "cube root", "ball dE", "seconds", "chosen"),
+            ("mapping", "dimensions", "error", "linear", "cube root", "CIEDE2000", "seconds", "chosen"),
             [
                 (
                     c.mapping, c.latent_dim, f"{c.error:.3f}", "{:.3f} / {:.3f}".format(*c.linear),
                     "{:.3f} / {:.3f}".format(*c.cube_root), "{:.1f} / {:.1f}".format(*c.ball), f"{c.seconds:.1f}",
                     "*" * c.is_chosen,
                 )
-                for c in made.candidates
+                for c in candidates
             ],
         )  # fmt: skip
     results.rows(
-        f"Model {model}",
+        f"Model {output}",
         {
             "materials": len(fitted.names),
             "kind": kind,
@@ -165,11 +153,11 @@ def embed(
     )
     results.document(
         {
-            "model": str(model),
+            "model": str(output),
             "library": str(library),
             "settings": dict(vars(settings)),
             "statistics": fitted.statistics,
-            "candidates": [c.to_json() for c in made.candidates],
+            "candidates": [c.to_json() for c in candidates],
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )
@@ -192,6 +180,14 @@ def parse_latent_dim(text: str) -> int:
     epilog="Example: manifold predict --latent -0.3,1.2 -o between_spec.bsdf",
 )
 def predict(
+    place: Annotated[
+        str | None,
+        typer.Argument(
+            help="The same as --latent; a coordinate with a sign needs --latent.",
+            metavar="PLACE",
+            show_default=False,
+        ),
+    ] = None,
     latent: Annotated[
         str | None,
         typer.Option(
@@ -206,38 +202,55 @@ def predict(
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,
     srgb: options.SrgbOption = None,
+    gloss: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Gloss units it should have at 20, 60 or 85 degrees; may be repeated.", metavar="60=UNITS"
+        ),
+    ] = None,
+    lightness: Annotated[
+        str | None,
+        typer.Option(help="CIELAB lightness (45/0, D65) it should have, or a change.", metavar="L|+L|-L"),
+    ] = None,
+    chroma: Annotated[str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C")] = None,
+    hue: Annotated[str | None, typer.Option(help="Hue in degrees, likewise.", metavar="H|+H|-H")] = None,
     physical: options.PhysicalOption = False,
-    force: ForceAlbedoOption = False,
+    force: options.ForceOption = False,
     output: Annotated[
         Path | None,
         options.output_option(
             "The .bsdf file to write, or the folder. [default: predicted.bsdf, or predictions]"
         ),
     ] = None,
-    resolution: Annotated[
-        int, typer.Option(help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512)
-    ] = 32,
-    n_theta_i: Annotated[
-        int,
-        typer.Option(
-            "--incidences", help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128
-        ),
-    ] = 8,
+    resolution: options.ResolutionOption = 32,
+    incidences: options.IncidencesOption = 8,
     json: options.JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
 
     The colour is that of the latent, unless --like, --reflectance or --srgb chooses another; on a monochrome
-    manifold, whose latent describes structure only (gloss, layers), it is that of the nearest material.
+    manifold, whose latent describes structure only (gloss, layers), it is that of the nearest material. With --gloss,
+    --lightness, --chroma or --hue, the nearest place and colour that have them.
     """
-    from manifold.model import predicted_file
+    from manifold.completion.attributes import Attributes
     from manifold.model.colours import NEAREST, ColourChoice
+    from manifold.model.output_file import OutputOptions
+    from manifold.workflows import prediction
 
     results = terminal.Results(json)
-    colour = ColourChoice(like, reflectance, srgb)
+    colour, attributes = (
+        ColourChoice(like, reflectance, srgb),
+        Attributes.parse(gloss or (), lightness, chroma, hue),
+    )
+    written = OutputOptions(physical, force, resolution, incidences)
+    if None not in (place, latent):
+        raise UsageError(f"found two places, {place} and --latent {latent}, expected one")
+    latent = latent if place is None else place
     if points is not None:
-        if latent is not None or colour != NEAREST:
-            raise UsageError("found --from and a latent or colour; write these into columns of the table")
+        if latent is not None or colour != NEAREST or attributes is not None:
+            raise UsageError(
+                "found --from and a latent, colour or gloss; write these into columns of the table"
+            )
         from manifold.workflows import (  # with Mitsuba, which one prediction does without
             many_points,
             point_table,
@@ -245,8 +258,7 @@ def predict(
 
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
-            model, table, folder, library=library, physical=physical, force=force, resolution=resolution,
-            n_theta_i=n_theta_i, check=partial(unnamed, "output"), stage=terminal.progress,
+            model, table, folder, library=library, options=written, stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
@@ -255,16 +267,14 @@ def predict(
             "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
         )
     with terminal.progress("Reading materials") as step:
-        made = predicted_file.predict(
+        made = prediction.predict(
             model,
             latent,
             or_default(output, "predicted.bsdf"),
             library=library,
             colour=colour,
-            physical=physical,
-            force=force,
-            resolution=resolution,
-            n_theta_i=n_theta_i,
+            attributes=attributes,
+            options=written,
             on_progress=step,
         )
     show_prediction(results, made)
@@ -280,7 +290,7 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
         "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
         "negative values": f"{made.clipped_share:.2%}, zero in the file" if made.clipped_share else "none",
         "time": f"{made.seconds:.2f} s after loading",
-    } | made.diagnosis.rows
+    } | made.rows
     results.rows(f"Predicted {made.path}", rows)
 
 
@@ -300,25 +310,25 @@ def locate(
         ),
     ] = None,
     physical: options.PhysicalOption = False,
-    force: ForceAlbedoOption = False,
+    force: options.ForceOption = False,
     json: options.JsonOption = None,
 ) -> None:
     """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON."""
-    from manifold.model import located
     from manifold.model.diagnostics import in_words
+    from manifold.model.output_file import OutputOptions
+    from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
     with terminal.progress("Reading materials") as step:
-        found = located.locate(
-            model, path, output, library=library, physical=physical, force=force, on_progress=step
+        found = reconstruction.locate(
+            model, path, output, library=library, options=OutputOptions(physical, force), on_progress=step
         )
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
-        "expected error there": in_words(found.expected_ball, found.expected_cube_root, found.materials),
+        "expected error there": in_words(found.expected, found.materials),
     }
-    results.rows(f"Located {path}", rows | found.reconstruction.rows)
-    results.document(found.to_json())
+    _show_reconstruction(results, f"Located {path}", rows, found, path, output)
 
 
 @app.command(
@@ -330,12 +340,20 @@ def reconstruct(
     path: MeasuredArgument,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     without: WithoutOption = None,
+    numbers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Describe the material by at most so many numbers, e.g. 12. [default: as many as it takes]",
+            metavar="N",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         options.output_option("The file to write. [default: reconstructed.bsdf]"),
     ] = None,
     physical: options.PhysicalOption = False,
-    force: ForceAlbedoOption = False,
+    force: options.ForceOption = False,
     json: options.JsonOption = None,
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
@@ -343,17 +361,31 @@ def reconstruct(
     The most accurate description of a new material by measured ones: single bands of all materials, and analytic
     lobes, with weights that are never negative. It needs no model, and has no latent.
     """
-    from manifold.model import reconstructed
+    from manifold.model.output_file import OutputOptions
+    from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
     target = or_default(output, "reconstructed.bsdf")
     with terminal.progress("Reading materials") as step:
-        made = reconstructed.reconstruct_file(
-            library, path, target, without=without or (), physical=physical, force=force, on_progress=step
-        )
+        made = reconstruction.reconstruct(
+            library, path, target, without=without or (), numbers=numbers,
+            options=OutputOptions(physical, force), on_progress=step,
+        )  # fmt: skip
     rows: dict[str, object] = {
         "combination of": f"{made.materials} materials, and analytic lobes",
-        "largest shares": [f"{name} ({share:.2f})" for name, share in made.parts],
+        "largest shares": [f"{name} ({share:.2f})" for name, share in made.largest_parts],
     }
-    results.rows(f"Reconstructed {path}", rows | made.reconstruction.rows)
-    results.document(made.to_json())
+    _show_reconstruction(results, f"Reconstructed {path}", rows, made, path, target)
+
+
+def _show_reconstruction(
+    results: terminal.Results,
+    title: str,
+    rows: dict[str, object],
+    made: Reconstruction,
+    path: Path,
+    output: Path | None,
+) -> None:
+    written = {} if output is None else {"written to": output}
+    results.rows(title, rows | written | made.rows)
+    results.document({"path": str(path), "output": output and str(output)} | made.to_json())

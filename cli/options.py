@@ -63,8 +63,13 @@ PhysicalOption = Annotated[
         "grids.",
     ),
 ]
-
-
+ForceOption = Annotated[bool, typer.Option("--force", help="Write it even if its albedo exceeds 1.05.")]
+ResolutionOption = Annotated[
+    int, typer.Option(help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512)
+]
+IncidencesOption = Annotated[
+    int, typer.Option(help="Incident elevations from 0 to 90 degrees.", metavar="N", min=2, max=128)
+]
 SampleOption = Annotated[
     str | None, typer.Option("--sample", help="Which sample of a file with several.", metavar="NAME")
 ]

@@ -46,24 +46,24 @@ def latent_map(
     refused = "--mark; materials have their own colours" if mark is None else None
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     with terminal.progress("Rendering") as step:
-        drawn = ball_pictures.latent_map(
+        marked, left_out = ball_pictures.latent_map(
             model, output, library=library, marked=mark, colour=colour, on_progress=step
         )
-    rows: dict[str, object] = {"left out": ", ".join(drawn.left_out)} if drawn.left_out else {}
-    results.rows(f"Drawn {output}", rows | (drawn.diagnosis.rows if drawn.diagnosis is not None else {}))
+    rows: dict[str, object] = {"left out": ", ".join(left_out)} if left_out else {}
+    results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))
     results.document(
         {
             "picture": str(output),
-            "marked": None if drawn.marked is None else drawn.marked.tolist(),
-            "left_out": list(drawn.left_out),
-            "prediction": None if drawn.diagnosis is None else drawn.diagnosis.to_json(),
+            "marked": None if marked is None else marked.latent.tolist(),
+            "left_out": left_out,
+            "prediction": None if marked is None else marked.to_json(),
         }
     )
 
 
 @app.command(
     "walk",
-    short_help="Draw the path between two materials.",
+    short_help="Draw a walk between two materials.",
     epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
 )
 def walk(
@@ -75,10 +75,10 @@ def walk(
     output: PictureOption = Path("walk.png"),
     json: options.JsonOption = None,
 ) -> None:
-    """Draw the path between two materials along the manifold, and below it their linear interpolation.
+    """Draw a walk between two materials, in steps that look equally large, and below it the path of latents.
 
-    Of blends, the first row has reflectances interpolated between the two materials, the second the colours that
-    `predict` gives at the same latents.
+    A walk is made of the two materials alone: roughness goes from one to the other, the rest is averaged. The path
+    of latents shows what `predict` makes of the surrounding materials on the straight line between the two.
     """
     from manifold.workflows import ball_pictures
 
@@ -87,18 +87,16 @@ def walk(
         between = ball_pictures.walk(
             model, start, end, output, steps=steps, library=library, on_progress=step
         )
-    diagnosed = tuple(f"t = {step.t:.2g}: {said}" for step in between for said in step.diagnosis.diagnostics)
+    diagnosed = tuple(f"t = {t:.2g}: {said}" for t, made in between.items() for said in made.diagnostics)
     expected = [
-        f"t = {step.t:.2g}: {step.diagnosis.expected_ball:.1f}"
-        for step in between
-        if step.diagnosis.expected_ball is not None
+        f"t = {t:.2g}: {made.expected.ball:.1f}" for t, made in between.items() if made.expected is not None
     ]
     rows: dict[str, object] = {"expected CIEDE2000": expected} if expected else {}
     results.rows(f"Drawn {output}", rows | ({"diagnostics": diagnosed} if diagnosed else {}))
     results.document(
         {
             "picture": str(output),
-            "predictions": [step.to_json() for step in between],
+            "predictions": [{"t": t} | made.to_json() for t, made in between.items()],
         }
     )
 
@@ -148,14 +146,14 @@ def slices(
     pictures.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})
-    predictions = {source.label: source.diagnosis for source in drawn if source.diagnosis is not None}
-    for label, diagnosis in predictions.items():
-        results.rows(label[:1].upper() + label[1:], diagnosis.rows)
+    predictions = {source.label: source.prediction for source in drawn if source.prediction is not None}
+    for label, made in predictions.items():
+        results.rows(label[:1].upper() + label[1:], made.rows)
     results.document(
         {
             "picture": str(output),
             "materials": labels,
-            "predictions": {label: diagnosis.to_json() for label, diagnosis in predictions.items()},
+            "predictions": {label: made.to_json() for label, made in predictions.items()},
         }
     )
 

@@ -10,9 +10,11 @@ import typer
 from manifold.errors import FileFormatError, UsageError
 
 from . import terminal
+from .outputs import or_default
 
 if TYPE_CHECKING:
-    from manifold.workflows.many_points import PointOutcome
+    from manifold.workflows.output_index import Outcome
+    from manifold.workflows.point_table import Point
 
 _MOST_WARNED = 5
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
@@ -36,32 +38,32 @@ def folder_or_default(output: Path | None, default: str) -> Path:
     """
     if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for many files; name another")
-    return output or Path(default)
+    return or_default(output, default)
 
 
 def show_points(
     results: terminal.Results,
     what: str,
     folder: Path,
-    outcomes: list[PointOutcome],
+    outcomes: list[Outcome[Point]],
     failures: tuple[tuple[int, str], ...],
 ) -> None:
     """Print a line per row that is there, and raise FileFormatError where rows failed."""
-    made = [outcome for outcome in outcomes if outcome.result is not None]
+    made = [outcome for outcome in outcomes if outcome.content is not None]
     results.table(
         ["file", "latent", ""],
-        [(o.path.name, _place(o), "kept" * o.was_there) for o in made],
+        [(o.path.name, _place(o.source), "kept" * o.was_there) for o in made],
     )
     results.text(count_words(len(made), what, folder, sum(o.was_there for o in made)) + "\n")
-    warned = [(o.path.name, found) for o in made if (found := (o.result or {}).get("diagnostics"))]
+    warned = [(o.path.name, found) for o in made if (found := (o.content or {}).get("diagnostics"))]
     for name, found in warned[:_MOST_WARNED]:
         results.sentence(f"{name}: {'; '.join(found)}")
     if warned[_MOST_WARNED:]:
         results.text(f"and diagnostics of {len(warned) - _MOST_WARNED} more (--json lists them)\n")
-    bad = [*failures, *((o.point.line, o.failure) for o in outcomes if o.failure is not None)]
+    bad = [*failures, *((o.source.line, o.failure) for o in outcomes if o.failure is not None)]
     failed = [f"line {line}: {words}" for line, words in sorted(bad)]
     rows = [
-        {"line": o.point.line, "name": o.point.name, "kept": o.was_there} | (o.result or {}) for o in made
+        {"line": o.source.line, "name": o.source.name, "kept": o.was_there} | (o.content or {}) for o in made
     ]
     results.document({what: rows, "failed": failed})
     raise_failed(failed)
@@ -78,8 +80,8 @@ def raise_failed(failed: list[str]) -> None:
         raise FileFormatError(terminal.first_three(failed))
 
 
-def _place(outcome: PointOutcome) -> str:
-    place = outcome.point.place
+def _place(point: Point) -> str:
+    place = point.place
     words = [place if isinstance(place, str) else ",".join(f"{v:.4g}" for v in place)]
-    words += [f"{key} {value}" for key, value in vars(outcome.point.colour).items() if value is not None]
+    words += [f"{key} {value}" for key, value in vars(point.colour).items() if value is not None]
     return " ".join(words)

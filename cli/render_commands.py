@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +11,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .outputs import or_default, unnamed
+from .outputs import or_default
 from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
@@ -80,8 +79,7 @@ def render(
 
     Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
-    from manifold.rendering import images
-    from manifold.system.stages import Stages
+    from manifold.rendering.ball import make_settings
     from manifold.workflows import renders
 
     results = terminal.Results(json)
@@ -96,7 +94,7 @@ def render(
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     if file is not None and direct:
         raise UsageError("--direct goes with --latent and --from; a file holds its values")
-    settings = renders.make_settings(
+    settings = make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
@@ -105,42 +103,41 @@ def render(
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,
-            check=partial(unnamed, "output"), stage=terminal.progress,
+            stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
     output = or_default(output, "render.png")
-    images.require_image_path(output)
     with terminal.progress("Rendering") as step:
-        stages = Stages(step, {"": 1, "rendering": 1})
         if file is not None:
-            made = renders.render(renders.file_source(file), output, settings, step)
+            made = renders.render_file(file, output, settings, step)
         elif latent is not None:
-            with renders.latent_source(
+            made = renders.render_latent(
                 model,
                 latent,
+                output,
+                settings,
                 library=library,
                 colour=colour,
                 direct=direct,
-                on_progress=stages.begin(""),
-            ) as source:
-                made = renders.render(source, output, settings, stages.begin("rendering"))
+                on_progress=step,
+            )
     _show(results, made)
 
 
 def _show(results: terminal.Results, made: Rendered) -> None:
+    content = made.to_json()
+    rows = {
+        "material": f"{content['material']} ({content['route']})",
+        "light": content["illuminant"],
+        "picture": "{size} x {size}, {samples} samples per pixel, seed {seed}".format(**content),
+        "renderer": content["backend"],
+        "time": f"{made.seconds:.1f} s",
+    }
     results.rows(
-        f"Rendered {made.path}",
-        {
-            "material": f"{made.material} ({made.route})",
-            "light": made.illuminant,
-            "picture": f"{made.size} x {made.size}, {made.samples} samples per pixel, seed {made.seed}",
-            "renderer": made.backend,
-            "time": f"{made.seconds:.1f} s",
-        }
-        | (made.diagnosis.rows if made.diagnosis is not None else {}),
+        f"Rendered {made.path}", rows | (made.prediction.rows if made.prediction is not None else {})
     )
-    results.document(made.to_json())
+    results.document(content)
 
 
 @app.command(
@@ -167,23 +164,20 @@ def compare(
     difference side by side. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include
     the noise of the renders, which decreases with --samples.
     """
+    from manifold.rendering.ball import make_settings
     from manifold.workflows import renders
 
     results = terminal.Results(json)
-    settings = renders.make_settings(
+    settings = make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     with terminal.progress("Comparing") as step:
         made = renders.compare(a, b, output, settings, step)
     rows = {}
-    for name, whole, ball in (
-        ("CIEDE2000", made.ciede2000, made.ciede2000_ball),
-        ("Delta E_ITP", made.itp, made.itp_ball),
-        ("FLIP", made.flip, made.flip_ball),
-    ):
-        rows[name] = _summary(whole)
-        if ball is not None:
-            rows[f"{name} on the ball"] = _summary(ball)
+    for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
+        if made.ball:
+            rows[f"{name} of the ball"] = _summary(made.ball[key])
+        rows[f"{name} of the picture"] = _summary(made.pixels[key])
     results.rows(f"Compared {a} and {b} in {output}", rows)
     results.document(made.to_json())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -39,15 +40,28 @@ def stability(
     """
     from manifold.experiments.stability import advice_page
     from manifold.experiments.stability.catalogue import MODES
-    from manifold.workflows import failures
+    from manifold.experiments.stability.trials import run_modes, select_modes
+    from manifold.plots import figures, plot_stability
+    from manifold.system import atomic
 
     results = terminal.Results(json)
+    modes = select_modes(MODES, only or ())
+    if picture is not None:
+        figures.require_writable(picture)
+    if markdown is not None:
+        atomic.require_writable(markdown)
     with terminal.progress("Failure modes") as step:
-        made = failures.stability(only or (), picture, markdown, step)
+        made = run_modes(modes, step)
+    if picture is not None:
+        figures.save(plot_stability.panels(made, modes), picture)
+    if markdown is not None:
+        link = None if picture is None else os.path.relpath(picture, markdown.parent).replace(os.sep, "/")
+        atomic.write_text(markdown, advice_page.markdown(made, modes, link))
+    results.sentence(advice_page.conclusion(made))
     results.table(advice_page.COLUMNS, advice_page.table(made))
     results.text(advice_page.summary(made) + "\n")
     for what, reason in made.skipped.items():
         results.sentence(f"{what} was skipped: {reason}")
-    results.document(made.to_json(MODES))
+    results.document(made.to_json(modes))
     if made.wrong or made.false_alarms:
         raise typer.Exit(1)

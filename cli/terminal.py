@@ -6,13 +6,13 @@ import json
 import os
 import sys
 import textwrap
-import unicodedata
+import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -24,25 +24,32 @@ from rich.progress import (
 )
 
 from manifold import __version__
-from manifold.system import atomic, stages
-
-from . import outputs
+from manifold.system import atomic, stages, tables
+from manifold.system.names import first_few, printable
 
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
+
+_SILENT_SECONDS = 10.0  # while a command works and stderr is no terminal
+_QUICK_SECONDS = 1.0  # work that is done by then needs no line
+_last_line = time.monotonic()
 
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
 @contextmanager
 def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress | None]:
-    """A progress bar on stderr, or None where stderr is no terminal; or lines for the program that asked for them."""
+    """A progress bar on stderr, or a line there every ten seconds where it is no terminal.
+
+    Where another program asked for it, JSON lines into its descriptor instead.
+    """
     listening = os.environ.get(stages.PROGRESS_VARIABLE, "")
-    if listening.isdecimal() and len(listening) < 6:
+    if listening.isdecimal() and len(listening) < 6:  # descriptors are small numbers
         yield _json_lines_to(int(listening))
         return
     if not sys.stderr.isatty():
-        yield None
+        with _lines(title) as line:
+            yield line
         return
     columns = (
         TextColumn("{task.description}"),
@@ -58,6 +65,32 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress 
             bar.update(task, completed=done, total=total, what=printable(what))
 
         yield step
+
+
+@contextmanager
+def _lines(title: str) -> Iterator[stages.Progress]:
+    """Lines on stderr from a thread of their own, so that long steps do not look like a command that hangs."""
+    state, finished = "", threading.Event()
+
+    def step(done: int, total: int, what: str) -> None:
+        nonlocal state
+        state = f": {done} of {total}" + f", {what}" * bool(what)
+
+    def tell() -> None:
+        global _last_line
+        while not finished.wait(max(_last_line + _SILENT_SECONDS - time.monotonic(), _QUICK_SECONDS)):
+            _last_line = time.monotonic()
+            with suppress(OSError, ValueError):  # stderr may be closed by now
+                sys.stderr.write(printable(title + state) + "\n")
+                sys.stderr.flush()
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield step
+    finally:
+        finished.set()
+        thread.join()
 
 
 def _json_lines_to(descriptor: int) -> stages.Progress:
@@ -87,41 +120,32 @@ class Results:
     def text(self, text: str) -> None:
         """Print lines as they are."""
         if not self._only_json:
-            sys.stdout.write(printable(text))
+            sys.stdout.write(printable(text, keep="\n"))
 
     def sentence(self, text: str) -> None:
         """Print a text as a paragraph, whose lines but the first are indented."""
         self.text(_filled(text, "", "  ") + "\n")
 
-    def title(self, title: str) -> None:
-        """Print a line, bold on a terminal."""
-        if not self._only_json:
-            Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
-
     def rows(self, title: str, rows: Mapping[str, object]) -> None:
-        """Print a title, then one aligned line per label and value; sentences and lists are broken into lines."""
-        self.title(title)
-        width = max((len(label) for label in rows), default=0)
+        """Print a title, then a label and its value per row: lists with commas, sentences of a tuple line by line."""
+        if self._only_json:
+            return
+        Console(highlight=False, soft_wrap=True).print(printable(title), style="bold", markup=False)
+        width = max(map(len, rows), default=0) + 4
         for label, value in rows.items():
-            self.text(_row(f"  {label:<{width}}  ", value) + "\n")
+            for k, item in enumerate(value if isinstance(value, tuple) else [value]):
+                words = [str(each) for each in item] if isinstance(item, list) else [str(item)]
+                # Items of a list that have room on a line are not broken.
+                whole = [w.replace(" ", "\0") if words[1:] and len(w) < _WIDTH - width else w for w in words]
+                head = f"  {label if k == 0 else ''}".ljust(width)
+                self.text(_filled(", ".join(whole), head, " " * width).replace("\0", " ") + "\n")
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
         """Print a table, never cut: numbers to the right, words to the left; nothing where there are no rows."""
-        if not rows:
+        if not rows or self._only_json:
             return
-        cells = [[str(cell) for cell in row] for row in rows]
-        widths = [max(map(cell_len, column)) for column in zip(columns, *cells, strict=True)]
-        is_numeric = [all(map(is_number, column)) for column in zip(*cells, strict=True)]
-
-        def line(row: Sequence[str]) -> str:
-            padded = []
-            for cell, width, number in zip(row, widths, is_numeric, strict=True):
-                blanks = " " * (width - cell_len(cell))  # characters of East Asia take two columns each
-                padded.append(blanks + cell if number else cell + blanks)
-            return "  ".join(padded).rstrip()
-
-        self.title(line(columns))
-        self.text("".join(f"{line(row)}\n" for row in cells))
+        cells = [[printable(str(cell)) for cell in row] for row in rows]
+        sys.stdout.writelines(f"{line}\n" for line in tables.table_lines(columns, cells, bold=True))
 
     def document(self, document: Mapping[str, Any]) -> None:
         """Write the results as JSON where they were asked for.
@@ -136,33 +160,7 @@ class Results:
         if self._only_json:
             sys.stdout.write(text)
         else:
-            outputs.require_unused(self._target)
             atomic.write_text(self._target, text)
-
-
-def printable(text: str) -> str:
-    """A text as it can be shown: control characters, which terminals obey, and bytes that are no text as escapes."""
-    return "".join(
-        c if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in text
-    )
-
-
-def _row(head: str, value: object) -> str:
-    """A label and its value, whose lines begin below each other; paths stay whole, whatever their length.
-
-    The items of a list follow each other, sentences of a tuple begin on lines of their own.
-    """
-    if isinstance(value, tuple):
-        return "\n".join(_row(" " * len(head) if k else head, item) for k, item in enumerate(value))
-    if isinstance(value, Path):
-        return f"{head}{value}"
-    if isinstance(value, list):
-        # Lines break between items only, unless an item is longer than a line.
-        room = _WIDTH - len(head)
-        items = [text if len(text) > room else text.replace(" ", "\0") for text in map(str, value)]
-        return _filled(", ".join(items), head, " " * len(head)).replace("\0", " ")
-    text = f"{head}{value}"
-    return text if len(text) <= _WIDTH else _filled(str(value), head, " " * len(head))
 
 
 def _filled(text: str, first: str, others: str) -> str:
@@ -173,19 +171,9 @@ def _filled(text: str, first: str, others: str) -> str:
     )  # fmt: skip
 
 
-def is_number(text: str) -> bool:
-    """Whether a text is one number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def first_three(words: Sequence[str], between: str = "; ") -> str:
     """The first three of what may be many, and how many more."""
-    more = [f"and {len(words) - 3} more (--json lists them)"] if words[3:] else []
-    return between.join([*words[:3], *more])
+    return first_few(words, 3, between, " (--json lists them)")
 
 
 def parameter_rows(parameters: Mapping[str, Any]) -> dict[str, object]:

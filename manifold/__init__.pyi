@@ -1,13 +1,14 @@
-from . import colour, directions, errors, mapping, metrics, models
-from .brdf import synthetic
+from . import colour, directions, errors, latent, mapping, metrics
+from .brdf import analytic
 from .brdf.measured import MeasuredBRDF
 from .fitting.principled import fit_bsdf
 from .io_rgl import read_bsdf, write_bsdf
 from .library.importing import import_files
 from .library.store import Library
-from .model.manifold import Manifold, Settings
+from .model.manifold import Manifold
+from .model.settings import Settings
 from .records import Bands
-from .workflows.renders import render_ball
+from .rendering.ball import render_ball
 
 __version__: str
 
@@ -17,16 +18,16 @@ __all__ = [
     "Manifold",
     "MeasuredBRDF",
     "Settings",
+    "analytic",
     "colour",
     "directions",
     "errors",
     "fit_bsdf",
     "import_files",
+    "latent",
     "mapping",
     "metrics",
-    "models",
     "read_bsdf",
     "render_ball",
-    "synthetic",
     "write_bsdf",
 ]

@@ -2,16 +2,13 @@
 
 import sys
 
-from manifold.system import interrupts
-
 
 def run(arguments: list[str] | None = None) -> None:
     """Load the command line and run it. Loading takes a moment, and Ctrl-C in it is no error."""
     try:
-        with interrupts.repeated_where_ignored():
-            from manifold.cli import main
+        from manifold.cli import main
 
-            main.run(arguments)
+        main.run(arguments)
     except KeyboardInterrupt:
         sys.exit(130)
 

@@ -24,7 +24,7 @@ def to_spherical(w: Array) -> tuple[Array, Array]:
 
 def normalize(w: Array) -> Array:
     """Vectors (..., 3) scaled to unit length."""
-    return w / np.linalg.norm(w, axis=-1, keepdims=True)
+    return np.asarray(w / np.linalg.norm(w, axis=-1, keepdims=True))
 
 
 def half_vector(wi: Array, wo: Array) -> Array:
@@ -53,7 +53,7 @@ def require_directions(w: Array, name: str) -> Array:
 @lru_cache(maxsize=32)
 def gauss_legendre(n: int) -> tuple[Array, Array]:
     """Nodes in (-1, 1) and weights of Gauss-Legendre quadrature, each (n,), read-only."""
-    x, weights = np.polynomial.legendre.leggauss(n)
+    x, weights = (a.astype(np.float64) for a in np.polynomial.legendre.leggauss(n))
     x.setflags(write=False)
     weights.setflags(write=False)
     return x, weights
@@ -68,7 +68,7 @@ def hemisphere_quadrature(n_theta: int, n_phi: int) -> tuple[Array, Array]:
     x, wx = gauss_legendre(n_theta)
     s2 = 0.5 * (x + 1.0)  # sin^2 theta in (0, 1); d omega cos theta = 0.5 d(s2) d phi
     theta = np.arcsin(np.sqrt(s2))
-    phi = (np.arange(n_phi) + 0.5) * (2.0 * np.pi / n_phi)
+    phi: Array = (np.arange(n_phi) + 0.5) * (2.0 * np.pi / n_phi)
     nodes = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
     projected = np.repeat(0.5 * (0.5 * wx) * (2.0 * np.pi / n_phi), n_phi)
     return nodes, projected / nodes[:, 2]

@@ -77,7 +77,7 @@ def direct_local_search(
     After one that did not, the step halves, until it falls below the tolerance.
 
     Args:
-        objective: stands at the start; it stands at the best point found when this returns or raises.
+        objective: its current point is the start, and afterwards, also after an exception, the best point found.
         initial_step: first step in units of x, a number or shape (n,).
         tolerance: ends when every step is smaller.
         bounds: limits of every coordinate, as scipy takes them.
@@ -114,7 +114,7 @@ def direct_local_search(
     except StopIteration:
         status = STOPPED
     finally:
-        search.settle()
+        search.return_to_best()
     if status == CONVERGED and not np.isfinite(search.best):
         status = NOT_FINITE
     return OptimizeResult(
@@ -157,9 +157,9 @@ class _Search:
             # Explored even if the jump itself made things worse: that is what lets it follow curved valleys.
             self._explore()
             improved = self._keep_if_better()
-        self.settle()
+        self.return_to_best()
 
-    def settle(self) -> None:
+    def return_to_best(self) -> None:
         """Leave the objective at the best point."""
         if not self._keep_if_better() and not np.array_equal(self.objective.x, self.best_x):
             self.objective.move_to(self.best_x)
@@ -204,7 +204,7 @@ def _limits(
     return lower, upper
 
 
-class _WholeEvaluations:
+class _FunctionObjective:
     """An ordinary function as a `MoveObjective`: every move is a full evaluation."""
 
     def __init__(self, fun: Callable[..., float], args: tuple[Any, ...], x0: Array) -> None:
@@ -268,13 +268,18 @@ def hooke_jeeves(
     Raises:
         UsageError: constraints were given; they would be ignored.
     Source: Hooke & Jeeves 1961.
+
+    >>> from scipy.optimize import minimize
+    >>> found = minimize(lambda x: abs(x[0] - 1.0) + (x[1] + 2.0) ** 2, [0.0, 0.0], method=hooke_jeeves)
+    >>> found.x.round(3), found.success
+    (array([ 1., -2.]), True)
     """
     if unused.get("constraints"):
         raise UsageError("hooke_jeeves knows bounds but no constraints; add a penalty to the function")
     start = np.atleast_1d(np.array(x0, dtype=np.float64))
     if start.ndim != 1:
         raise ShapeError(f"x0 has shape {start.shape}, expected (n,)")
-    objective = _WholeEvaluations(fun, args, np.clip(start, *_limits(bounds, start.shape[0])))
+    objective = _FunctionObjective(fun, args, np.clip(start, *_limits(bounds, start.shape[0])))
     return direct_local_search(
         objective,
         initial_step=initial_step,

@@ -1,48 +1,86 @@
 """The exceptions of the package: one base class, messages of one line.
 
-A message says where, what was found, what was expected, and what to do.
+A message says where, what was found, what was expected, and what to do. Each class is also what Python itself raises in
+such a case:
+
+| class | also | raised where |
+|---|---|---|
+| `FileFormatError` | `ValueError` | a file is not what its name promises |
+| `ShapeError` | `ValueError` | an array has the wrong shape, dtype, or non-finite values |
+| `BandMismatchError` | `ValueError` | two things have different bands |
+| `LibraryError` | `ValueError` | a library is of another version, damaged, or cannot be written |
+| `MissingLibraryError` | `LibraryError`, `FileNotFoundError` | there is no such library |
+| `ModelError` | `ValueError` | a model is of another version, damaged, or does not fit its library |
+| `MissingModelError` | `ModelError`, `FileNotFoundError` | there is no such model |
+| `FetchError` | `OSError` | a download failed |
+| `NumericalError` | `ArithmeticError` | a factorisation or an iteration failed |
+| `RendererError` | `RuntimeError` | Mitsuba or a backend of it is missing |
+| `UsageError` | `ValueError` | a value given by the user cannot be used |
+| `MissingFileError` | `UsageError`, `FileNotFoundError` | there is no such file |
+| `UnknownNameError` | `UsageError`, `KeyError` | nothing has such a name |
+| `LatentError` | `UsageError`, `ShapeError` | a latent has the wrong number of values, or values that are not finite |
 """
 
 
 class ManifoldError(Exception):
     """Base of all errors of this package."""
 
+    def __str__(self) -> str:
+        """The message, which `KeyError` would quote."""
+        return Exception.__str__(self)
 
-class FileFormatError(ManifoldError):
-    """A file is not what its name or its neighbours promise."""
+
+class FileFormatError(ManifoldError, ValueError):
+    """A file is not what its name promises."""
 
 
 class ShapeError(ManifoldError, ValueError):
     """An array has the wrong shape, dtype, or non-finite values."""
 
 
-class BandMismatchError(ManifoldError):
+class BandMismatchError(ManifoldError, ValueError):
     """Two things with different bands were to be used together."""
 
 
-class LibraryError(ManifoldError):
-    """A library is missing, of another version, or damaged."""
+class LibraryError(ManifoldError, ValueError):
+    """A library is of another version, damaged, or cannot be written."""
 
 
-class ModelError(ManifoldError):
-    """A model file is missing, of another version, or does not fit its library."""
+class MissingLibraryError(LibraryError, FileNotFoundError):
+    """There is no such library."""
 
 
-class FetchError(ManifoldError):
+class ModelError(ManifoldError, ValueError):
+    """A model file is of another version, damaged, or does not fit its library."""
+
+
+class MissingModelError(ModelError, FileNotFoundError):
+    """There is no such model."""
+
+
+class FetchError(ManifoldError, OSError):
     """A download failed, or what arrived is not what was announced."""
 
 
-class NumericalError(ManifoldError):
+class NumericalError(ManifoldError, ArithmeticError):
     """A factorisation or an iteration failed."""
 
 
-class RendererError(ManifoldError):
+class RendererError(ManifoldError, RuntimeError):
     """Mitsuba, which rendering and fitting need, is missing, or lacks the backend that a method needs."""
 
 
-class UsageError(ManifoldError):
+class UsageError(ManifoldError, ValueError):
     """A value given by the user cannot be used."""
 
 
+class MissingFileError(UsageError, FileNotFoundError):
+    """There is no such file."""
+
+
+class UnknownNameError(UsageError, KeyError):
+    """Nothing has such a name."""
+
+
 class LatentError(UsageError, ShapeError):
-    """A latent coordinate has the wrong number of values, or values that are no numbers."""
+    """A latent coordinate has the wrong number of values, or values that are not finite."""

@@ -1,8 +1,8 @@
 """A Gaussian-process latent variable model: low-dimensional coordinates of materials from their Gram matrix.
 
 The likelihood sees the data only through the N x N Gram matrix S, so a fit costs nothing in the number of
-outputs D. What is minimised is `manifold.models.objective.LatentObjective`, by one of the ways in
-`manifold.models.search`.
+outputs D. What is minimised is `manifold.latent.objective.LatentObjective`, by an optimiser of
+`manifold.latent.search`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
-from sklearn.utils import check_random_state
+from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from manifold.errors import UsageError
-from manifold.models.criteria import Products
-from manifold.models.encoder import Encoder
-from manifold.models.gp_weights import GPWeights
-from manifold.models.kernels import Kernel, kernel_named, require_mu
-from manifold.models.objective import (
+from manifold.latent.criteria import Products
+from manifold.latent.encoder import Encoder
+from manifold.latent.gp_weights import GPWeights
+from manifold.latent.kernels import Kernel, kernel_named, require_mu
+from manifold.latent.objective import (
     LatentObjective,
     blas_threads,
     centre_gram,
@@ -30,7 +30,7 @@ from manifold.models.objective import (
     require_prior,
     require_start,
 )
-from manifold.models.search import OPTIMIZERS, FitCallback, Run
+from manifold.latent.search import OPTIMIZERS, FitCallback, Run
 from manifold.records import Array
 
 _SAME = 1e-12  # squared distance, relative to the squared norms, under which data count as a training sample
@@ -38,6 +38,13 @@ _SAME = 1e-12  # squared distance, relative to the squared norms, under which da
 
 class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     """Gaussian-process latent variable model.
+
+    >>> rng = np.random.default_rng(0)
+    >>> t = rng.uniform(-1.0, 1.0, 20)
+    >>> Y = np.column_stack([t, t**2, np.sin(2.0 * t)])
+    >>> model = GPLVM(n_components=1, mu=1e-2, optimizer="l-bfgs").fit(Y)
+    >>> bool(abs(np.corrcoef(model.embedding_[:, 0], t)[0, 1]) > 0.98)
+    True
 
     Starts from principal components and refines the latents. They are centred, unless the kernel has an origin, and
     each axis has its longer tail positive. No optimiser ends above the start.
@@ -205,12 +212,12 @@ class GPLVM(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     def weights(self, X: Array) -> Array:
         """Weights of the training samples at latents X (M, Q), shape (M, N)."""
         check_is_fitted(self, "embedding_")
-        return self.gp_.weights(X)
+        return self.gp_.weights(check_array(X, dtype=np.float64))
 
     def std(self, X: Array) -> Array:
         """Posterior standard deviation at latents X (M, Q), in units of the outputs, shape (M,)."""
         check_is_fitted(self, "embedding_")
-        return np.sqrt(self.output_variance_ * self.gp_.variance(X))
+        return np.sqrt(self.output_variance_ * self.gp_.variance(check_array(X, dtype=np.float64)))
 
     def _require_data(self) -> Array:
         check_is_fitted(self, "embedding_")

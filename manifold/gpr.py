@@ -11,8 +11,9 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from manifold.models.gp_weights import FlatModelWarning, GPWeights, IsolatedLatentsWarning, LengthScaleBound
-from manifold.models.kernels import Kernel, first_equal_row, kernel_named
+from manifold.errors import ShapeError
+from manifold.latent.gp_weights import FlatModelWarning, GPWeights, IsolatedLatentsWarning, LengthScaleBound
+from manifold.latent.kernels import Kernel, first_equal_row, kernel_named
 from manifold.records import Array
 
 __all__ = ["FlatModelWarning", "GPRegressor", "GPWeights", "IsolatedLatentsWarning", "LengthScaleBound"]
@@ -20,6 +21,10 @@ __all__ = ["FlatModelWarning", "GPRegressor", "GPWeights", "IsolatedLatentsWarni
 
 class GPRegressor(RegressorMixin, BaseEstimator):
     """Gaussian-process regression, mean-centred, exact at its training points.
+
+    >>> X, y = np.array([[0.0], [1.0], [2.0]]), np.array([0.0, 1.0, 4.0])
+    >>> GPRegressor(mu=1e-6, length_scale=2.0).fit(X, y).predict([[1.0], [1.5]]).round(2)
+    array([1.  , 2.36])
 
     Args:
         mu: noise filter, >= 0.
@@ -79,8 +84,14 @@ class GPRegressor(RegressorMixin, BaseEstimator):
         return np.sqrt(self.output_variance_ * self.gp_.variance(X))
 
     def leave_one_out(self) -> Array:
-        """Every training output predicted from the others, shape of the training outputs."""
+        """Every training output predicted from the others, shape of the training outputs.
+
+        Raises:
+            ShapeError: there are fewer than two samples.
+        """
         check_is_fitted(self)
+        if len(self.Y_fit_) < 2:
+            raise ShapeError("leave-one-out needs at least 2 samples, found 1")
         return self.gp_.leave_one_out_weights() @ self.Y_fit_
 
     def length_scale_bound(self, X: Array) -> LengthScaleBound:

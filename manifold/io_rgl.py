@@ -11,17 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UsageError
-from manifold.formats.tensor_file import (
-    WRITE_REMEDY,
-    ErrorContext,
-    check_tensors,
-    printable,
-    read_tensors,
-    shape_text,
-    write_tensors,
-)
-from manifold.records import Array, BsdfFile
+from manifold.errors import UsageError
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.tensor_file import read_tensors, shape_text, write_tensors
+from manifold.records import AnyArray, BsdfFile, Mask
 
 # What an RGL file must hold: dtype and axes per field; an axis is a number, or a letter that all fields share.
 _FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {
@@ -56,7 +49,7 @@ def read_bsdf(path: Path | str) -> BsdfFile:
     """
     path = Path(path)
     tensors = read_tensors(path)
-    _check(tensors, ErrorContext(path))
+    _check(tensors, ErrorContext(path, "the file is damaged: fetch it again"))
     known = {name: tensors[name] for name in _FIELDS if name in tensors}
     return BsdfFile(
         name=material_name(path),
@@ -77,7 +70,7 @@ def read_bsdf(path: Path | str) -> BsdfFile:
     )
 
 
-def rgl_wavelengths_nm() -> Array:
+def rgl_wavelengths_nm() -> AnyArray:
     """The 195 band centres of the RGL spectral files in nm, shape (195,): 358.63 to 1001.89, evenly spaced.
 
     Rounded to float32, as the files hold them, and returned as float64.
@@ -103,12 +96,11 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
     path = Path(path)
     if not isinstance(file, BsdfFile):
         raise UsageError(
-            f"{path}: found {type(file).__name__}, expected a BsdfFile; manifold.brdf.goniometer.measure makes one of "
-            "a BRDF"
+            f"{path}: found {type(file).__name__}, expected a BsdfFile; goniometer.measure makes one of a BRDF"
         )
-    context = ErrorContext(path, WRITE_REMEDY)
+    context = ErrorContext(path, "correct the record; nothing was written")
     spectral = file.wavelengths_nm is not None
-    tensors: dict[str, Array] = {
+    tensors: dict[str, AnyArray] = {
         "version": _stored("version", file.version, "<u4", context),
         "description": _stored("description", file.description, "u1", context),
         "phi_i": file.phi_i_rad,
@@ -122,95 +114,77 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
         "jacobian": _stored("jacobian", (bool(file.jacobian),), "u1", context),
         "valid": file.valid,
     }
-    for name in file.extra:
-        if name in _FIELDS:
-            raise context.error("stands among the extra fields, expected another name there", name)
+    if reserved := _FIELDS.keys() & file.extra.keys():
+        raise context.error("is among the extra fields, expected another name", field=min(reserved))
     tensors |= file.extra
-    check_tensors(tensors, context)
     _check(tensors, context)
     write_tensors(path, tensors)
 
 
-def _stored(name: str, value: str | tuple[int, ...], dtype: str, context: ErrorContext) -> Array:
+def _stored(name: str, value: str | tuple[int, ...], dtype: str, context: ErrorContext) -> AnyArray:
     """A text or numbers of a record as the array that the file holds."""
     try:
         if isinstance(value, str):
             return np.frombuffer(value.encode("utf-8", "surrogateescape"), dtype=dtype)
         return np.array(value, dtype=dtype)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise context.error(f"cannot be stored as {np.dtype(dtype).name} ({error})", name) from None
+    except (ValueError, OverflowError) as error:
+        raise context.error(f"cannot be stored as {np.dtype(dtype).name} ({error})", field=name) from None
 
 
-def _check(tensors: Mapping[str, Array], context: ErrorContext) -> None:
-    """Everything that reading and writing rely on.
-
-    Raises:
-        FileFormatError: names the file and the first field that is not as expected.
-    """
+def _check(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
+    """Raise FileFormatError for the first field that is not what reading and writing rely on."""
     _check_layout(tensors, context)
     _check_grids(tensors, context)
     _check_values(tensors, context)
 
 
-def _check_layout(tensors: Mapping[str, Array], context: ErrorContext) -> None:
+def _check_layout(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
     """Presence, dtype and shape of every field."""
     spectral = "spectra" in tensors
     if spectral == ("rgb" in tensors):
-        found = printable(", ".join(tensors), 200) or "none"
         raise context.error(
-            f"found fields {found}, expected either 'spectra' or 'rgb' among them",
+            f"found fields {', '.join(tensors)[:200]}, expected either 'spectra' or 'rgb' among them",
             remedy="it is no RGL file, or a damaged one: fetch it again",
         )
+    if not spectral and "wavelengths" in tensors:
+        raise context.error("stands beside 'rgb', expected it beside 'spectra' only", field="wavelengths")
     sizes: dict[str, int] = {}
     for name, (dtype, axes) in _FIELDS.items():
-        if name == ("rgb" if spectral else "spectra"):
-            continue
-        if name == "wavelengths" and not spectral:
-            if name in tensors:
-                raise context.error("stands beside 'rgb', expected it beside 'spectra' only", name)
+        if name in (("rgb",) if spectral else ("spectra", "wavelengths")):
             continue
         if name not in tensors:
-            raise context.error("is missing, expected in every RGL file", name)
+            raise context.error("is missing, expected in every RGL file", field=name)
         array = tensors[name]
         if array.dtype != np.dtype(dtype):
-            raise context.error(f"has dtype {array.dtype.name}, expected {np.dtype(dtype).name}", name)
-        if axes is not None:
-            _check_shape(name, array.shape, axes, sizes, context)
-    cells = tensors["luminance"].size
-    if tensors["valid"].size not in (cells, -(-cells // 8)):
+            raise context.error(f"has dtype {array.dtype.name}, expected {np.dtype(dtype).name}", field=name)
+        expected = None if axes is None else _expected_shape(name, array.shape, axes, sizes)
+        if expected is not None:
+            raise context.error(f"has shape {shape_text(array.shape)}, expected {expected}", field=name)
+    cells, size = tensors["luminance"].size, tensors["valid"].size
+    if size not in (cells, -(-cells // 8)):
         raise context.error(
-            f"has {tensors['valid'].size} bytes, expected one bit ({-(-cells // 8)}) or one byte ({cells}) per cell",
-            "valid",
+            f"has {size} bytes, expected one bit ({-(-cells // 8)}) or one byte ({cells}) per cell",
+            field="valid",
         )
 
 
-def _check_shape(
-    name: str,
-    shape: tuple[int, ...],
-    axes: tuple[str | int, ...],
-    sizes: dict[str, int],
-    context: ErrorContext,
-) -> None:
-    """Match a shape against axes; the first field with a letter fixes its size for the others."""
+def _expected_shape(
+    name: str, shape: tuple[int, ...], axes: tuple[str | int, ...], sizes: dict[str, int]
+) -> str | None:
+    """What a shape should be in words, or None where it is so; the first field with a letter fixes its size."""
     if len(shape) != len(axes):
-        words = ", ".join(_AXIS_WORDS.get(a, str(a) or "any") if isinstance(a, str) else str(a) for a in axes)
-        raise context.error(f"has shape {shape_text(shape)}, expected {len(axes)} axes ({words})", name)
+        return f"{len(axes)} axes ({', '.join(_AXIS_WORDS.get(str(a), str(a) or 'any') for a in axes)})"
     for axis, (letter, size) in enumerate(zip(axes, shape, strict=True)):
         expected = letter if isinstance(letter, int) else sizes.setdefault(letter, size) if letter else size
         if size != expected:
             word = f" ({_AXIS_WORDS[letter]})" if isinstance(letter, str) else ""
-            raise context.error(
-                f"has shape {shape_text(shape)}, expected {expected} along axis {axis}{word}", name
-            )
-    required = 2 if name in _AT_LEAST_TWO else 1
+            return f"{expected} along axis {axis}{word}"
+    least = 0 if name == "description" else 2 if name in _AT_LEAST_TWO else 1
     interpolated = shape[2:] if name in ("vndf", "luminance") else shape
-    if name != "description" and min(interpolated) < required:
-        raise context.error(
-            f"has shape {shape_text(shape)}, expected at least {required} along every axis", name
-        )
+    return f"at least {least} along every axis" if min(interpolated) < least else None
 
 
-def _check_grids(tensors: Mapping[str, Array], context: ErrorContext) -> None:
+def _check_grids(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
     """Angles and wavelengths: finite, increasing, in range."""
     slack = 1e-3  # single precision puts pi / 2 and pi beyond themselves
     ranges = {
@@ -222,41 +196,34 @@ def _check_grids(tensors: Mapping[str, Array], context: ErrorContext) -> None:
         if name not in tensors:
             continue
         values = tensors[name]
-        if not np.all(np.isfinite(values)):
-            raise _bad_value(name, values, ~np.isfinite(values), "finite values", context)
-        falls = np.flatnonzero(values[1:] <= values[:-1])
-        if falls.size:
-            k = int(falls[0])
-            raise context.error(
-                f"goes from {values[k]:.6g} to {values[k + 1]:.6g} at index {k}, expected increasing values",
-                name,
-            )
+        _require(np.isfinite(values), values, "finite values", name, context)
+        _require(np.diff(values, prepend=-np.inf) > 0, values, "increasing values", name, context)
         if values[0] < low or values[-1] > high:
-            raise context.error(f"runs from {values[0]:.4g} to {values[-1]:.4g}, expected {words}", name)
+            raise context.error(
+                f"runs from {values[0]:.4g} to {values[-1]:.4g}, expected {words}", field=name
+            )
 
 
-def _check_values(tensors: Mapping[str, Array], context: ErrorContext) -> None:
+def _check_values(tensors: Mapping[str, AnyArray], context: ErrorContext) -> None:
     """Tables: finite, of the right sign, and densities that are not zero everywhere."""
     for name in ("sigma", "ndf", "vndf", "luminance", "spectra", "rgb"):
-        if name in tensors:
-            low, high = tensors[name].min(), tensors[name].max()  # NaN wins in both: no temporaries needed
-            if not (np.isfinite(low) and np.isfinite(high)):
-                raise _bad_value(name, tensors[name], ~np.isfinite(tensors[name]), "finite values", context)
-            if name in ("ndf", "vndf") and low < 0:
-                raise _bad_value(name, tensors[name], tensors[name] < 0, "no negative densities", context)
-            if name == "sigma" and low <= 0:
-                raise _bad_value(name, tensors[name], tensors[name] <= 0, "positive areas", context)
+        values = tensors.get(name)
+        if values is None:
+            continue
+        if not np.all(np.isfinite((values.min(), values.max()))):  # NaN wins in both: no temporaries needed
+            _require(np.isfinite(values), values, "finite values", name, context)
+        if name in ("ndf", "vndf"):
+            _require(values >= 0, values, "no negative densities", name, context)
+        if name == "sigma":
+            _require(values > 0, values, "positive areas", name, context)
     peaks = tensors["vndf"].max(axis=(2, 3))
-    if np.any(peaks <= 0):
-        phi, theta = (int(k[0]) for k in np.nonzero(peaks <= 0))
-        raise context.error(f"is zero everywhere at incidence ({phi}, {theta}), expected a density", "vndf")
+    _require(peaks > 0, peaks, "a density that is not zero everywhere", "vndf", context)
     if tensors["jacobian"][0] > 1:
-        raise context.error(f"is {int(tensors['jacobian'][0])}, expected 0 or 1", "jacobian")
+        raise context.error(f"is {int(tensors['jacobian'][0])}, expected 0 or 1", field="jacobian")
 
 
-def _bad_value(name: str, values: Array, bad: Array, expected: str, context: ErrorContext) -> FileFormatError:
-    """The error of a table with bad values: the first of them, where it stands, and how many there are."""
-    index = tuple(int(k) for k in np.unravel_index(int(np.argmax(bad)), bad.shape))
-    count = int(np.count_nonzero(bad))
-    others = f" and {count - 1} more values are bad" if count > 1 else ""
-    return context.error(f"is {values[index]:.4g} at index {index}{others}, expected {expected}", name)
+def _require(good: Mask, values: AnyArray, expected: str, name: str, context: ErrorContext) -> None:
+    """Raise FileFormatError for the first value that is not good."""
+    if not np.all(good):
+        index = tuple(int(k) for k in np.unravel_index(int(np.argmin(good)), good.shape))
+        raise context.error(f"is {values[index]:.4g} at index {index}, expected {expected}", field=name)

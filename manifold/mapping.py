@@ -14,14 +14,12 @@ that value instead of mapping it back and forth.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from manifold.errors import ShapeError, UsageError
+from manifold.errors import ShapeError, UnknownNameError
 from manifold.records import Array
 from manifold.system.names import names_like
 
@@ -49,6 +47,11 @@ class Mapping(Protocol):
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """Derivative of T^-1 where it gives these values (..., B)."""
+
+
+def _as_floating(values: Array) -> Array:
+    values = np.asarray(values)
+    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -96,14 +99,11 @@ class Log:
     """`T(f) = ln((f + epsilon) / epsilon)`, which is 0 at 0.
 
     Attributes:
-        epsilon: in 1/sr; values far below it count as dark alike.
+        epsilon: in 1/sr, positive; differences between values far below it do not count.
     """
 
     epsilon: float = 1e-3
     name = "log"
-
-    def __post_init__(self) -> None:
-        _require_positive(self.epsilon)
 
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """The logarithm; negative values count as 0."""
@@ -118,69 +118,38 @@ class Log:
         return _as_floating(values) + self.epsilon
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class LogRelative:
-    """`T(f) = ln((f w + epsilon) / (f_ref w + epsilon))` with `w = max(cos(theta_i) cos(theta_o), floor)`.
+    """`T(f) = ln((f w + epsilon) / epsilon)` with `w = max(cos(theta_i) cos(theta_o), floor)`.
 
-    The cosines tame grazing angles, where values are large and count for little. The reference (the median
-    material) only shifts T: it cancels in every combination whose weights sum to 1 and in every centred Gram
-    matrix, so None, a black reference, gives the same predictions. Give one where mapped values are looked at
-    on their own.
+    The cosines tame grazing angles, where values are large and count for little. The publication divides by the median
+    material besides, which only shifts T: it cancels in every combination whose weights sum to 1 and in every centred
+    Gram matrix.
 
     Attributes:
-        epsilon: in 1/sr.
-        floor: least cosine weight.
-        reference: values of the reference at the direction pairs that are mapped, in 1/sr, shape (..., B) or
-            anything that broadcasts to it; None for black.
+        epsilon: in 1/sr, positive.
+        floor: least cosine weight, positive.
     Source: Nielsen, Jensen & Ramamoorthi 2015, eq. 2.
     """
 
     epsilon: float = 1e-3
     floor: float = 1e-3
-    reference: Array | None = None
     name = "log-relative"
 
-    def __repr__(self) -> str:
-        """All that decides what the mapping does: results are remembered by it."""
-        reference = "None"
-        if self.reference is not None:
-            values = np.ascontiguousarray(self.reference)
-            reference = f"{values.shape} {hashlib.sha256(values.tobytes()).hexdigest()}"
-        return f"LogRelative(epsilon={self.epsilon!r}, floor={self.floor!r}, reference={reference})"
-
-    def __post_init__(self) -> None:
-        _require_positive(self.epsilon)
-        _require_positive(self.floor)
-
     def forward(self, values: Array, cosine_weight: Array | None = None) -> Array:
-        """The logarithm of the weighted ratio; negative values count as 0."""
+        """The logarithm of the weighted value; negative values count as 0."""
         values = _as_floating(values)
-        return self._log(values, cosine_weight) - self._offset(values, cosine_weight)
+        return np.log1p(np.maximum(values, 0.0) * (self._weight(values, cosine_weight) / self.epsilon))
 
     def inverse(self, mapped: Array, cosine_weight: Array | None = None) -> Array:
         """The values again, at least 0."""
         mapped = _as_floating(mapped)
-        total = np.maximum(mapped + self._offset(mapped, cosine_weight), 0.0)
-        return np.expm1(total) * self.epsilon / self._weight(mapped, cosine_weight)
+        return np.expm1(np.maximum(mapped, 0.0)) * self.epsilon / self._weight(mapped, cosine_weight)
 
     def slope(self, values: Array, cosine_weight: Array | None = None) -> Array:
         """`f + epsilon / w`, also at 0, where the inverse stops: a search must be able to leave it."""
         values = _as_floating(values)
         return values + self.epsilon / self._weight(values, cosine_weight)
-
-    def _log(self, values: Array, cosine_weight: Array | None) -> Array:
-        """`ln((f w + epsilon) / epsilon)`: 0 at 0."""
-        return np.log1p(np.maximum(values, 0.0) * (self._weight(values, cosine_weight) / self.epsilon))
-
-    def _offset(self, like: Array, cosine_weight: Array | None) -> Array | float:
-        if self.reference is None:
-            return 0.0
-        try:
-            reference = np.broadcast_to(np.asarray(self.reference, dtype=like.dtype), like.shape)
-        except ValueError:
-            shape = np.shape(self.reference)
-            raise ShapeError(f"reference has shape {shape}, expected one that fits {like.shape}") from None
-        return self._log(reference, cosine_weight)
 
     def _weight(self, like: Array, cosine_weight: Array | None) -> Array | float:
         if cosine_weight is None:
@@ -193,30 +162,20 @@ class LogRelative:
         return np.maximum(weight, self.floor)[..., None]
 
 
-MAPPINGS: dict[str, Callable[..., Mapping]] = {
-    factory.name: factory for factory in (Identity, Log, CubeRoot, LogRelative)
+MAPPINGS: dict[str, Mapping] = {
+    mapping.name: mapping for mapping in (Identity(), Log(), CubeRoot(), LogRelative())
 }
 
 
-def mapping_named(name: str, **parameters: float | Array) -> Mapping:
-    """The mapping of that name, with its parameters where they differ from the defaults.
+def mapping_named(name: str) -> Mapping:
+    """The mapping of that name, with its default parameters.
 
     Raises:
-        UsageError: the name is unknown, or the mapping has no such parameter.
+        UsageError: the name is unknown.
+
+    >>> mapping_named("cube-root").forward(np.array([0.008, 1.0]))
+    array([0.2, 1. ])
     """
     if name not in MAPPINGS:
-        raise UsageError(f"no mapping is called '{name}'; {names_like(MAPPINGS, name, 'there are')}")
-    try:
-        return MAPPINGS[name](**parameters)
-    except TypeError:
-        raise UsageError(f"mapping '{name}' does not take {', '.join(parameters)}") from None
-
-
-def _as_floating(values: Array) -> Array:
-    values = np.asarray(values)
-    return values if np.issubdtype(values.dtype, np.floating) else values.astype(np.float64)
-
-
-def _require_positive(epsilon: float) -> None:
-    if not (np.isfinite(epsilon) and epsilon > 0):
-        raise UsageError(f"epsilon or floor is {epsilon}, expected a positive number")
+        raise UnknownNameError(f"no mapping is called '{name}'; {names_like(MAPPINGS, name, 'there are')}")
+    return MAPPINGS[name]

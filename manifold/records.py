@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from manifold.errors import BandMismatchError, ShapeError
 from manifold.system.stages import Progress as Progress
 
-Array = NDArray[Any]
+Array = NDArray[np.floating[Any]]
+AnyArray = NDArray[Any]  # a field of a file, of whatever type
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 
 def _read_only(fields: dict[str, Any]) -> MappingProxyType[str, Any]:
@@ -123,8 +126,8 @@ class BsdfFile:
     luminance: Array
     spectra: Array
     jacobian: bool
-    valid: Array
-    extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    valid: NDArray[np.uint8]
+    extra: Mapping[str, AnyArray] = field(default_factory=lambda: MappingProxyType({}))
 
     def __repr__(self) -> str:
         kind = "isotropic" if self.is_isotropic else "anisotropic"
@@ -142,7 +145,7 @@ class BsdfFile:
         return self.phi_i_rad.shape[0] <= 2
 
     @cached_property
-    def measured_mask(self) -> Array:
+    def measured_mask(self) -> Mask:
         """Which cells were measured, bool, shape (P, T, H, W).
 
         The bits mean "measured" in files of pipeline versions up to 3.1 and "unmeasured" from 3.2 on,
@@ -163,6 +166,6 @@ class BsdfFile:
         return bits if 2 * kept >= np.count_nonzero(non_zero) else ~bits
 
 
-def evenly_spaced(total: int, count: int) -> Array:
+def evenly_spaced(total: int, count: int) -> Indices:
     """At most `count` indices from 0 to total - 1, such as of bands, evenly spaced, both ends among them."""
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))

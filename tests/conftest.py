@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-REPOSITORY = Path(__file__).resolve().parents[1]
-
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what runs in its background
     signal.signal(
@@ -67,18 +63,18 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="module")
 def library(tmp_path_factory) -> Path:
     """A library of a few RGB materials."""
-    from small_library import small_library
+    from helpers.small_library import small_library
 
     return small_library(tmp_path_factory.mktemp("library"))
 
 
 @pytest.fixture(scope="module")
-def samples(library):
-    """The samples from which readings are completed."""
+def atoms(library):
+    """The atoms of which readings are completed."""
+    from manifold.completion import LibraryAtoms
     from manifold.library.store import Library
-    from manifold.model.completion import LibrarySamples
 
-    return LibrarySamples.of_library(Library.open(library))
+    return LibraryAtoms.of_library(Library.open(library))
 
 
 @pytest.fixture
@@ -94,16 +90,3 @@ def run(capsys, monkeypatch):
         return caught.value.code or 0, captured.out, captured.err
 
     return call
-
-
-def real_rgl_folder() -> Path | None:
-    """The folder of real RGL files: `MANIFOLD_RGL_DIR`, else `../shared/rgl/real`, else None."""
-    named = os.environ.get("MANIFOLD_RGL_DIR")
-    folder = Path(named) if named else REPOSITORY.parent / "shared" / "rgl" / "real"
-    return folder if folder.is_dir() and any(folder.glob("*.bsdf")) else None
-
-
-def real_rgl_files() -> list[Path]:
-    """The real RGL files at hand, possibly none."""
-    folder = real_rgl_folder()
-    return [] if folder is None else sorted(folder.glob("*.bsdf"))

@@ -9,14 +9,14 @@ import warnings
 
 import numpy as np
 
+from manifold.brdf.analytic import corpus, fresnel
 from manifold.brdf.goniometer import remeasure
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.brdf.synthetic import corpus, fresnel
 from manifold.brdf.valleys import profile_pairs, valley_depth
 from manifold.brdf.weighted_sums import WeightedSum
 from manifold.gplvm import GPLVM
-from manifold.models.nonnegative import nonnegative_weights
+from manifold.latent.nonnegative import nonnegative_weights
 
 
 def compile_rendering() -> None:
@@ -35,7 +35,7 @@ def compile_rendering() -> None:
     measured.albedo(wi[:, 0])
     pairs = DirectionPairs(wi, wo)
     total = np.zeros((len(pairs), measured.bands.count))
-    measured.eval_into(pairs, total)
+    measured.eval_at(pairs)
     WeightedSum([measured], [1.0], cube_root=True).add_to(total, pairs)
 
 

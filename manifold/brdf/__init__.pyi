@@ -1,5 +1,4 @@
-from . import goniometer, synthetic
-from .gloss import gloss_units
+from . import analytic, goniometer
 from .measured import BRDF, MeasuredBRDF
 from .pairs import DirectionPairs
 from .physical import ReciprocalBRDF, physical_file
@@ -10,11 +9,10 @@ __all__ = [
     "DirectionPairs",
     "MeasuredBRDF",
     "ReciprocalBRDF",
+    "analytic",
     "fill_unmeasured",
-    "gloss_units",
     "goniometer",
     "physical_file",
-    "synthetic",
     "unmeasured_cells",
     "unmeasured_share",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, Mask
 
 HORIZON = np.deg2rad(89.9)
 """Elevation in radians at which the limit at the horizon is evaluated."""
@@ -39,7 +39,7 @@ class Cells:
     points: Array
     wi: Array
     wo: Array
-    is_above: Array
+    is_above: Mask
 
     @classmethod
     def seen_from(

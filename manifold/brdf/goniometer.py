@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
 from manifold.brdf.measured import BRDF, require_brdf
@@ -18,7 +19,9 @@ from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, Mask
+
+Floats = NDArray[np.float32]  # as files hold them
 
 WARP_NODES = 128  # nodes per axis of ndf, sigma and vndf, as in the measured files
 # Retro-reflection is read no further out: there f_cos falls to zero, and a normal distribution that drops by
@@ -32,14 +35,17 @@ _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node 
 SOFT_BEND = 0.3
 """A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/design/goniometer.md."""
 _WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
-_BELOW_HORIZON = 0.1  # how much normals count that mirror light below the horizon, where cells hold zeros
-_FADE = 0.5  # sine of the angle below the horizon at which they would count nothing
+_BELOW_HORIZON = 0.1  # weight of normals that mirror light below the horizon, where cells hold zeros
+_FADE = 0.5  # sine of the angle below the horizon at which their weight would be 0
 
 
 def default_theta_i(n: int) -> Array:
     """Incident elevations in radians, shape (n,), placed where they lower the error most.
 
     Source: docs/design/goniometer.md.
+
+    >>> np.rad2deg(default_theta_i(4)).round(1)
+    array([ 0. , 40.9, 66.3, 90. ])
     """
     if n < 2:
         raise UsageError(f"theta_i needs at least 2 nodes, found {n}")
@@ -47,19 +53,11 @@ def default_theta_i(n: int) -> Array:
     return 0.4 * (0.5 * np.pi * t) + 0.6 * np.arccos(1.0 - t)
 
 
-def default_phi_i(n: int) -> Array:
-    """Incident azimuths in radians, shape (n,): one for isotropic files, else half a turn from -pi to 0.
-
-    Half a turn is enough where the material looks the same after a half turn about its normal.
-    """
-    return np.zeros(1) if n == 1 else np.linspace(-np.pi, 0.0, n)
-
-
 def _retro_reflection(brdf: BRDF, theta: Array, phi: Array | float, steepest: float) -> Array:
     """Band mean of f_cos(w, w), shape of theta and phi broadcast; the nodes of theta on the last axis.
 
-    A prediction may send nothing back where it is bright elsewhere, and a normal distribution without the normals
-    that reflect would give them no cells: a share of what they reflect to the side is the least that is taken.
+    A prediction may have no retro-reflection at normals that reflect brightly in other directions, and the normal
+    distribution would give these no cells: a share of what they reflect to the side is taken as a lower bound.
     """
     theta = np.minimum(theta, _RETRO_LIMIT)
     w = from_spherical(theta, phi)
@@ -104,15 +102,7 @@ def _without_knees(retro: Array, bend: float, exponent: float, resolution: int) 
     parabola = bend * (t[..., :, None] - t[..., None, :]) ** 2
     with np.errstate(divide="ignore"):
         raised = np.max(np.log(retro)[..., None, :] - parabola, axis=-1)
-    return np.exp(np.min(raised[..., None, :] + parabola, axis=-1))
-
-
-def _azimuthal_projection(cos_w: Array, cos_m: Array) -> Array:
-    """Integral over the azimuth of max(0, <w, m>), for elevations given by their cosines, broadcast."""
-    a = cos_w * cos_m
-    b = np.sqrt(np.maximum(1 - cos_w**2, 0.0) * np.maximum(1 - cos_m**2, 0.0))
-    phi_0 = np.arccos(np.clip(-a / np.maximum(b, 1e-300), -1.0, 1.0))
-    return 2.0 * (a * phi_0 + b * np.sin(phi_0))
+    return np.asarray(np.exp(np.min(raised[..., None, :] + parabola, axis=-1)))
 
 
 def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
@@ -122,7 +112,12 @@ def _isotropic_ndf(retro: Array) -> tuple[Array, Array]:
     theta = u_to_theta(fine)
     # d omega = sin(theta) d theta d phi, and d theta = pi u du.
     measure = np.sin(theta) * np.pi * fine / fine.size
-    projection = _azimuthal_projection(np.cos(u_to_theta(u))[:, None], np.cos(theta)[None, :]) * measure
+    # The integral of max(0, <w, m>) over the azimuth, in closed form.
+    cos_w, cos_m = np.cos(u_to_theta(u))[:, None], np.cos(theta)[None, :]
+    a = cos_w * cos_m
+    b = np.sqrt(np.maximum(1 - cos_w**2, 0.0) * np.maximum(1 - cos_m**2, 0.0))
+    phi_0 = np.arccos(np.clip(-a / np.maximum(b, 1e-300), -1.0, 1.0))
+    projection = 2.0 * (a * phi_0 + b * np.sin(phi_0)) * measure
     D = np.ones(WARP_NODES)
     for _ in range(_POWER_ITERATIONS):
         sigma = projection @ np.interp(fine, u, D)
@@ -150,7 +145,7 @@ def _anisotropic_ndf(retro: Array) -> tuple[Array, Array]:
 
     def projected_area(D: Array) -> Array:
         table = (projection @ D.reshape(-1)).reshape(33, 33)
-        return interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES)
+        return np.asarray(interpolate(table, nodes).reshape(WARP_NODES, WARP_NODES))
 
     D = np.ones((WARP_NODES, WARP_NODES))
     for _ in range(_POWER_ITERATIONS):
@@ -208,11 +203,12 @@ def measure(
         name, description: identification of the material.
         resolution: nodes per axis of the outgoing grid, H = W.
         theta_i_rad: incident elevations in radians, increasing, shape (T,); default `default_theta_i(n_theta_i)`.
-        n_phi_i: incident azimuths P; default 1 for an isotropic BRDF and 17 otherwise.
+        n_theta_i: incident elevations T where none are given.
+        n_phi_i: incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
         compensate: move the node values so that linear interpolation errs least *between* the nodes; without
             it the file is exact at the nodes and about twice as far off elsewhere (docs/design/goniometer.md).
-        warp_exponent: the power; 1 is the instrument's own grid, which hardly looks beside a sharp highlight, and
-            looks below the horizon as much as above.
+        warp_exponent: the power; 1 is the instrument's own grid, with few nodes beside a sharp highlight, and as many
+            below the horizon as above.
         steepest: factor by which the normal distribution may fall from one of its nodes to the next.
         bend: how sharply its logarithm may turn from falling to level, as the coefficient of a parabola over nodes of
             the outgoing grid; `SOFT_BEND` for data whose peaks differ in width from incidence to incidence. None takes
@@ -230,8 +226,10 @@ def measure(
     if resolution < 2:
         raise UsageError(f"the outgoing grid has {resolution} nodes per axis, expected at least 2")
     theta_i = default_theta_i(n_theta_i) if theta_i_rad is None else np.asarray(theta_i_rad, dtype=float)
-    phi_i = default_phi_i((1 if brdf.is_isotropic else 17) if n_phi_i is None else n_phi_i)
-    isotropic = len(phi_i) == 1
+    n_phi_i = (1 if brdf.is_isotropic else 17) if n_phi_i is None else n_phi_i
+    isotropic = n_phi_i == 1
+    # Half a turn is enough where the material looks the same after a half turn about its normal.
+    phi_i = np.zeros(1) if isotropic else np.linspace(-np.pi, 0.0, n_phi_i)
 
     u = np.linspace(0.0, 1.0, WARP_NODES)
     theta, phi = u_to_theta(u), u_to_phi(u)
@@ -239,7 +237,10 @@ def measure(
         retro = _retro_reflection(brdf, theta, 0.0, steepest)
     else:
         retro = _retro_reflection(brdf, theta[None, :], phi[:, None], steepest)
-    retro = _require_light(retro, name)
+    if not np.any(retro > 0):
+        raise UsageError(
+            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
+        )
     if bend is not None:
         retro = _without_knees(retro, bend, warp_exponent, resolution)
     if isotropic:
@@ -304,53 +305,26 @@ def with_luminance(file: BsdfFile) -> BsdfFile:
 
 
 def _at_nodes(
-    brdf: BRDF, ndf: Array, sigma: Array, vndf: Array, phi_i: Array, theta_i: Array, n: int
-) -> tuple[Array, Array]:
+    brdf: BRDF, ndf: Array, sigma: Array, vndf: Floats, phi_i: Array, theta_i: Array, n: int
+) -> tuple[Floats, Mask]:
     """Stored values (P, T, n, n, B) and which of them were measured (P, T, n, n)."""
     warp = Warp.from_values(vndf, phi_i.astype(np.float32), theta_i.astype(np.float32))
     ndf, sigma = ndf.astype(float), sigma.astype(float)  # kernels are compiled for one precision only
     shape = (len(phi_i), len(theta_i), n, n)
     spectra, measured = np.empty((*shape, brdf.bands.count), dtype=np.float32), np.empty(shape, dtype=bool)
     for p, t in np.ndindex(shape[:2]):
-        spectra[p, t], measured[p, t] = _measure_incidence(
-            brdf, warp, ndf, sigma, float(phi_i[p]), float(theta_i[t]), len(phi_i) == 1, n
-        )
+        phi, theta = float(phi_i[p]), float(theta_i[t])
+        cells = Cells.seen_from(warp, phi, theta, (n, n), is_isotropic=len(phi_i) == 1)
+        f_cos = np.zeros((n, n, brdf.bands.count))
+        f_cos[cells.is_above] = brdf.eval_cos(cells.wi, cells.wo[cells.is_above])
+        D = interpolate(ndf, np.ascontiguousarray(cells.points).reshape(-1, 2)).reshape(n, n)
+        area = bilinear(sigma, np.sqrt(theta * 2.0 / np.pi), (phi + np.pi) / (2.0 * np.pi))
+        scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
+        spectra[p, t], measured[p, t] = f_cos * scale[..., None], cells.is_above
     return spectra, measured
 
 
-def _require_light(retro: Array, name: str) -> Array:
-    if not np.any(retro > 0):
-        raise UsageError(
-            f"{name}: nothing is reflected back at any elevation, so it has no normal distribution"
-        )
-    return retro
-
-
-def _measure_incidence(
-    brdf: BRDF, warp: Warp, ndf: Array, sigma: Array, phi_i: float, theta_i: float, isotropic: bool, n: int
-) -> tuple[Array, Array]:
-    """Stored values (n, n, B) and which of them were measured (n, n), for one incident direction."""
-    cells = Cells.seen_from(warp, phi_i, theta_i, (n, n), is_isotropic=isotropic)
-    f_cos = np.zeros((n, n, brdf.bands.count))
-    f_cos[cells.is_above] = brdf.eval_cos(cells.wi, cells.wo[cells.is_above])
-    D = interpolate(ndf, np.ascontiguousarray(cells.points).reshape(-1, 2)).reshape(n, n)
-    area = bilinear(sigma, np.sqrt(theta_i * 2.0 / np.pi), (phi_i + np.pi) / (2.0 * np.pi))
-    scale = np.divide(4.0 * area, D, out=np.zeros_like(D), where=D > 0)
-    return f_cos * scale[..., None], cells.is_above
-
-
-def _add_second_difference(out: Array, values: Array, axis: int, nodes: Array, scale: float) -> None:
-    """Add `scale` times squared spacing times second derivative along an axis, nothing at both ends, to `out`."""
-    v, inner = np.moveaxis(values, axis, 0), np.moveaxis(out, axis, 0)[1:-1]
-    h = np.diff(nodes).reshape(-1, *[1] * (v.ndim - 1))
-    factor = scale * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
-    step = np.diff(v, axis=0)
-    # in the precision of the values: these are the largest arrays of a measurement
-    inner += (factor / h[1:]).astype(v.dtype) * step[1:]
-    inner -= (factor / h[:-1]).astype(v.dtype) * step[:-1]
-
-
-def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -> Array:
+def _compensate(spectra: Floats, measured: Mask, phi_i: Array, theta_i: Array) -> Floats:
     """Node values whose piecewise-linear interpolant is closest in the mean square: f - h^2 f'' / 12 per axis.
 
     Interpolating samples overshoots wherever f is convex and undershoots where it is concave. The shift is
@@ -359,8 +333,15 @@ def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -
     grid = np.arange(spectra.shape[2], dtype=float)
     shift = np.zeros_like(spectra)
     for axis, nodes in enumerate((phi_i, theta_i, grid, grid)):
-        if len(nodes) > 2:
-            _add_second_difference(shift, spectra, axis, nodes, -1.0 / 12.0)
+        if len(nodes) < 3:
+            continue
+        values, inner = np.moveaxis(spectra, axis, 0), np.moveaxis(shift, axis, 0)[1:-1]
+        h = np.diff(nodes).reshape(-1, *[1] * (values.ndim - 1))
+        factor = -1.0 / 12.0 * (h[1:] ** 2 + h[:-1] ** 2) / (h[1:] + h[:-1])
+        step = np.diff(values, axis=0)
+        # in the precision of the values: these are the largest arrays of a measurement
+        inner += (factor / h[1:]).astype(values.dtype) * step[1:]
+        inner -= (factor / h[:-1]).astype(values.dtype) * step[:-1]
     limit = np.float32(0.2) * spectra
     np.clip(shift, -limit, limit, out=shift)
     shift += spectra
@@ -368,6 +349,6 @@ def _compensate(spectra: Array, measured: Array, phi_i: Array, theta_i: Array) -
     return shift
 
 
-def pack_valid(measured: Array, version: tuple[int, ...]) -> Array:
+def pack_valid(measured: Mask, version: tuple[int, ...]) -> NDArray[np.uint8]:
     """Bits of the `valid` field: "measured" up to pipeline version 3.1, "not measured" from 3.2 on."""
     return np.packbits(measured if tuple(version) < (3, 2) else ~measured)

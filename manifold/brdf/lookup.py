@@ -24,7 +24,7 @@ FASTMATH = {"contract", "reassoc", "nsz"}
 """No assumption that values are finite: a masked cell may be NaN."""
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     """All bands of one located pair above the horizon, into row (B,)."""
     _, _, _, data, conditional, marginal, phi_nodes, theta_nodes, _ = tables
@@ -33,7 +33,7 @@ def _eval_row(theta_i, phi_i, ux, uy, cos_o, divide, tables, row):
     _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row)
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divide, tables, row):
     """All bands of one half vector at (ux, uy), which the warp brings to (u, v), into row (B,)."""
     jacobian, ndf, sigma, _, _, _, _, _, spectra = tables
@@ -52,7 +52,7 @@ def _interpolate_row(theta_i, phi_i, ux, uy, u, v, slices, weights, cos_o, divid
         if s > 0 and weights[s] == 0.0 and weights[s + 1] == 0.0:
             continue
         a, b = slices[s], slices[s + 1]
-        # A slice without weight is not read: it may hold what is not a number.
+        # A slice without weight is not read: it may hold NaN.
         if weights[s] == 0.0:
             a = b
         if weights[s + 1] == 0.0:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol, runtime_checkable
+from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from manifold.brdf import lookup
 from manifold.brdf.pairs import DirectionPairs, flat_samples
+from manifold.brdf.picture import NotebookPicture
 from manifold.brdf.warp import Warp
 from manifold.directions import require_directions
-from manifold.errors import ShapeError, UsageError
+from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
 
 
-@runtime_checkable
-class BRDF(Protocol):
-    """The interface of a BRDF: B bands at once, directions (..., 3) that broadcast, z the normal."""
+class EvaluableBRDF(Protocol):
+    """What fits, balls and slices need of a BRDF: B bands at once, directions (..., 3) that broadcast, z the normal."""
 
     @property
     def bands(self) -> Bands:
@@ -30,6 +31,11 @@ class BRDF(Protocol):
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B); 0 where a direction is not above the horizon."""
+
+
+@runtime_checkable
+class BRDF(EvaluableBRDF, Protocol):
+    """The interface of a BRDF."""
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B): what Mitsuba's `eval` returns."""
@@ -67,35 +73,15 @@ def require_brdf(brdf: object, where: str) -> None:
         )
 
 
-def require_resolution(resolution: int) -> None:
-    """Raise UsageError unless a quadrature has a node."""
-    if resolution < 1:
-        raise UsageError(f"resolution is {resolution}, expected 1 or more nodes")
-
-
-def _samplable(luminance: Array) -> Array:
-    """Luminance (P, T, H, W) as a density: RGB files have a few values just below zero, black ones only zeros."""
-    density = np.maximum(luminance, 0.0)
-    black = density.sum(axis=(2, 3), keepdims=True) <= 0
-    return np.where(black, 1.0, density)
-
-
-def require_rows(rows: Array, n_pairs: int, n_bands: int) -> None:
-    """Validate an output array of the compiled loops.
-
-    Raises:
-        ShapeError: rows is not (K, B), float64 and C-contiguous.
-    """
-    expected = (n_pairs, n_bands)
-    if rows.shape != expected or rows.dtype != np.float64 or not rows.flags.c_contiguous:
-        raise ShapeError(
-            f"array of values has shape {rows.shape} of {rows.dtype}, expected {expected} of float64, contiguous"
-        )
-
-
-class MeasuredBRDF:
+class MeasuredBRDF(NotebookPicture):
     """The BRDF of an RGL file, all bands of a direction pair from one warp inversion.
 
+    Attributes:
+        name: of the material.
+        bands: the spectral axis.
+        is_isotropic: whether the file depends on the difference of the azimuths only.
+        symmetry: the arguments of `DirectionPairs.located`: whether it is isotropic, and how often azimuths repeat.
+        tables: what `manifold.brdf.lookup` reads.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
     """
 
@@ -108,22 +94,30 @@ class MeasuredBRDF:
         if not isinstance(file, BsdfFile):
             raise UsageError(f"found {type(file).__name__}, expected a file that was read: read_bsdf(path)")
         self.name = file.name
-        self._bands = file.bands
-        self._isotropic = file.is_isotropic
-        self._jacobian = file.jacobian
+        self.bands = file.bands
+        self.is_isotropic = file.is_isotropic
         # Files that exploit a symmetry of the sample hold half or a quarter of the azimuths.
         span = float(file.phi_i_rad[-1] - file.phi_i_rad[0])
-        self._reduction = 1 if self._isotropic else round(2.0 * np.pi / span)
-        phi, theta = file.phi_i_rad, file.theta_i_rad
-        self._ndf = np.ascontiguousarray(file.ndf, dtype=np.float64)
-        self._sigma = np.ascontiguousarray(file.sigma, dtype=np.float64)
-        self._vndf = Warp.from_values(file.vndf, phi, theta)
-        self._luminance = Warp.from_values(_samplable(file.luminance), phi, theta)
+        self.symmetry = (self.is_isotropic, 1 if self.is_isotropic else round(2.0 * np.pi / span))
+        self._stored_luminance = file.luminance
+        warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)
-        self._spectra = np.ascontiguousarray(band_last).reshape(-1, *band_last.shape[2:])
+        spectra = np.ascontiguousarray(band_last).reshape(-1, *band_last.shape[2:])
+        ndf, sigma = (np.ascontiguousarray(a, dtype=np.float64) for a in (file.ndf, file.sigma))
+        self.tables = (
+            file.jacobian, ndf, sigma, warp.data, warp.conditional, warp.marginal, warp.phi_nodes, warp.theta_nodes,
+            spectra,
+        )  # fmt: skip
+
+    @cached_property
+    def _luminance(self) -> Warp:
+        """The density that is sampled: RGB files have a few values just below zero, black ones only zeros."""
+        density = np.maximum(self._stored_luminance, 0.0)  # [P, T, H, W]
+        black = density.sum(axis=(2, 3), keepdims=True) <= 0
+        return Warp.from_values(np.where(black, 1.0, density), *self.tables[6:8])
 
     def __repr__(self) -> str:
-        return f"MeasuredBRDF({self.name!r}, {self._bands})"
+        return f"MeasuredBRDF({self.name!r}, {self.bands})"
 
     def select_bands(self, bands: Sequence[int]) -> MeasuredBRDF:
         """The same material in some of its bands; warps are shared.
@@ -133,63 +127,28 @@ class MeasuredBRDF:
         Raises:
             UsageError: a spectral axis cannot be made of these.
         """
-        if list(bands) == list(range(self._bands.count)):
+        if list(bands) == list(range(self.bands.count)):
             return self
-        if self._bands.is_rgb:
+        if self.bands.is_rgb:
             raise UsageError(f"bands {list(bands)} of an RGB material, expected all three")
         selected = copy.copy(self)
-        selected._bands = self._bands.select(bands)
-        selected._spectra = np.ascontiguousarray(self._spectra[..., list(bands)])
+        selected.bands = self.bands.select(bands)
+        selected.tables = (*self.tables[:-1], np.ascontiguousarray(self.tables[-1][..., list(bands)]))
         return selected
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._bands
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether the file depends on the difference of the azimuths only."""
-        return self._isotropic
-
-    @property
-    def symmetry(self) -> tuple[bool, int]:
-        """The arguments of `DirectionPairs.located`: whether it is isotropic, and how often the azimuths repeat."""
-        return self._isotropic, self._reduction
-
-    @property
-    def tables(self) -> tuple[Any, ...]:
-        """The tables that `manifold.brdf.lookup` reads."""
-        return (
-            self._jacobian, self._ndf, self._sigma, *self._vndf.tables, self._vndf.phi_nodes, self._vndf.theta_nodes,
-            self._spectra,
-        )  # fmt: skip
 
     def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
         pairs = DirectionPairs(wi, wo)
-        out = np.empty((len(pairs), self._bands.count))
-        lookup.eval_pairs(pairs.wi, pairs.wo, self._isotropic, self._reduction, divide, self.tables, out)
+        out = np.empty((len(pairs), self.bands.count))
+        lookup.eval_pairs(pairs.wi, pairs.wo, *self.symmetry, divide, self.tables, out)
         return out.reshape(*pairs.shape, out.shape[1])
 
-    def eval_into(self, pairs: DirectionPairs, out: Array) -> None:
-        """`eval` of K pairs into a given array, on one core and outside the interpreter's lock.
+    def eval_at(self, pairs: DirectionPairs) -> Array:
+        """`eval` of K pairs, shape (K, B), on one core and outside the interpreter's lock.
 
         For callers that distribute materials or blocks of pairs over threads.
-
-        Args:
-            pairs: K direction pairs.
-            out: overwritten, float64, C-contiguous, shape (K, B).
-        Raises:
-            ShapeError: out is anything else.
         """
-        require_rows(out, len(pairs), self._bands.count)
-        located = pairs.located(*self.symmetry)
-        lookup.eval_located(located, self.tables, out)
-
-    def eval_at(self, pairs: DirectionPairs) -> Array:
-        """`eval_into` of K pairs into a new array (K, B)."""
-        out = np.empty((len(pairs), self._bands.count))
-        self.eval_into(pairs, out)
+        out = np.empty((len(pairs), self.bands.count))
+        lookup.eval_located(pairs.located(*self.symmetry), self.tables, out)
         return out
 
     def eval(self, wi: Array, wo: Array) -> Array:
@@ -210,9 +169,7 @@ class MeasuredBRDF:
         """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
         pairs = DirectionPairs(wi, wo)
         out = np.empty(len(pairs))
-        lookup.pdf_of_pairs(
-            pairs.wi, pairs.wo, self._isotropic, self._reduction, self.tables, self._luminance.data, out
-        )
+        lookup.pdf_of_pairs(pairs.wi, pairs.wo, *self.symmetry, self.tables, self._luminance.data, out)
         return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
@@ -227,9 +184,9 @@ class MeasuredBRDF:
         flat_wi, flat_u, shape = flat_samples(wi, u)
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
-        lookup.sample_directions(
-            flat_wi, flat_u, self._isotropic, self._reduction, self.tables, self._luminance.tables, wo, pdf,
-        )  # fmt: skip
+        warp = self._luminance
+        luminance = (warp.data, warp.conditional, warp.marginal)
+        lookup.sample_directions(flat_wi, flat_u, *self.symmetry, self.tables, luminance, wo, pdf)
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
@@ -239,11 +196,9 @@ class MeasuredBRDF:
 
         Raises:
             ShapeError: as in `eval`.
-            UsageError: the resolution is below 1.
         """
         wi = require_directions(wi, "wi")
-        require_resolution(resolution)
         flat = np.ascontiguousarray(wi.reshape(-1, 3))
-        sums = np.empty((flat.shape[0], resolution, self._bands.count))
-        lookup.integrate(flat, self._isotropic, self._reduction, self.tables, sums)
-        return (sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2])
+        sums = np.empty((flat.shape[0], resolution, self.bands.count))
+        lookup.integrate(flat, *self.symmetry, self.tables, sums)
+        return np.asarray((sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2]))

@@ -1,7 +1,8 @@
-"""Direction pairs in the coordinates of RGL files: located once, however many materials look them up."""
+"""Direction pairs in the coordinates of RGL files: located once for many materials."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 
 import numba as nb
@@ -112,28 +113,26 @@ class DirectionPairs:
             raise ShapeError(f"wi has shape {wi.shape} and wo {wo.shape}; they do not broadcast") from error
         # No pairs at all are a view that must not be written, another type to compile for.
         flat = [np.ascontiguousarray(w.reshape(-1, 3)) if w.size else np.empty((0, 3)) for w in (wi, wo)]
-        self._set(flat[0], flat[1], wi.shape[:-1])
-
-    def _set(self, wi: Array, wo: Array, shape: tuple[int, ...]) -> None:
-        self.wi, self.wo, self.shape = wi, wo, shape
+        self.wi, self.wo, self.shape = flat[0], flat[1], wi.shape[:-1]
         self._located: dict[tuple[bool, int], Array] = {}
 
     def __len__(self) -> int:
-        return self.wi.shape[0]
+        return len(self.wi)
 
     def blocks(self, size: int) -> Iterator[tuple[slice, DirectionPairs]]:
         """Runs of at most `size` pairs, and where they stand among all."""
         for start in range(0, len(self), size):
             rows = slice(start, start + size)
-            block = DirectionPairs.__new__(DirectionPairs)
-            block._set(self.wi[rows], self.wo[rows], self.wi[rows].shape[:1])
+            block = copy.copy(self)
+            block.wi, block.wo, block._located = self.wi[rows], self.wo[rows], {}
+            block.shape = block.wi.shape[:1]
             yield rows, block
 
     def located(self, isotropic: bool, reduction: int) -> Array:
         """`theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
 
-        A pair below the horizon has cosine 0, and nothing else. Remembered: the arcs take as long as looking up
-        fifty bands, and most materials share one symmetry.
+        A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty
+        bands, and most materials share one symmetry.
 
         Args:
             isotropic: u_y is relative to the incident azimuth.

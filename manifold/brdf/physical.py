@@ -1,7 +1,7 @@
 """Projection of a file to a physical one: non-negative, reciprocal, albedo at most 1.
 
 What is rendered is what a file interpolates, not the BRDF that it was measured from. So the nodes are projected, and
-what lies between them is looked at.
+values between them are checked.
 """
 
 from __future__ import annotations
@@ -13,11 +13,7 @@ import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.plausibility import (
-    largest_albedo,
-    mirrored_quadrature,
-    plausibility,
-)
+from manifold.brdf.plausibility import largest_albedo, mirrored_quadrature, plausibility
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import from_spherical
 from manifold.records import Array, BsdfFile
@@ -27,17 +23,12 @@ RECIPROCITY_ERROR = 0.05
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
 _ALBEDO = 0.99  # at most: quadratures of sharp highlights at 85 degrees err by 1 %
-_ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, where it is found how much to dim
+_ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, at which the scale is found
 _BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
 _AVERAGES = 6  # of a file with its exchanged self, at most, before its grids are refined
 _GAIN = 0.97  # of the error: what another average has to gain
-_REFINED = (
-    (1.0, 1.0),
-    (2.0, 1.0),
-    (2.0, 1.5),
-    (3.0, 2.0),
-    (3.0, 3.0),
-)  # incidences and outgoing nodes, of those asked for
+# Factors of the numbers of incidences and of outgoing nodes.
+_REFINED = ((1.0, 1.0), (2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
 
 
 class ReciprocalBRDF(WrappedBRDF):
@@ -53,7 +44,7 @@ class ReciprocalBRDF(WrappedBRDF):
         is_above = ((wi[..., 2] > 0.0) & (wo[..., 2] > 0.0))[..., None]
         both = np.maximum(self._brdf.eval_cos(wi, wo), 0.0) + np.maximum(self._brdf.eval_cos(wo, wi), 0.0)
         cosines = (wi[..., 2] + wo[..., 2])[..., None]
-        return np.divide(both, cosines, out=np.zeros_like(both), where=is_above)
+        return np.asarray(np.divide(both, cosines, out=np.zeros_like(both), where=is_above))
 
 
 def physical_file(
@@ -84,7 +75,7 @@ def physical_file(
         if least <= _AIM:
             break
     assert best is not None
-    return _dimmed(best, keeps_hue)
+    return _limit_albedo(best, keeps_hue)
 
 
 class AlbedoScaledBRDF(ReciprocalBRDF):
@@ -123,7 +114,7 @@ def _hats(w: Array) -> Array:
     return np.stack([np.interp(theta, _ELEVATIONS_RAD, hat) for hat in np.eye(_ELEVATIONS_RAD.size)], axis=-1)
 
 
-def _dimmed(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
+def _limit_albedo(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
     """The file, scaled down where its albedo exceeds 1; remaining excess between nodes is scaled uniformly."""
     if largest_albedo(MeasuredBRDF(file)).max() > _ALBEDO:
         file = goniometer.remeasure(AlbedoScaledBRDF(MeasuredBRDF(file), keeps_hue), file)

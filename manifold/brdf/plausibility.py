@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from manifold.brdf import valleys
-from manifold.brdf.measured import BRDF, MeasuredBRDF, require_resolution
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import (
     from_spherical,
     gauss_legendre,
@@ -26,7 +26,7 @@ _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
 
 AZIMUTHS_DEG = tuple(range(0, 360, 45))
-"""From where anisotropic BRDFs are seen; isotropic ones look alike from all."""
+"""Of incidence, for anisotropic BRDFs."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class Plausibility:
 
     Attributes:
         negative_share: share of values below zero, over direction pairs and bands; the larger of that over
-            the hemisphere and that around the mirror direction, where a narrow lobe can be negative unseen.
+            the hemisphere and that around the mirror direction, where a narrow lobe can be negative.
         reciprocity_error: norm of f(wi, wo) - f(wo, wi) over that of f, cosine-weighted; likewise the larger
-            of both. Measured materials have one too.
+            of both. Measured materials are not exactly reciprocal either.
         max_albedo: largest directional albedo over bands and incidences of 0, 30, 60 and 75 degrees; of a file, of
             0, 5, ... 85 degrees.
         highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
             of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
 
-    Anisotropic BRDFs are seen from eight azimuths, isotropic ones from one.
+    Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
     """
 
     negative_share: float
@@ -62,23 +62,18 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
 
     Args:
         evaluate: called with a few thousand direction pairs in all, in blocks.
-        is_isotropic: of all of them; others are seen from eight azimuths.
+        is_isotropic: of all of them; others are evaluated at eight azimuths of incidence.
     """
     wo, _ = hemisphere_quadrature(12, 16)
-    wide, narrow = [], []
-    for wi in _incident(_INCIDENCES_DEG, is_isotropic):
-        wide.append(_Seen.of(evaluate, wi, wo, np.ones(len(wo))))
-    for wi in _incident(_ALBEDO_INCIDENCES_DEG, is_isotropic):
-        mirrored, measure = mirrored_quadrature(wi)
-        narrow.append(_Seen.of(evaluate, wi, mirrored, measure))
-    negative = np.maximum(_negative(wide), _negative(narrow))
-    reciprocity = np.maximum(_reciprocity(wide), _reciprocity(narrow))
-    albedo = np.max([seen.albedo for seen in narrow], axis=0)
+    wide = [(wi, wo, np.ones(len(wo))) for wi in _incident(_INCIDENCES_DEG, is_isotropic)]
+    narrow = [(wi, *mirrored_quadrature(wi)) for wi in _incident(_ALBEDO_INCIDENCES_DEG, is_isotropic)]
+    wide_negative, wide_error, _ = _over_incidences(evaluate, wide)
+    negative, error, albedo = _over_incidences(evaluate, narrow)
     valley = _highlight_valley(evaluate, is_isotropic)
-    return [
-        Plausibility(float(n), float(r), float(a), float(v))
-        for n, r, a, v in zip(negative, reciprocity, albedo, valley, strict=True)
-    ]
+    rows = zip(
+        np.maximum(wide_negative, negative), np.maximum(wide_error, error), albedo, valley, strict=True
+    )
+    return [Plausibility(float(n), float(r), float(a), float(v)) for n, r, a, v in rows]
 
 
 def plausibility_of_file(file: BsdfFile) -> Plausibility:
@@ -89,17 +84,17 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 
 def largest_albedo(measured: MeasuredBRDF) -> Array:
     """Largest directional albedo of each band over incidences of 0, 5, ... 85 degrees, shape (B,)."""
-    return measured.albedo(_incident(_FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0)
+    return np.asarray(measured.albedo(_incident(_FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0))
 
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
     """Depth of the deepest valley around the mirror direction, shape (M,)."""
-    wi, wo = np.broadcast_arrays(*valleys.profile_pairs(valleys.JUDGED_INCIDENCES_DEG))
+    wi, wo = np.broadcast_arrays(*valleys.profile_pairs(valleys.ASSESSED_INCIDENCES_DEG))
     depths = []
     for azimuth in (0,) if is_isotropic else AZIMUTHS_DEG:
         f = evaluate(*(rotate_z(w.reshape(-1, 3), np.deg2rad(azimuth)) for w in (wi, wo))).mean(axis=2)
         depths.append(valleys.valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
-    return np.max(depths, axis=0)
+    return np.asarray(np.max(depths, axis=0))
 
 
 def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
@@ -108,45 +103,27 @@ def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Measurements of M BRDFs at one incidence, shape (M,) each.
+def _over_incidences(
+    evaluate: Evaluate, quadratures: Iterable[tuple[Array, Array, Array]]
+) -> tuple[Array, Array, Array]:
+    """Share of negative values, reciprocity error and largest albedo of M BRDFs, shape (M,) each.
 
-    Attributes:
-        negative: share of values below zero.
-        squared, difference: squared norms of f and of f(wi, wo) - f(wo, wi), cosine-weighted.
-        albedo: the largest over bands.
+    Args:
+        evaluate: as of `plausibilities`.
+        quadratures: of each incidence wi (3,), wo (P, 3) and their weights in sr (P,).
     """
-
-    negative: Array
-    squared: Array
-    difference: Array
-    albedo: Array
-
-    @classmethod
-    def of(cls, evaluate: Evaluate, wi: Array, wo: Array, measure: Array) -> _Seen:
-        """At wi (3,) and wo (P, 3), whose weights in sr are `measure` (P,)."""
-        wi = np.broadcast_to(wi, wo.shape)
+    negative, squared, difference, albedo = [], [], [], []
+    for incident, wo, measure in quadratures:
+        wi = np.broadcast_to(incident, wo.shape)
         f, swapped = evaluate(wi, wo), evaluate(wo, wi)  # [M, P, B]
         squared_weight = measure * (wi[:, 2] * wo[:, 2]) ** 2
-        return cls(
-            np.mean(f < 0, axis=(1, 2)),
-            np.einsum("mpb,p->m", f**2, squared_weight),
-            np.einsum("mpb,p->m", (f - swapped) ** 2, squared_weight),
-            np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1),
-        )
-
-
-def _negative(seen: Sequence[_Seen]) -> Array:
-    """Share of values below zero over incidences, shape (M,)."""
-    return np.mean([one.negative for one in seen], axis=0)
-
-
-def _reciprocity(seen: Sequence[_Seen]) -> Array:
-    """Reciprocity error over incidences, shape (M,)."""
-    norm = np.sqrt(np.sum([one.squared for one in seen], axis=0))
-    apart = np.sqrt(np.sum([one.difference for one in seen], axis=0))
-    return np.divide(apart, norm, out=np.zeros_like(norm), where=norm > 0)
+        negative.append(np.mean(f < 0, axis=(1, 2)))
+        squared.append(np.einsum("mpb,p->m", f**2, squared_weight))
+        difference.append(np.einsum("mpb,p->m", (f - swapped) ** 2, squared_weight))
+        albedo.append(np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1))
+    norm, distance = (np.sqrt(np.sum(a, axis=0)) for a in (squared, difference))
+    error = np.divide(distance, norm, out=np.zeros_like(norm), where=norm > 0)
+    return np.mean(negative, axis=0), error, np.max(albedo, axis=0)
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
@@ -158,7 +135,6 @@ def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:
         resolution: nodes in elevation and in azimuth.
     """
     wi = require_directions(wi, "wi")
-    require_resolution(resolution)
     flat = wi.reshape(-1, 3)
     out = np.empty((len(flat), brdf.bands.count))
     for k, w in enumerate(flat):

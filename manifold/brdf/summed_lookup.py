@@ -16,13 +16,13 @@ from manifold.brdf.lookup import FASTMATH
 from manifold.brdf.pairs import phi_to_u, theta_to_u
 
 GROUP = 4
-"""Materials of one call: more take long to compile, fewer carry sums to and fro."""
+"""Materials of one call: more take long to compile, fewer load and store the sums more often."""
 
 _TILE = 32  # direction pairs; 195 bands of sums are 25 kB
 _LANES = 16  # rows of values are padded to whole vectors of singles
 
 
-@nb.njit(**warp.UNCOUNTED)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS)
 def _are_equal(nodes, others):
     """Whether two grids of one axis are the same."""
     if nodes.shape != others.shape:
@@ -33,7 +33,7 @@ def _are_equal(nodes, others):
     return different == 0
 
 
-@nb.njit(**warp.UNCOUNTED)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS)
 def _share_grids(tables, others):
     """Whether two materials have the same grids of incident directions, half vectors, `ndf` and `sigma`."""
     _, ndf, sigma, data, _, _, phi_nodes, theta_nodes, _ = tables
@@ -47,7 +47,7 @@ def _share_grids(tables, others):
     )
 
 
-@nb.njit(**warp.UNCOUNTED)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS)
 def _locate_tile(located, tables, slices, shares, nodes, offsets):
     """The locations that materials with the same grids share: slices around wi, cells of half vectors, ndf, sigma."""
     _, ndf, sigma, data, _, _, phi_nodes, theta_nodes, _ = tables
@@ -57,7 +57,7 @@ def _locate_tile(located, tables, slices, shares, nodes, offsets):
             continue
         s, w = warp.blend(phi_nodes, theta_nodes, phi_i, theta_i)
         for q in range(4):
-            # A slice without weight is not read: it may hold what is not a number.
+            # A slice without weight is not read: it may hold NaN.
             slices[k, q] = s[q] if w[q] != 0.0 else s[q ^ 1]
             shares[k, q] = w[q]
         nodes[k, 0], offsets[k, 0] = warp.cell(y, data.shape[1])
@@ -68,7 +68,7 @@ def _locate_tile(located, tables, slices, shares, nodes, offsets):
         nodes[k, 5], offsets[k, 5] = warp.cell(theta_to_u(theta_i), sigma.shape[1])
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _locate_spectra(located, tables, slices, shares, nodes, offsets, cells, corners):
     """Locations in one material's spectra: cells (K, 2), and weights of their corners (K, 4, 4) in each slice."""
     jacobian, ndf, sigma, data, conditional, marginal, _, _, spectra = tables
@@ -97,24 +97,16 @@ def _locate_spectra(located, tables, slices, shares, nodes, offsets, cells, corn
             corners[k, q, 2], corners[k, q, 3] = w[q] * (high * (1.0 - tx)), w[q] * (high * tx)
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _read(spectra, a, b, i, j, at_a, at_b, is_first, row):
     """Write, or after the first add, what two slices hold in one cell to row (B,)."""
     a00, a01, a10, a11 = at_a[0], at_a[1], at_a[2], at_a[3]
     b00, b01, b10, b11 = at_b[0], at_b[1], at_b[2], at_b[3]
     # One name per row: the compiler then sees eight streams with stride one.
-    p00, p01, p10, p11 = (
-        spectra[a, i, j],
-        spectra[a, i, j + 1],
-        spectra[a, i + 1, j],
-        spectra[a, i + 1, j + 1],
-    )
-    q00, q01, q10, q11 = (
-        spectra[b, i, j],
-        spectra[b, i, j + 1],
-        spectra[b, i + 1, j],
-        spectra[b, i + 1, j + 1],
-    )
+    p00, p01 = spectra[a, i, j], spectra[a, i, j + 1]
+    p10, p11 = spectra[a, i + 1, j], spectra[a, i + 1, j + 1]
+    q00, q01 = spectra[b, i, j], spectra[b, i, j + 1]
+    q10, q11 = spectra[b, i + 1, j], spectra[b, i + 1, j + 1]
     for k in range(spectra.shape[3]):
         value = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
             b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
@@ -122,25 +114,17 @@ def _read(spectra, a, b, i, j, at_a, at_b, is_first, row):
         row[k] = value if is_first else row[k] + value
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
-def _read_two(spectra, a, b, i, j, at_a, at_b, next_a, next_b, row, next_row):
-    """`_read` of two pairs in the same cell of the same slices."""
-    a00, a01, a10, a11 = at_a[0], at_a[1], at_a[2], at_a[3]
-    b00, b01, b10, b11 = at_b[0], at_b[1], at_b[2], at_b[3]
-    c00, c01, c10, c11 = next_a[0], next_a[1], next_a[2], next_a[3]
-    d00, d01, d10, d11 = next_b[0], next_b[1], next_b[2], next_b[3]
-    p00, p01, p10, p11 = (
-        spectra[a, i, j],
-        spectra[a, i, j + 1],
-        spectra[a, i + 1, j],
-        spectra[a, i + 1, j + 1],
-    )
-    q00, q01, q10, q11 = (
-        spectra[b, i, j],
-        spectra[b, i, j + 1],
-        spectra[b, i + 1, j],
-        spectra[b, i + 1, j + 1],
-    )
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
+def _read_two(spectra, a, b, i, j, at, at_next, row, next_row):
+    """`_read` of two pairs in the same cell of the same slices; `at` are weights of corners (4, 4)."""
+    a00, a01, a10, a11 = at[0, 0], at[0, 1], at[0, 2], at[0, 3]
+    b00, b01, b10, b11 = at[1, 0], at[1, 1], at[1, 2], at[1, 3]
+    c00, c01, c10, c11 = at_next[0, 0], at_next[0, 1], at_next[0, 2], at_next[0, 3]
+    d00, d01, d10, d11 = at_next[1, 0], at_next[1, 1], at_next[1, 2], at_next[1, 3]
+    p00, p01 = spectra[a, i, j], spectra[a, i, j + 1]
+    p10, p11 = spectra[a, i + 1, j], spectra[a, i + 1, j + 1]
+    q00, q01 = spectra[b, i, j], spectra[b, i, j + 1]
+    q10, q11 = spectra[b, i + 1, j], spectra[b, i + 1, j + 1]
     for k in range(spectra.shape[3]):
         row[k] = (a00 * p00[k] + a01 * p01[k] + a10 * p10[k] + a11 * p11[k]) + (
             b00 * q00[k] + b01 * q01[k] + b10 * q10[k] + b11 * q11[k]
@@ -150,7 +134,7 @@ def _read_two(spectra, a, b, i, j, at_a, at_b, next_a, next_b, row, next_row):
         )
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _add_row(row, weight, take_root, sums):
     """Add weight times a row, or times its cube roots, to sums, both padded."""
     if take_root:
@@ -161,7 +145,7 @@ def _add_row(row, weight, take_root, sums):
             sums[b] += weight * row[b]
 
 
-@nb.njit(**warp.UNCOUNTED, fastmath=FASTMATH)
+@nb.njit(**warp.WITHOUT_REFERENCE_COUNTS, fastmath=FASTMATH)
 def _add_material(located, spectra, slices, shares, cells, corners, weight, take_root, rows, sums):
     """Add one material, where its spectra are located, to the sums of a tile."""
     k, n = 0, located.shape[0]
@@ -171,28 +155,10 @@ def _add_material(located, spectra, slices, shares, cells, corners, weight, take
             continue
         i, j, a, b = cells[k, 0], cells[k, 1], slices[k, 0], slices[k, 1]
         m, count = k + 1, 1
-        if (
-            m < n
-            and located[m, 4] > 0.0
-            and cells[m, 0] == i
-            and cells[m, 1] == j
-            and slices[m, 0] == a
-            and slices[m, 1] == b
-        ):
+        is_in_cell = m < n and located[m, 4] > 0.0 and cells[m, 0] == i and cells[m, 1] == j
+        if is_in_cell and slices[m, 0] == a and slices[m, 1] == b:
             count = 2
-            _read_two(
-                spectra,
-                a,
-                b,
-                i,
-                j,
-                corners[k, 0],
-                corners[k, 1],
-                corners[m, 0],
-                corners[m, 1],
-                rows[0],
-                rows[1],
-            )
+            _read_two(spectra, a, b, i, j, corners[k], corners[m], rows[0], rows[1])
         else:
             _read(spectra, a, b, i, j, corners[k, 0], corners[k, 1], True, rows[0])
         for r in range(count):

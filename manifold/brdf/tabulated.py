@@ -7,7 +7,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import QhullError, cKDTree
 
-from manifold.brdf.synthetic.analytic import AnalyticBRDF
+from manifold.brdf.analytic.base import AnalyticBRDF
 from manifold.directions import (
     from_spherical,
     half_vector,
@@ -23,7 +23,7 @@ from manifold.records import Array
 
 _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
-_SAME_ANGLE = 1e-4  # radians; incidences are told apart by five decimals
+_SAME_ANGLE = 1e-4  # radians; incidences are rounded to five decimals
 _DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highlights
 _LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets from growing further
 
@@ -39,7 +39,7 @@ class TabulatedBRDF(AnalyticBRDF):
 
     def _albedo(self, wi: Array) -> Array:
         nodes, weights = hemisphere_quadrature(32, 64)
-        return np.einsum("k,nkb->nb", weights, self.eval_cos(wi[:, None], nodes))
+        return np.asarray(np.einsum("k,nkb->nb", weights, self.eval_cos(wi[:, None], nodes)))
 
 
 class DenseBRDF(TabulatedBRDF):
@@ -56,7 +56,9 @@ class DenseBRDF(TabulatedBRDF):
             raise UsageError(f"{table.name}: nothing was measured, so there is nothing to interpolate")
         values = table.values
         if not np.all(measured):
-            nearest = distance_transform_edt(~measured, return_distances=False, return_indices=True)
+            nearest = distance_transform_edt(
+                np.logical_not(measured), return_distances=False, return_indices=True
+            )
             values = values[tuple(nearest)]
         self.bands, self._isotropic = table.bands, table.is_isotropic
         self._coordinates, self._axes, self._values = table.coordinates, table.axes, values
@@ -103,7 +105,7 @@ class ReadingsBRDF(TabulatedBRDF):
 
     Between two incidences values are blended at the same half vector, so that highlights move with the incidence and
     do not appear twice; what exceeds the diffuse level follows D F G / (4 cos cos) of microfacets. Steeper incidences
-    than any measured are read with light and view exchanged.
+    than any measured are read with wi and wo exchanged.
     """
 
     def __init__(self, readings: Readings) -> None:
@@ -112,8 +114,8 @@ class ReadingsBRDF(TabulatedBRDF):
         Raises:
             UsageError: they do not cover hemispheres: too few, or all in one plane.
         """
-        whole = np.isfinite(readings.values).all(axis=1)
-        wi, wo, values = readings.wi[whole], readings.wo[whole], readings.values[whole]
+        finite = np.isfinite(readings.values).all(axis=1)
+        wi, wo, values = readings.wi[finite], readings.wo[finite], readings.values[finite]
         theta, phi = to_spherical(wi)
         phi = np.where(theta < 1e-6, 0.0, phi)
         keys = np.round(np.stack([theta, phi], axis=1), 5)
@@ -131,7 +133,7 @@ class ReadingsBRDF(TabulatedBRDF):
                 place, f = _both_sides(place, values[rows])
             else:
                 f = values[rows]
-            self._slices.append(_Slice.made(place, f, f"{readings.name}: {len(readings)} readings"))
+            self._slices.append(_Slice(place, f, f"{readings.name}: {len(readings)} readings"))
         self._rings = [np.flatnonzero(incidences[:, 0] == t) for t in np.unique(incidences[:, 0])]
         self._thetas = np.unique(incidences[:, 0])
         self._phis = incidences[:, 1]
@@ -159,7 +161,7 @@ class ReadingsBRDF(TabulatedBRDF):
         theta, members = float(self._thetas[ring]), self._rings[ring]
         if self._isotropic:
             wo = _mirrored(from_spherical(theta, phi), h)
-            return self._slices[members[0]](_disk(wo, -phi), np.cos(theta) * wo[:, 2] / cosines)
+            return np.asarray(self._slices[members[0]](_disk(wo, -phi), np.cos(theta) * wo[:, 2] / cosines))
         low, high, t = _bracket(self._phis[members], phi, 2 * np.pi)
         f = np.zeros((len(phi), self.bands.count))
         for k, member in enumerate(members):
@@ -176,34 +178,32 @@ class ReadingsBRDF(TabulatedBRDF):
 class _Slice:
     """Values on the disk of outgoing directions: linear on triangles, the nearest outside them."""
 
-    def __init__(self, place: Array, values: Array) -> None:
-        self._inside = LinearNDInterpolator(place, values)
-        self._tree, self._values = cKDTree(place), values
-        self._diffuse = np.percentile(values, _DIFFUSE_PERCENTILE, axis=0)
-
-    @classmethod
-    def made(cls, place: Array, values: Array, what: str) -> _Slice:
-        """A slice of places (n, 2) and values (n, B). Raises UsageError where no triangle can be made."""
-        remedy = "do not make a BRDF by themselves; `manifold complete` completes them through a library"
+    def __init__(self, place: Array, values: Array, what: str) -> None:
+        """Triangulate places (n, 2) with values (n, B). Raises UsageError where that is impossible."""
+        remedy = "do not make a BRDF by themselves; complete them through a library"
         if len(place) < _LEAST_PER_INCIDENCE:
             raise UsageError(f"{what}, {len(place)} at one incidence, {remedy}")
         try:
-            return cls(place, values)
+            self._inside = LinearNDInterpolator(place, values)
         except QhullError:
             raise UsageError(f"{what}, all in the plane of incidence, {remedy}") from None
+        self._tree, self._values = cKDTree(place), values
+        self._diffuse = np.percentile(values, _DIFFUSE_PERCENTILE, axis=0)
 
     def __call__(self, place: Array, ratio: Array) -> Array:
         """Values (n, B) at places (n, 2).
 
         What exceeds the diffuse level is taken as D F G / (4 cos cos) of microfacets and multiplied by the ratio (n,)
-        of the cosines here to those asked for.
+        of the cosines of the slice to those of the requested directions.
         """
         values = self._inside(place)
         outside = np.isnan(values).any(axis=1)
         if np.any(outside):
             values[outside] = self._values[self._tree.query(place[outside])[1]]
         lobe = np.maximum(values - self._diffuse, 0.0)
-        return values + lobe * (np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO) - 1.0)[:, None]
+        return np.asarray(
+            values + lobe * (np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO) - 1.0)[:, None]
+        )
 
 
 def _disk(w: Array, turn: Array | float) -> Array:

@@ -1,8 +1,8 @@
-"""Unmeasured cells of files: those above the horizon that hold nothing, filled before materials are combined.
+"""Unmeasured cells of files: empty cells above the horizon, filled before materials are combined.
 
-A file marks what it could not measure by zeros in all bands, or in `valid`. Below the horizon that is right; above it,
-a prediction would show those of all its materials as dark spots, magnified where weights are large. What a file
-*is* stays as it is: a prediction at a training latent is the file, unmeasured cells included.
+A file marks cells that were not measured by zeros in all bands, or in `valid`. Below the horizon zero is the right
+value; above it, a prediction would show the empty cells of all its materials as dark spots, magnified where weights are
+large. Files are not changed: a prediction at a training latent is the file, unmeasured cells included.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from manifold.brdf.cells import cells_of
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, Mask
 
-_LEAST_COSINE = np.sin(
-    np.deg2rad(2.0)
-)  # of outgoing directions: cells nearer to the horizon may well be dark
+# Of outgoing directions: cells nearer to the horizon may well be dark.
+_LEAST_COSINE = np.sin(np.deg2rad(2.0))
 _STEEPEST = np.deg2rad(85.0)  # incident elevations beyond it are extrapolated, not measured
 _NEIGHBOURS = np.array([[1.0, 2.0, 1.0], [2.0, 0.0, 2.0], [1.0, 2.0, 1.0]])
 
 
-def unmeasured_cells(file: BsdfFile) -> Array:
+def unmeasured_cells(file: BsdfFile) -> Mask:
     """Cells above the horizon that are zero in all bands or marked as not measured, bool, shape (P, T, H, W)."""
-    unmeasured = np.all(file.spectra == 0, axis=2) | ~file.measured_mask
+    unmeasured: Mask = np.all(file.spectra == 0, axis=2) | np.logical_not(file.measured_mask)
     suspects = np.any(unmeasured, axis=(2, 3)) & (file.theta_i_rad < _STEEPEST)[None, :]
     if not np.any(suspects):
         return np.zeros_like(unmeasured)
@@ -34,21 +33,27 @@ def unmeasured_cells(file: BsdfFile) -> Array:
     return unmeasured
 
 
-def find_rim(file: BsdfFile) -> Array:
-    """Cells whose outgoing direction is above the horizon but too near to be measured, bool, shape (P, T, H, W)."""
+def find_rim(file: BsdfFile) -> Mask:
+    """Cells with directions above the horizon, too close to it to be measured, bool, shape (P, T, H, W)."""
     rim = np.zeros_like(file.measured_mask)
     for p, t, cells in cells_of(file):
         rim[p, t] = cells.is_above & (cells.wo[..., 2] <= _LEAST_COSINE)
     return rim
 
 
-def unmeasured_share(file: BsdfFile, cells: Array) -> float:
+def unmeasured_share(file: BsdfFile, cells: Mask) -> float:
     """Unmeasured cells (P, T, H, W) as a share of the cells that should hold something."""
     expected = np.any(file.spectra != 0, axis=2) | cells
     return float(np.sum(cells) / max(int(np.sum(expected)), 1))
 
 
-def fill_unmeasured(file: BsdfFile, cells: Array | None = None) -> BsdfFile:
+def blank_unmeasured(file: BsdfFile) -> BsdfFile:
+    """The same file with NaN in its unmeasured cells, and so wherever a value would be interpolated from one."""
+    cells = unmeasured_cells(file)
+    return replace(file, spectra=np.where(cells[:, :, None], np.float32(np.nan), file.spectra))
+
+
+def fill_unmeasured(file: BsdfFile, cells: Mask | None = None) -> BsdfFile:
     """The same file with its unmeasured cells filled from their rims inwards; the file itself where it has none.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
@@ -67,7 +72,7 @@ def fill_unmeasured(file: BsdfFile, cells: Array | None = None) -> BsdfFile:
     return replace(file, spectra=spectra)
 
 
-def _fill(values: Array, unmeasured: Array, known: Array) -> None:
+def _fill(values: Array, unmeasured: Mask, known: Mask) -> None:
     """Fill the unmeasured cells (H, W) of values (B, H, W) in place, from the cells that are known (H, W)."""
     unmeasured = unmeasured.copy()
     while np.any(unmeasured):

@@ -1,4 +1,4 @@
-"""Valleys in highlights: in-plane minima near the mirror direction, which measured materials hardly have."""
+"""Valleys in highlights: in-plane minima near the mirror direction, which are small in measured materials."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from manifold.directions import from_spherical
 from manifold.records import Array
 
 LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
-JUDGED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
-"""Not those of layouts, so that predictions are judged at incidences for which nothing was optimised."""
+ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
+"""Not those of layouts: predictions are assessed at incidences for which nothing was optimised."""
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
+_SHARPNESS = 32  # power of the weights in smooth maxima
 
 
 def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tuple[Array, Array]:
@@ -55,8 +56,11 @@ def _deepest(f, depth):
         depth[k] = deepest
 
 
-def valley_excess(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
-    """Depth of the valleys of blends beyond the mean of the depths allowed for their materials.
+def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Array]:
+    """Squared depths of the valleys of blends beyond the mean of the depths allowed for their materials, summed.
+
+    Smooth in u, so that what minimises it does not depend on rounding: depths are summed over directions, where
+    `valley_depth` takes the deepest, and the maxima on their sides are means weighted with the 32nd power of values.
 
     Args:
         u: weights of blends, shape (K, N).
@@ -69,25 +73,37 @@ def valley_excess(u: Array, profiles: Array, limits: Array) -> tuple[Array, Arra
     roots = (u @ profiles.reshape(N, -1)).reshape(len(u), n_incidences, D, B)
     cubes = roots**3
     f = sum(cubes[..., b] for b in range(B)) / B  # [K, I, D]; the mean is slow along a short axis
-    excess = np.maximum(valley_depth(f).max(axis=1) - u @ limits, 0.0)
-    gradient = np.zeros_like(u)
-    k = np.flatnonzero(excess)
-    f, roots = f[k], roots[k]
-    left = np.maximum.accumulate(f, axis=2)
-    right = np.maximum.accumulate(f[..., ::-1], axis=2)[..., ::-1]
-    sides = np.minimum(left, right)
-    depth = (sides - f) / np.maximum(sides, _DARK)
-    i, bottom = np.divmod(depth.reshape(len(k), n_incidences * D).argmax(axis=1), D)
-    row = np.arange(len(k))
-    at = np.arange(D)[None]
-    on_lower_side = np.where(left[row, i, bottom] <= right[row, i, bottom], 1, -1)
-    beyond = (at - bottom[:, None]) * on_lower_side[:, None] <= 0
-    side = np.where(beyond, f[row, i], -1.0).argmax(axis=1)
+    allowed = u @ limits
+    k = np.flatnonzero(valley_depth(f).max(axis=1) > allowed)  # weighted means are no larger than maxima
+    value, gradient = np.zeros(len(u)), np.zeros_like(u)
+    roots, f = roots[k], f[k]
+    top = np.maximum(f.max(axis=2, keepdims=True), _DARK)
+    less = (f / top) ** (_SHARPNESS - 1)
+    power = less * f / top
+    left_sum, right_sum = _sums_to(power), _sums_from(power)
+    left, right = _sums_to(power * f) / left_sum, _sums_from(power * f) / right_sum
+    side = np.maximum(np.minimum(left, right), _DARK)
+    depth = np.maximum(1.0 - f / side - allowed[k, None, None], 0.0)
+    value[k] = np.sum(depth**2, axis=(1, 2))
+    by_side = 2.0 * depth * f / side**2
+    by_f = -2.0 * depth / side
+    is_left = left <= right
+    for slope, means, back in (
+        (np.where(is_left, by_side, 0.0) / left_sum, left, _sums_from),
+        (np.where(is_left, 0.0, by_side) / right_sum, right, _sums_to),
+    ):
+        by_f += (_SHARPNESS + 1) * power * back(slope) - _SHARPNESS * less / top * back(slope * means)
+    by_roots = (3.0 / B) * by_f[..., None] * roots**2
+    gradient[k] = by_roots.reshape(len(k), n_incidences * D * B) @ profiles.reshape(N, -1).T
+    gradient[k] -= 2.0 * depth.sum(axis=(1, 2))[:, None] * limits
+    return value, gradient
 
-    def slope(d: Array) -> Array:
-        """Gradient of f at incidences i and directions d by u, (len(k), N)."""
-        return np.einsum("kb,nkb->kn", roots[row, i, d] ** 2, profiles[:, i, d]) * (3.0 / B)
 
-    low, high = f[row, i, bottom][:, None], f[row, i, side][:, None]
-    gradient[k] = low / high**2 * slope(side) - slope(bottom) / high - limits
-    return excess, gradient
+def _sums_to(f: Array) -> Array:
+    """Sums of profiles (..., D) up to each direction."""
+    return np.cumsum(f, axis=-1) + np.finfo(float).tiny
+
+
+def _sums_from(f: Array) -> Array:
+    """Sums of profiles (..., D) from each direction on."""
+    return _sums_to(f[..., ::-1])[..., ::-1]

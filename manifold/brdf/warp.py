@@ -18,12 +18,12 @@ import numba as nb
 import numpy as np
 from numba.core import options
 
-from manifold.errors import ShapeError
 from manifold.records import Array
 from manifold.system.parallel import serialised
 
-_CAN_BE_UNCOUNTED = hasattr(getattr(options, "DefaultOptions", None), "_nrt")  # not documented: it may go
-UNCOUNTED: dict[str, Any] = {"cache": True} | ({"_nrt": False} if _CAN_BE_UNCOUNTED else {})
+WITHOUT_REFERENCE_COUNTS: dict[str, Any] = {"cache": True}
+if hasattr(options.DefaultOptions, "_nrt"):  # not documented
+    WITHOUT_REFERENCE_COUNTS["_nrt"] = False
 """For loops over points: counting references to tables that outlive the loop takes longer than a lookup."""
 
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant
@@ -46,7 +46,7 @@ def _bracket(nodes, value):
     return lo, min(max(t, 0.0), 1.0)
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def blend(phi_nodes, theta_nodes, phi, theta):
     """The four parameter slices around (phi, theta), and their weights.
 
@@ -63,7 +63,7 @@ def blend(phi_nodes, theta_nodes, phi, theta):
     return slices, weights
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def _at2(table, slices, weights, i):
     """Blended entry of a (slices, R) table."""
     v = weights[0] * table[slices[0], i] + weights[1] * table[slices[1], i]
@@ -72,7 +72,7 @@ def _at2(table, slices, weights, i):
     return v
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def _at3(table, slices, weights, i, j):
     """Blended entry of a (slices, R, C) table."""
     v = weights[0] * table[slices[0], i, j] + weights[1] * table[slices[1], i, j]
@@ -89,7 +89,7 @@ def cell(coordinate, n):
     return i, scaled - i
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def bilinear_in_cell(table, i, j, ty, tx):
     """Value of an (R, C) table in the cell of rows i, i + 1 and columns j, j + 1, at (tx, ty) in it."""
     return (1 - ty) * ((1 - tx) * table[i, j] + tx * table[i, j + 1]) + ty * (
@@ -97,7 +97,7 @@ def bilinear_in_cell(table, i, j, ty, tx):
     )
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def bilinear(table, x, y):
     """Value of an (R, C) table at (x, y) in the unit square, clamped to it."""
     j, tx = cell(x, table.shape[1])
@@ -115,7 +115,7 @@ def interpolate(table, points):
     return out
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def density(data, slices, weights, x, y):
     """Blended density at (x, y); integrates to 1 over the unit square."""
     n_rows, n_cols = data.shape[1], data.shape[2]
@@ -126,7 +126,7 @@ def density(data, slices, weights, x, y):
     return ((1 - tx) * c0 + tx * c1) * (n_rows - 1) * (n_cols - 1)
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def invert(data, conditional, marginal, slices, weights, x, y):
     """The uniform variates that `sample` maps to (x, y), and the density there."""
     j, tx = cell(x, data.shape[2])
@@ -134,7 +134,7 @@ def invert(data, conditional, marginal, slices, weights, x, y):
     return invert_in_cell(data, conditional, marginal, slices, weights, i, j, ty, tx)
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def invert_in_cell(data, conditional, marginal, slices, weights, i, j, ty, tx):
     """`invert` at (tx, ty) in the cell of rows i, i + 1 and columns j, j + 1."""
     n_rows, n_cols = data.shape[1], data.shape[2]
@@ -163,7 +163,7 @@ def _invert_linear(f0, f1, area):
     return min(max(t, 0.0), 1.0)
 
 
-@nb.njit(**UNCOUNTED)
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
 def sample(data, conditional, marginal, slices, weights, u, v):
     """The point (x, y) of uniform variates (u, v), and the density there."""
     n_rows, n_cols = data.shape[1], data.shape[2]
@@ -239,27 +239,17 @@ class Warp:
     def from_values(cls, values: Array, phi_nodes: Array, theta_nodes: Array) -> Warp:
         """Normalise node values of shape (P, T, R, C) and build their cumulative sums.
 
-        Raises:
-            ShapeError: the axes do not fit the nodes, a value is negative or not finite, or a slice is zero.
+        Args:
+            values: at least 0, and above it somewhere in each slice.
+            phi_nodes, theta_nodes: in radians, shapes (P,) and (T,).
         """
-        values = np.asarray(values, dtype=np.float64)
-        if values.ndim != 4 or values.shape[:2] != (len(phi_nodes), len(theta_nodes)):
-            raise ShapeError(
-                f"warp values have shape {values.shape}, expected ({len(phi_nodes)}, {len(theta_nodes)}, R, C)"
-            )
-        if not np.all(np.isfinite(values)) or np.any(values < 0):
-            raise ShapeError("warp values must be finite and not negative")
-        data = values.reshape(-1, *values.shape[2:])
+        data = values.astype(np.float64).reshape(-1, *values.shape[2:])
         conditional = np.zeros_like(data)
         np.cumsum(0.5 * (data[:, :, :-1] + data[:, :, 1:]), axis=2, out=conditional[:, :, 1:])
         rows = conditional[:, :, -1]
         marginal = np.zeros_like(rows)
         np.cumsum(0.5 * (rows[:, :-1] + rows[:, 1:]), axis=1, out=marginal[:, 1:])
         total = marginal[:, -1]
-        if np.any(total <= 0):
-            raise ShapeError(
-                f"slice {int(np.argmin(total))} of the warp is zero everywhere; it has no density"
-            )
         return cls(
             np.ascontiguousarray(phi_nodes, dtype=np.float64),
             np.ascontiguousarray(theta_nodes, dtype=np.float64),
@@ -268,11 +258,6 @@ class Warp:
             marginal / total[:, None],
         )
 
-    @property
-    def tables(self) -> tuple[Array, Array, Array]:
-        """The first arguments of the compiled functions: data, conditional, marginal."""
-        return self.data, self.conditional, self.marginal
-
     def _run(self, mode: int, points: Array, phi: Array | float, theta: Array | float) -> Array:
         points = np.asarray(points, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 2))
@@ -280,7 +265,8 @@ class Warp:
         # Copies, because a view is read-only, and read-only arrays are another type to compile for.
         phi, theta = (np.broadcast_to(np.asarray(a, float), shape).copy().reshape(-1) for a in (phi, theta))
         out = np.empty((flat.shape[0], 3))
-        _map_points(mode, *self.tables, self.phi_nodes, self.theta_nodes, phi, theta, flat, out)
+        tables = (self.data, self.conditional, self.marginal, self.phi_nodes, self.theta_nodes)
+        _map_points(mode, *tables, phi, theta, flat, out)
         return out.reshape(*shape, 3)
 
     def evaluate(self, points: Array, phi: Array | float = 0.0, theta: Array | float = 0.0) -> Array:

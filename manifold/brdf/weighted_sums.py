@@ -8,7 +8,7 @@ from typing import Any
 import numba as nb
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF, require_rows
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.summed_lookup import GROUP, add_located
 from manifold.records import Array
@@ -28,7 +28,6 @@ class WeightedSum:
             cube_root: add roots instead of f.
         """
         self._cube_root = cube_root
-        self._n_bands = materials[0].bands.count
         alike: dict[Any, list[tuple[Any, float]]] = {}  # compiled loops take tables of the same types
         for material, weight in zip(materials, weights, strict=True):
             tables = material.tables
@@ -47,9 +46,6 @@ class WeightedSum:
         Args:
             total: added to, float64, C-contiguous, shape (K, B).
             pairs: those below the horizon add nothing.
-        Raises:
-            ShapeError: total is anything else.
         """
-        require_rows(total, len(pairs), self._n_bands)
         for symmetry, tables, weights in self._groups:
             add_located(pairs.located(*symmetry), tables, weights, self._cube_root, total)

@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from manifold.brdf.measured import BRDF
+from manifold.brdf.picture import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
 from manifold.records import Array, Bands
 
 
-class WrappedBRDF(ABC):
+class WrappedBRDF(NotebookPicture, ABC):
     """A BRDF with its values changed by `eval`, sampled as it was."""
 
     _albedo_nodes: ClassVar[int] = 32  # of the quadrature, in elevation and in azimuth
@@ -20,16 +21,8 @@ class WrappedBRDF(ABC):
     def __init__(self, brdf: BRDF):
         """Wrap a BRDF; one that is never sampled may lack `sample` and `pdf`."""
         self._brdf = brdf
-
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._brdf.bands
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether the BRDF is."""
-        return self._brdf.is_isotropic
+        self.bands: Bands = brdf.bands
+        self.is_isotropic: bool = brdf.is_isotropic
 
     @abstractmethod
     def eval(self, wi: Array, wo: Array) -> Array:

@@ -1,7 +1,7 @@
 """Colours of a material's ball under the studio light, by quadrature: a fast substitute for a render.
 
 The ball floats in the studio of `manifold.colour.studio`, with the light of the floor from below, and is seen from
-afar. Each pixel looks at one point of it, where the light that arrives is summed over half vectors, densest around the
+afar. Each pixel shows one point of it, where the incident light is summed over half vectors, densest around the
 normal: so sharp highlights are as well resolved as soft ones. What is evaluated are BRDF values at fixed direction
 pairs.
 """
@@ -16,8 +16,8 @@ import numpy as np
 from manifold.colour import difference, studio
 from manifold.colour.conversion import srgb_to_xyz, to_xyz, xyz_to_srgb
 from manifold.colour.difference import delta_e_2000
-from manifold.directions import from_spherical, normalize
-from manifold.records import Array, Bands
+from manifold.directions import from_spherical, normalize, rotate_z
+from manifold.records import Array, Bands, Indices
 
 VIEW = normalize(np.array([0.0, -8.2, 2.3]))
 """From the ball to the viewer."""
@@ -34,14 +34,14 @@ def environment() -> Array:
         Radiance, float32, laid out as `studio.studio` does, shape (20, 40, 3).
     """
     fine = studio.studio(_ENVIRONMENT_ROWS * _BLUR)
-    image = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
+    image: Array = fine.reshape(_ENVIRONMENT_ROWS, _BLUR, 2 * _ENVIRONMENT_ROWS, _BLUR, 3).mean(axis=(1, 3))
     image[_ENVIRONMENT_ROWS // 2 :] = studio.FLOOR_REFLECTANCE
     return image
 
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """Pixels that look at a ball, and the direction pairs that light them.
+    """Pixels of a picture of a ball, and the direction pairs that light them.
 
     Attributes:
         wi, wo: towards the viewer, and towards the light, in frames of the surface; unit vectors (P, 3).
@@ -53,7 +53,7 @@ class Ball:
     wi: Array
     wo: Array
     light: Array
-    starts: Array
+    starts: Indices
     places: Array
 
     def xyz(self, f: Array, bands: Bands) -> Array:
@@ -87,13 +87,13 @@ def delta_e_itp(xyz: Array, xyz_star: Array) -> float:
 
 @lru_cache(maxsize=8)
 def ball(
-    pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, is_turned: bool = False
+    pixels: int = _PIXELS, rings: int = _RINGS, spokes: int = _SPOKES, *, turned_deg: float = 0.0
 ) -> Ball:
     """A ball in a square of pixels^2, each lit by at most rings * spokes half vectors; cached: do not write to it.
 
     Args:
         pixels, rings, spokes: how fine.
-        is_turned: whether the studio is turned by half a circle, so that its lamps are behind the ball.
+        turned_deg: how far the studio is turned about the vertical; 180 has its key light behind the ball.
     """
     right = normalize(np.cross([0.0, 0.0, 1.0], VIEW))
     up = np.cross(VIEW, right)
@@ -116,10 +116,8 @@ def ball(
     cosine = wi @ m.T  # [K, M]
     wo = 2.0 * cosine[..., None] * m - wi[:, None]
     lit = (cosine > 0.0) & (wo[..., 2] > 0.0)
-    image = environment()
-    if is_turned:
-        image = np.roll(image, image.shape[1] // 2, axis=1)
-    radiance = radiance_at(image, np.einsum("kmc,kcw->kmw", wo, frame)[lit])
+    world = rotate_z(np.einsum("kmc,kcw->kmw", wo, frame)[lit], np.deg2rad(turned_deg))
+    radiance = radiance_at(environment(), world)
     pixel = np.nonzero(lit)[0]
     light = radiance * wo[lit][:, 2] * (4.0 * cosine * area)[lit]
     starts = np.searchsorted(pixel, np.arange(len(wi)))
@@ -136,6 +134,6 @@ def radiance_at(image: Array, directions: Array) -> Array:
     above, below = np.clip(i, 0, rows - 1), np.clip(i + 1, 0, rows - 1)
     grey = image[..., 0].astype(float)
     before, after = j % columns, (j + 1) % columns
-    return (1 - s) * ((1 - t) * grey[above, before] + t * grey[above, after]) + s * (
-        (1 - t) * grey[below, before] + t * grey[below, after]
-    )
+    upper = (1 - t) * grey[above, before] + t * grey[above, after]
+    lower = (1 - t) * grey[below, before] + t * grey[below, after]
+    return np.asarray((1 - s) * upper + s * lower)

@@ -10,7 +10,7 @@ import numpy as np
 from manifold.errors import FileFormatError
 from manifold.formats.text import decode, number
 from manifold.records import Array
-from manifold.system import small_files
+from manifold.system import reading
 
 
 def read_columns(path: Path, what: str) -> tuple[Array, Array]:
@@ -21,7 +21,7 @@ def read_columns(path: Path, what: str) -> tuple[Array, Array]:
         FileFormatError: it has no such columns.
     """
     advice = f"expected a text file of wavelengths and {what}s"
-    content = small_files.read_bytes(path, advice=advice, most=small_files.MOST_TEXT)
+    content = reading.read_bytes(path, advice=advice, most=reading.MOST_TEXT)
     lines = decode(content).splitlines()
     rows: list[tuple[float, float]] = []
     for k, line in enumerate(lines, start=1):

@@ -7,10 +7,22 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.colour.illuminants import Illuminant, illuminant_key
+from manifold.colour.illuminants import Illuminant
 from manifold.colour.tables import frozen, standard_tables
 from manifold.errors import ShapeError, UsageError
 from manifold.records import Array, Bands, BsdfFile
+
+SRGB_TO_XYZ = frozen(
+    np.array(
+        [
+            [0.41239079926595934, 0.35758433938387796, 0.1804807884018343],
+            [0.2126390058715103, 0.7151686787677559, 0.07219231536073371],
+            [0.019330818715591825, 0.11919477979462595, 0.9505321522496606],
+        ]
+    )
+)
+"""From linear sRGB to XYZ, by the primaries and white of IEC 61966-2-1, which rounds it."""
+_RGB_WEIGHTS = frozen(SRGB_TO_XYZ.T.copy())
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -29,6 +41,10 @@ def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
     Raises:
         UsageError: there is no such illuminant, or it gives no light where the observer sees.
         ShapeError: the last axis of `values` is not B.
+
+    >>> bands = Bands(tuple(range(400, 701, 10)))
+    >>> to_xyz(np.ones(bands.count), bands, "A").round(3)
+    array([1.098, 1.   , 0.356])
     """
     return _require_bands(values, bands) @ xyz_weights(bands, illuminant)
 
@@ -37,10 +53,21 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
     """Linear sRGB (Rec. 709 primaries, not clipped) of reflectance-like spectra, shape (..., 3).
 
     With `adapt` the illuminant's white is adapted to D65 (Bradford), so a perfect diffuser is (1, 1, 1)
-    under every illuminant, as it is for the eye; without it, things lit by illuminant A look orange. RGB
+    under every illuminant, as for an adapted observer; without it, colours under illuminant A are orange. RGB
     bands are linear sRGB already and are returned as they are.
 
-    Args, raises: as `to_xyz`.
+    Args:
+        values: spectra, shape (..., B).
+        bands: their B bands.
+        illuminant: one of `illuminant_names()`.
+        adapt: whether its white becomes that of D65.
+    Raises:
+        UsageError: there is no such illuminant, or it gives no light where the observer sees.
+        ShapeError: the last axis of `values` is not B.
+
+    >>> bands = Bands(tuple(range(400, 701, 10)))
+    >>> to_srgb(0.5 * np.ones(bands.count), bands, "A").round(3)
+    array([0.5, 0.5, 0.5])
     """
     values = _require_bands(values, bands)
     weights = xyz_weights(bands, illuminant)
@@ -55,30 +82,29 @@ def file_to_srgb(file: BsdfFile) -> BsdfFile:
     return replace(file, wavelengths_nm=None, spectra=np.moveaxis(rgb, -1, 2))
 
 
-def luminance(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
-    """Y of reflectance-like spectra, shape (...): 1 for a perfect diffuser, by default under D65.
+def luminance(values: Array, bands: Bands) -> Array:
+    """Y of reflectance-like spectra (..., B) under D65, shape (...): 1 for a perfect diffuser.
 
     D65 is the choice that agrees with the Y of linear sRGB, so spectral and RGB materials compare.
 
-    Args, raises: as `to_xyz`.
+    Raises:
+        ShapeError: the last axis of `values` is not B.
     """
-    return _require_bands(values, bands) @ xyz_weights(bands, illuminant)[:, 1]
+    weights = _RGB_WEIGHTS if bands.is_rgb else xyz_weights(bands)
+    return _require_bands(values, bands) @ weights[:, 1]
 
 
+@lru_cache(maxsize=64)
 def xyz_weights(bands: Bands, illuminant: str = "D65") -> Array:
     """The read-only matrix (B, 3) that takes band values to XYZ; see `to_xyz`.
 
     Raises:
         UsageError: there is no such illuminant, or it gives no light where the observer sees.
     """
-    return _xyz_weights(bands, illuminant_key(illuminant))
-
-
-@lru_cache(maxsize=64)
-def _xyz_weights(bands: Bands, illuminant: str) -> Array:
+    light = Illuminant.named(illuminant)
     if bands.is_rgb:
-        return frozen(srgb_matrix().T.copy())
-    nodes, weights = sensor_responses(Illuminant.named(illuminant))
+        return _RGB_WEIGHTS
+    nodes, weights = sensor_responses(light)
     return frozen(interpolation_matrix(np.asarray(bands.wavelengths_nm), nodes).T @ weights)
 
 
@@ -108,15 +134,15 @@ def interpolation_matrix(nodes: Array, at: Array) -> Array:
 
 def xyz_to_srgb(xyz: Array, white: Array | None = None) -> Array:
     """Linear sRGB (not clipped) of XYZ (..., 3), seen under a white (3,) that becomes (1, 1, 1); D65 by default."""
-    to_rgb = np.linalg.inv(srgb_matrix())
+    to_rgb = np.linalg.inv(SRGB_TO_XYZ)
     if white is not None:
-        to_rgb = to_rgb @ _adaptation(np.asarray(white, float), srgb_matrix().sum(axis=1))
+        to_rgb = to_rgb @ _adaptation(np.asarray(white, float), SRGB_TO_XYZ.sum(axis=1))
     return np.asarray(xyz) @ to_rgb.T
 
 
 def srgb_to_xyz(linear: Array) -> Array:
     """CIE XYZ of linear sRGB (..., 3); white is that of D65 with Y = 1."""
-    return np.asarray(linear) @ srgb_matrix().T
+    return np.asarray(linear) @ SRGB_TO_XYZ.T
 
 
 def encode_srgb(linear: Array) -> Array:
@@ -130,11 +156,6 @@ def decode_srgb(display: Array) -> Array:
     display = np.asarray(display, dtype=np.float64)
     curve = ((np.maximum(display, 0.0) + 0.055) / 1.055) ** 2.4
     return np.where(display <= 12.92 * 0.0031308, display / 12.92, curve)
-
-
-def srgb_matrix() -> Array:
-    """The matrix (3, 3) from linear sRGB to XYZ, read-only, from the primaries and white: the standard rounds it."""
-    return standard_tables().srgb
 
 
 def _adaptation(white: Array, target: Array) -> Array:

@@ -1,102 +1,111 @@
-"""Colour correction of one instrument to another: polynomials of its bands.
+"""Colour correction of one instrument to another: polynomials of three bands, and their JSON file.
 
-Errors are relative, so highlights do not rule. Beyond the values it was learned at, a polynomial is continued in
-proportion, since its higher terms explode there.
+Errors are relative, so that highlights do not dominate. Beyond the values it was learned from, a polynomial is
+continued in proportion, since its higher terms explode there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from manifold import __version__
+from manifold.colour.conversion import interpolation_matrix, to_srgb
+from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow
 from manifold.colour.tables import colour_science
-from manifold.errors import UsageError
-from manifold.records import Array
+from manifold.errors import FileFormatError, UsageError
+from manifold.records import Array, Bands, Indices, Mask
+from manifold.system import atomic
+from manifold.system.reading import read_json
 
-_LEAST = 1e-3  # of the largest value: what is darker counts as this dark
+_DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
+_FORMAT = "manifold colour correction"
+_CHEUNG = {f"Cheung 2004, {terms} terms": terms for terms in (5, 7, 8, 10, 11, 14, 20)}
+FORMS = ("linear", "root polynomial of degree 2", *_CHEUNG)
+"""Forms of a correction, simplest first."""
 
 
-def _expansions() -> dict[str, Callable[[Array], Array]]:
-    """Functions from three bands (n, 3) to terms (n, T), simplest first."""
+def _terms(form: str, x: Array) -> Array:
+    """Terms (n, T) of values x (n, 3)."""
+    if form == "linear":
+        return x
     of = colour_science().characterisation
-
-    def cheung(terms: int) -> Callable[[Array], Array]:
-        return lambda x: np.asarray(of.matrix_augmented_Cheung2004(x, terms))
-
-    return {
-        "linear": lambda x: x,
-        "root polynomial of degree 2": lambda x: np.asarray(
-            of.polynomial_expansion_Finlayson2015(x, 2, True)
-        ),
-        **{f"Cheung 2004, {terms} terms": cheung(terms) for terms in (5, 7, 8, 10, 11, 14, 20)},
-    }
-
-
-FORMS = (
-    "linear",
-    "root polynomial of degree 2",
-    *(f"Cheung 2004, {terms} terms" for terms in (5, 7, 8, 10, 11, 14, 20)),
-)
+    if form in _CHEUNG:
+        return np.asarray(of.matrix_augmented_Cheung2004(x, _CHEUNG[form]))
+    return np.asarray(of.polynomial_expansion_Finlayson2015(x, 2, True))
 
 
 @dataclass(frozen=True, eq=False)
 class ColourCorrection:
-    """From three bands of one instrument to B bands of another.
+    """From three bands of one instrument to B bands of a reference.
 
     Attributes:
+        source: the bands that are corrected.
+        reference: the bands of the result.
         form: one of `FORMS`.
         matrix: of the terms, shape (T, B).
         scale: by which values are divided before terms are made of them.
-        largest: norm of the largest of these that it was learned at.
+        largest: norm of the largest of these that it was learned from.
         errors: relative, left out one by one, of every form that was tried; NaN where there are too few values.
+        uncorrected: the relative error of spectra that are estimated without it, see `narrow_bands`; NaN where the
+            bands are not blue, green and red.
 
     Source: Cheung, Westland, Connah & Ripamonti 2004; Finlayson, Mackiewicz & Hurlbert 2015.
     """
 
+    source: Bands
+    reference: Bands
     form: str
     matrix: Array
     scale: float
     largest: float
     errors: dict[str, float]
-
-    @staticmethod
-    def terms_of(form: str) -> int:
-        """Number of terms of a form."""
-        return int(_expansions()[form](np.ones((1, 3))).shape[1])
+    uncorrected: float = float("nan")
 
     def apply(self, x: Array) -> Array:
         """Corrected values (n, B) of values x (n, 3), never negative."""
         x = np.asarray(x, dtype=np.float64) / self.scale
         beyond = np.maximum(np.linalg.norm(x, axis=1, keepdims=True) / self.largest, 1.0)
-        terms = _expansions()[self.form](np.maximum(x / beyond, 0.0))
-        return np.maximum(terms @ self.matrix * beyond * self.scale, 0.0)
+        terms = _terms(self.form, np.maximum(x / beyond, 0.0))
+        return np.asarray(np.maximum(terms @ self.matrix * beyond * self.scale, 0.0))
 
-    def is_beyond(self, x: Array) -> Array:
-        """Whether values (n, 3) are larger than any of the samples it was learned from, bool (n,)."""
-        return np.linalg.norm(np.asarray(x) / self.scale, axis=1) > self.largest
+    def is_beyond(self, x: Array) -> Mask:
+        """Whether values (n, 3) are larger than all that it was learned from, bool (n,)."""
+        return np.asarray(np.linalg.norm(x / self.scale, axis=1) > self.largest)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; None for an error that could not be measured."""
         errors = {form: None if np.isnan(error) else error for form, error in self.errors.items()}
         return {
             "form": self.form, "matrix": self.matrix.tolist(), "scale": self.scale, "largest": self.largest,
-            "errors": errors,
+            "errors": errors, "uncorrected": None if np.isnan(self.uncorrected) else self.uncorrected,
         }  # fmt: skip
 
 
 def learn_correction(
-    x: Array, y: Array, forms: Sequence[str] = FORMS, groups: Array | None = None
+    x: Array,
+    y: Array,
+    source: Bands,
+    reference: Bands,
+    *,
+    forms: Sequence[str] = FORMS,
+    groups: Indices | None = None,
 ) -> ColourCorrection:
     """The correction that is best on values left out; only forms with fewer terms than values are tried.
 
     Args:
         x: of the instrument to correct, at least 0, shape (n, 3).
         y: of the reference at the same places, shape (n, B).
+        source: bands of x.
+        reference: bands of y.
         forms: which to try.
-        groups: of which sample each value is, shape (n,): they are left out sample by sample; by default one by one.
+        groups: of which physical sample each value is, shape (n,), to leave out one sample at a time; by default
+            values are left out one by one.
     Raises:
         UsageError: fewer than four places, or all values are zero.
     """
@@ -106,31 +115,91 @@ def learn_correction(
             f"{len(x)} directions are shared, expected four or more with light to learn a colour correction from"
         )
     scale = float(x.max())
-    unit, target = x / scale, y / scale
-    weight = 1.0 / (np.linalg.norm(target, axis=1) + _LEAST)
-    known = _expansions()
+    unit, wanted = x / scale, y / scale
+    weight = 1.0 / (np.linalg.norm(wanted, axis=1) + _DARK)[:, None]
+    groups = np.arange(len(x), dtype=np.intp) if groups is None else groups
+    most_left_out = int(np.unique(groups, return_counts=True)[1].max())
     errors: dict[str, float] = {}
-    groups = np.arange(len(x)) if groups is None else np.asarray(groups)
-    largest = int(np.unique(groups, return_counts=True)[1].max())
     for form in forms:
-        terms = known[form](unit)
-        if terms.shape[1] < len(x) - largest:
-            errors[form] = _left_out(terms * weight[:, None], target * weight[:, None], groups)
+        terms = _terms(form, unit)
+        if terms.shape[1] < len(x) - most_left_out:
+            errors[form] = _left_out_error(terms * weight, wanted * weight, groups)
     if not errors:
         errors["linear"] = float("nan")
     best = min(errors, key=lambda form: (errors[form], len(form)))
-    terms = known[best](unit)
-    matrix = np.linalg.lstsq(terms * weight[:, None], target * weight[:, None], rcond=None)[0]
-    return ColourCorrection(best, matrix, scale, float(np.linalg.norm(unit, axis=1).max()), errors)
+    matrix = np.linalg.lstsq(_terms(best, unit) * weight, wanted * weight, rcond=None)[0]
+    largest = float(np.linalg.norm(unit, axis=1).max())
+    uncorrected = _uncorrected_error(unit, wanted, weight, source, reference)
+    return ColourCorrection(source, reference, best, matrix, scale, largest, errors, uncorrected)
 
 
-def _left_out(terms: Array, target: Array, groups: Array) -> float:
-    """Root mean square of what least squares miss, each group by a fit to the others."""
+def _uncorrected_error(x: Array, wanted: Array, weight: Array, source: Bands, reference: Bands) -> float:
+    """Root mean square relative error of spectra estimated from x (n, 3), at the bands of the reference."""
+    if not is_narrow(source):
+        return float("nan")
+    spectra = estimate_spectra(x, source)
+    if reference.wavelengths_nm is None:
+        made = to_srgb(spectra, SPECTRUM)
+    else:
+        at, nodes = np.array(reference.wavelengths_nm), np.array(SPECTRUM.wavelengths_nm)
+        made = spectra @ interpolation_matrix(nodes, at).T
+    return float(np.sqrt(np.mean(np.sum(((made - wanted) * weight) ** 2, axis=1))))
+
+
+def _left_out_error(terms: Array, wanted: Array, groups: Indices) -> float:
+    """Root mean square residual of least squares, each group predicted by a fit to the others."""
     inverse = np.linalg.pinv(terms)
-    missed = target - terms @ (inverse @ target)
+    residual = wanted - terms @ (inverse @ wanted)
     total = 0.0
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
         kept = np.eye(len(rows)) * (1.0 + 1e-9) - terms[rows] @ inverse[:, rows]
-        total += float(np.sum(np.linalg.solve(kept, missed[rows]) ** 2))
-    return float(np.sqrt(total / len(target)))
+        total += float(np.sum(np.linalg.solve(kept, residual[rows]) ** 2))
+    return float(np.sqrt(total / len(wanted)))
+
+
+def write_correction(path: Path, correction: ColourCorrection) -> None:
+    """Write a correction as a JSON file, atomically; wavelengths are in nm, or null for linear sRGB."""
+    content = {
+        "format": _FORMAT,
+        "program": f"manifold {__version__}",
+        "source_wavelengths_nm": correction.source.wavelengths_nm,
+        "wavelengths_nm": correction.reference.wavelengths_nm,
+    }
+    atomic.write_text(path, json.dumps(content | correction.to_json(), indent=1) + "\n")
+
+
+def read_correction(path: Path) -> ColourCorrection:
+    """Read a correction.
+
+    Raises:
+        UsageError: the file cannot be read.
+        FileFormatError: it is no colour correction, or a damaged one.
+    """
+    content = read_json(path, "a colour correction")
+    try:
+        return _from_json(content)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(
+            f"{path}: not a colour correction ({error}), expected a file of `write_correction`"
+        ) from error
+
+
+def _from_json(content: Any) -> ColourCorrection:
+    if content["format"] != _FORMAT or content["form"] not in FORMS:
+        raise ValueError("its format or form is unknown")
+    source, reference = (
+        Bands(None if content[key] is None else tuple(float(nm) for nm in content[key]))
+        for key in ("source_wavelengths_nm", "wavelengths_nm")
+    )
+    matrix = np.array(content["matrix"], dtype=np.float64)
+    shape = _terms(content["form"], np.ones((1, 3))).shape[1], reference.count
+    if matrix.shape != shape or not np.all(np.isfinite(matrix)):
+        raise ValueError(f"its matrix has shape {matrix.shape}, expected {shape} of finite numbers")
+    scale, largest = float(content["scale"]), float(content["largest"])
+    if not (0.0 < scale < np.inf and 0.0 < largest < np.inf):
+        raise ValueError("its scale or largest value is not positive")
+    errors = {str(form): np.nan if e is None else float(e) for form, e in content["errors"].items()}
+    uncorrected = content.get("uncorrected")
+    uncorrected = np.nan if uncorrected is None else float(uncorrected)
+    return ColourCorrection(source, reference, content["form"], matrix, scale, largest, errors, uncorrected)

@@ -74,10 +74,17 @@ def delta_e_2000(xyz: Array, xyz_star: Array, white: Array) -> Array:
         xyz, xyz_star: CIE XYZ, shape (..., 3), in the units of the white.
         white: XYZ of the perfect diffuser, shape (3,), with Y = 1.
     Source: CIE 142-2001; Sharma, Wu & Dalal 2005.
+
+    >>> white = np.array([0.9505, 1.0, 1.0891])
+    >>> float(delta_e_2000(0.20 * white, 0.21 * white, white).round(2))
+    1.09
     """
-    return np.asarray(
-        colour_science().delta_E(to_lab(xyz, white), to_lab(xyz_star, white), method="CIE 2000")
-    )
+    return delta_e_2000_lab(to_lab(xyz, white), to_lab(xyz_star, white))
+
+
+def delta_e_2000_lab(lab: Array, lab_star: Array) -> Array:
+    """CIEDE2000 between CIELAB colours (..., 3), shape (...)."""
+    return np.asarray(colour_science().delta_E(lab, lab_star, method="CIE 2000"))
 
 
 def delta_e_itp(xyz: Array, xyz_star: Array) -> Array:

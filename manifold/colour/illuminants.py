@@ -9,7 +9,7 @@ import numpy as np
 
 from manifold.colour.columns import read_columns
 from manifold.colour.tables import standard_tables
-from manifold.errors import FileFormatError, UsageError
+from manifold.errors import FileFormatError, UnknownNameError
 from manifold.records import Array, Bands
 from manifold.system.names import names_like
 
@@ -45,7 +45,12 @@ class Illuminant:
         Raises:
             UsageError: there is no such illuminant.
         """
-        nodes, power = standard_tables().illuminants[illuminant_key(name)]
+        key, known = _CIE_FLUORESCENT.get(name, name), standard_tables().illuminants
+        if key not in known:
+            raise UnknownNameError(
+                f"no illuminant named {name!r}; {names_like(illuminant_names(), name, 'there are')}"
+            )
+        nodes, power = known[key]
         return cls(name, tuple(nodes.tolist()), tuple(power.tolist()))
 
     @classmethod
@@ -84,15 +89,3 @@ def illuminant_power(bands: Bands, illuminant: str) -> Array:
     """
     lamp = Illuminant.named(illuminant)
     return np.ones(bands.count) if bands.is_rgb else lamp.at(np.asarray(bands.wavelengths_nm))
-
-
-def illuminant_key(name: str) -> str:
-    """An illuminant's name in colour-science.
-
-    Raises:
-        UsageError: there is no such illuminant.
-    """
-    key = _CIE_FLUORESCENT.get(name, name)
-    if key not in standard_tables().illuminants:
-        raise UsageError(f"no illuminant named {name!r}; {names_like(illuminant_names(), name, 'there are')}")
-    return key

@@ -36,6 +36,10 @@ def metal_ior(name: str, wavelengths_nm: Array) -> tuple[Array, Array]:
         UsageError: there is no such table.
         FileFormatError: a table does not hold pairs of numbers.
     Source: the tables `data/ior/*.spd` of Mitsuba 3 (luxpop.com, SOPRA, Palik).
+
+    >>> eta, k = metal_ior("Au", np.array([450.0, 650.0]))
+    >>> eta.round(2), k.round(2)
+    (array([1.51, 0.17]), array([1.88, 3.14]))
     """
     files = _ior_files()
     if name not in files:

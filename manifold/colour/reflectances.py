@@ -1,4 +1,4 @@
-"""Reflectance spectra: measured ones by name, from files, and smooth ones that look like a given colour."""
+"""Reflectance spectra: measured ones by name, from files, and smooth ones of a given colour."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from manifold.colour.columns import read_columns
 from manifold.colour.conversion import decode_srgb, to_srgb
 from manifold.colour.tables import colour_science, distribution, frozen
-from manifold.errors import FileFormatError, ShapeError, UsageError
+from manifold.errors import FileFormatError, ShapeError, UnknownNameError, UsageError
 from manifold.records import Array, Bands
 from manifold.system.names import names_like
 
@@ -47,12 +47,14 @@ def diffuse_reflectance(name: str, wavelengths_nm: Array) -> Array:
     key = name if name in known else next((k for k in known if k.split("/", 1)[1] == name), None)
     if key is None:
         plain = [k.split("/", 1)[1] for k in known]
-        raise UsageError(f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'there are')}")
+        raise UnknownNameError(
+            f"no reflectance named {name!r}; {names_like([*known, *plain], name, 'there are')}"
+        )
     return np.clip(np.interp(wavelengths_nm, *known[key]), 0.0, 1.0)
 
 
 def srgb_reflectance(display: Array, bands: Bands) -> Array:
-    """A smooth reflectance that looks like an sRGB colour under D65, in [0, 1], shape (B,).
+    """A smooth reflectance that has an sRGB colour under D65, in [0, 1], shape (B,).
 
     Of RGB bands, the linear colour itself.
 
@@ -77,7 +79,7 @@ def srgb_reflectance(display: Array, bands: Bands) -> Array:
 def srgb_spectra(bands: Bands) -> Array:
     """Smooth spectra of the three linear sRGB primaries under D65, read-only, shape (3, B), B wavelengths.
 
-    A colour times them is a spectrum that looks like it; none is negative, and they sum to 1 in every band.
+    A colour times them is a spectrum of that colour; none is negative, and they sum to 1 in every band.
 
     Source: Mallett & Yuksel 2019; held constant outside 380 to 780 nm.
     """
@@ -131,7 +133,7 @@ class ReflectanceSpectrum:
         nm, values = np.array(self.wavelengths_nm), np.array(self.values)
         if bands.is_rgb:
             return np.clip(to_srgb(values, Bands(self.wavelengths_nm)), 0.0, 1.0)
-        return np.interp(np.asarray(bands.wavelengths_nm), nm, values)
+        return np.asarray(np.interp(np.asarray(bands.wavelengths_nm), nm, values))
 
 
 def read_reflectance(path: Path, bands: Bands) -> Array:

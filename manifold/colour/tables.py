@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from manifold.records import Array
-from manifold.system.remembered import remembered
+from manifold.system.caching import cached
 
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 """The colour-matching functions behind XYZ and sRGB, by their name in colour-science."""
@@ -39,36 +39,34 @@ class StandardTables:
     Attributes:
         illuminants: wavelengths in nm and relative power, shape (K,) each, by name.
         observer: wavelengths in nm, shape (K,), and colour-matching functions, shape (K, 3).
-        srgb: from linear sRGB to XYZ, shape (3, 3), from the primaries and white: the standard rounds it.
         bradford: from XYZ to the cone responses that adaptation scales, shape (3, 3).
     """
 
     illuminants: Mapping[str, tuple[Array, Array]]
     observer: tuple[Array, Array]
-    srgb: Array
     bradford: Array
 
 
 @lru_cache(maxsize=1)
 def standard_tables() -> StandardTables:
-    """Illuminants, observer and matrices; colour-science, which takes a second to import, is asked once per version."""
-    names = ("illuminants", "observer", "srgb", "bradford")
+    """Illuminants, observer and matrices; cached per version of colour-science, which takes a second to import."""
+    names = ("illuminants", "observer", "bradford")
     key = f"{', '.join(names)} of colour-science {metadata.version('colour-science')}"
-    values = remembered("colour-science.json", key, _standard_values)
-    illuminants, observer, srgb, bradford = (values[name] for name in names)
+    values = cached("colour-science.json", key, _standard_values)
+    illuminants, observer, bradford = (values[name] for name in names)
     return StandardTables(
-        {name: _pair(*table) for name, table in illuminants.items()}, _pair(*observer), *_pair(srgb, bradford)
+        {name: _pair(*table) for name, table in illuminants.items()},
+        _pair(*observer),
+        frozen(np.array(bradford)),
     )
 
 
 def _standard_values() -> dict[str, Any]:
     colour = colour_science()
-    srgb = colour.RGB_COLOURSPACES["sRGB"]
     tables = {name: distribution(table) for name, table in colour.SDS_ILLUMINANTS.items()}
     return {
         "illuminants": {name: [a.tolist() for a in table] for name, table in tables.items()},
         "observer": [a.tolist() for a in distribution(colour.MSDS_CMFS[OBSERVER])],
-        "srgb": colour.normalised_primary_matrix(srgb.primaries, srgb.whitepoint).tolist(),
         "bradford": colour.adaptation.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"].tolist(),
     }
 
@@ -77,9 +75,9 @@ def _pair(first: list[Any], second: list[Any]) -> tuple[Array, Array]:
     return frozen(np.array(first, dtype=np.float64)), frozen(np.array(second, dtype=np.float64))
 
 
-def distribution(table: object) -> tuple[Array, Array]:
+def distribution(table: Any) -> tuple[Array, Array]:
     """Wavelengths in nm and values of one of colour-science's distributions, as plain arrays."""
-    return np.asarray(table.wavelengths, float), np.asarray(table.values, float)  # type: ignore[attr-defined]
+    return np.asarray(table.wavelengths, np.float64), np.asarray(table.values, np.float64)
 
 
 def frozen(a: Array) -> Array:

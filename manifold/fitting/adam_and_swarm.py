@@ -16,9 +16,8 @@ from manifold.colour.conversion import to_xyz
 from manifold.colour.difference import to_lab
 from manifold.directions import to_rusinkiewicz
 from manifold.errors import RendererError
-from manifold.fitting.bsdf_evaluation import Evaluator, bsdf_keys, evaluator, load_bsdf
+from manifold.fitting.bsdf_evaluation import bsdf_keys, evaluator, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily, FreeParameter
-from manifold.fitting.fit_metrics import Metric
 from manifold.fitting.fit_samples import FitSamples
 from manifold.fitting.gauss_newton import Minimum, Residuals
 from manifold.metrics import RusinkiewiczGrid
@@ -62,9 +61,7 @@ class SwarmOptions:
     seed: int = 0
 
 
-def adam(
-    family: BsdfFamily, samples: FitSamples, whole: Evaluator, metric: Metric, options: AdamOptions
-) -> Minimum:
+def adam(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: AdamOptions) -> Minimum:
     """Luminance alone for what the bands share, the colour white; then everything, in the squared linear error.
 
     Parameters are clamped to their ranges, colours to [0, 1], after every step.
@@ -72,8 +69,7 @@ def adam(
     Args:
         family: what to fit; colours come last.
         samples: RGB.
-        whole: evaluator of the samples.
-        metric: in which the result's cost is given; Adam does not see it.
+        residuals: in whose metric the result's cost is given; Adam does not see it.
         options: hyperparameters.
     Raises:
         RendererError: Mitsuba runs in a scalar variant, which cannot differentiate.
@@ -106,8 +102,8 @@ def adam(
     scene.update()
     converged &= _stage(mi, dr, scene, keys, shared + colours, lambda: loss(False), options)
     found = {o.name: np.array(scene[keys[o.name]], float).ravel() for o in family.parameters}
-    p = whole.layout.join(found)
-    return Minimum(p, _cost(samples, whole, metric, p), converged)
+    p = residuals.layout.join(found)
+    return Minimum(p, _cost(residuals, p), converged)
 
 
 def _stage(
@@ -139,9 +135,7 @@ def _stage(
     return False
 
 
-def swarm(
-    family: BsdfFamily, samples: FitSamples, whole: Evaluator, metric: Metric, options: SwarmOptions
-) -> Minimum:
+def swarm(family: BsdfFamily, samples: FitSamples, residuals: Residuals, options: SwarmOptions) -> Minimum:
     """Particles look for the least colour difference on a virtual hemisphere of looked-up measurements.
 
     Every virtual direction pair takes the value of the sample nearest in Rusinkiewicz's angles; differences are
@@ -150,8 +144,7 @@ def swarm(
     Args:
         family: what to fit.
         samples: RGB.
-        whole: evaluator of the samples.
-        metric: in which the result's cost is given.
+        residuals: in whose metric the result's cost is given.
         options: hyperparameters.
     """
     wi, wo, above = RusinkiewiczGrid(10, 8, 6).directions()
@@ -164,9 +157,9 @@ def swarm(
 
     def cost(p: Array) -> Array:
         f = virtual.values(p) / wo[:, 2:]
-        return np.mean(np.sum((_lab(np.pi * f, samples) - target) ** 2, axis=-1), axis=-1)
+        return np.asarray(np.mean(np.sum((_lab(np.pi * f, samples) - target) ** 2, axis=-1), axis=-1))
 
-    layout, rng = whole.layout, np.random.default_rng(options.seed)
+    layout, rng = residuals.layout, np.random.default_rng(options.seed)
     low = np.where(layout.is_per_band, np.maximum(layout.minimum, 0.0), layout.minimum)
     high = np.where(layout.is_per_band, np.minimum(layout.maximum, 1.0), layout.maximum)
     shape = (options.particles, layout.size)
@@ -182,11 +175,11 @@ def swarm(
         better = now < own_cost
         own[better], own_cost[better] = place[better], now[better]
     p = own[np.argmin(own_cost)]
-    return Minimum(p, _cost(samples, whole, metric, p), True)
+    return Minimum(p, _cost(residuals, p), True)
 
 
-def _cost(samples: FitSamples, whole: Evaluator, metric: Metric, p: Array) -> float:
-    return float(np.sum(Residuals(whole, samples, metric).value(whole.layout.inward(p)) ** 2))
+def _cost(residuals: Residuals, p: Array) -> float:
+    return float(np.sum(residuals.value(residuals.layout.inward(p)) ** 2))
 
 
 def _angles(wi: Array, wo: Array) -> Array:

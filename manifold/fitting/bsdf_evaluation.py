@@ -11,12 +11,12 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manifold.errors import UsageError
 from manifold.fitting.bsdf_parameters import BsdfFamily, Layout
-from manifold.records import Array
+from manifold.records import Array, Indices
 from manifold.rendering import backend
-from manifold.rendering.plugin_names import require_plugins, types_of
 
 _LANES = 1 << 20  # of one wavefront; more are evaluated one after the other
 
@@ -26,7 +26,7 @@ class Evaluator(Protocol):
 
     layout: Layout
 
-    def values(self, p: Array, rows: Array | None = None) -> Array:
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
         """f_cos of parameter vectors (P, K) at all pairs or some rows of them, shape (P, M, B)."""
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
@@ -81,7 +81,7 @@ def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = 
             content[parameter.name] = float(value)
         elif wavelengths_nm is None:
             colour = [float(v) for v in value]
-            # `rgb` refuses what is outside [0, 1]; `srgb` takes it where it is told to.
+            # `rgb` refuses what is outside [0, 1]; `srgb` takes it if unbounded.
             content[parameter.name] = {"type": "srgb", "color": colour, "unbounded": True}
         else:
             content[parameter.name] = {
@@ -93,7 +93,6 @@ def bsdf_dict(family: BsdfFamily, values: dict[str, Any], wavelengths_nm: Any = 
 
 
 def _load(mi: Any, content: dict[str, Any]) -> Any:
-    require_plugins(types_of(content), "description of a BSDF")
     try:
         # Equal textures would become one, and their parameters with them.
         loaded = mi.load_dict(content, optimize=False)
@@ -163,12 +162,12 @@ class LaneEvaluator:
         self._n_groups = -(-n_bands // 3)
         self._all = self._upload(np.arange(len(wi)))
 
-    def _upload(self, rows: Array) -> tuple[Any, Any]:
+    def _upload(self, rows: Indices) -> tuple[Any, Any]:
         wi, wo = (self._mi.Vector3f(np.ascontiguousarray(w[rows].T)) for w in (self._wi, self._wo))
         self._dr.eval(wi, wo)
         return wi, wo
 
-    def values(self, p: Array, rows: Array | None = None) -> Array:
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
         """See `Evaluator`."""
         p = np.atleast_2d(p)
         directions, m = (self._all, len(self._wi)) if rows is None else (self._upload(rows), len(rows))
@@ -217,12 +216,12 @@ class LaneEvaluator:
         value, slope = self._run(table, self._all, m, tangent)
         value, slope = (a.reshape(3, groups, n, m) for a in (value, slope))
 
-        def bands(channels: Array) -> Array:
-            return self._bands(np.ascontiguousarray(channels), 1, m)[0]
+        def bands(channels: Any) -> Array:
+            return np.asarray(self._bands(np.ascontiguousarray(channels), 1, m)[0])
 
         return bands(value[:, :, 0]), [bands(slope[:, :, k]) for k in range(n)]
 
-    def _triples(self, p: Array) -> Array:
+    def _triples(self, p: Array) -> NDArray[np.float32]:
         """Values (P, K) as Mitsuba sees them, shape (P * groups, parameters, 3)."""
         out = np.empty((len(p), self._n_groups, len(self._names), 3), np.float32)
         for j, name in enumerate(self._names):
@@ -234,12 +233,12 @@ class LaneEvaluator:
                 out[:, :, j] = value[:, :, None]
         return out.reshape(-1, len(self._names), 3)
 
-    def _bands(self, out: Array, n: int, m: int) -> Array:
+    def _bands(self, out: Any, n: int, m: int) -> Array:
         """Channels (3, n * groups * m) as bands (n, m, B)."""
         moved = out.reshape(3, n, self._n_groups, m).transpose(1, 3, 2, 0)
-        return moved.reshape(n, m, -1)[..., : self.layout.n_bands].astype(np.float64)
+        return np.asarray(moved.reshape(n, m, -1)[..., : self.layout.n_bands], dtype=np.float64)
 
-    def _run(self, table: Array, directions: tuple[Any, Any], m: int, tangent: Array | None) -> Any:
+    def _run(self, table: NDArray[np.float32], directions: tuple[Any, Any], m: int, tangent: Any) -> Any:
         """f_cos (3, R * m) of a table (R, parameters, 3), rows slowest; with tangents also the derivatives."""
         mi, dr = self._mi, self._dr
         n, width = table.shape[0], table.shape[1] * 3
@@ -280,7 +279,7 @@ def _lane_plugin(variant: str) -> str:
     """Register the lane texture for a variant; its plugin's name."""
     mi = backend.mitsuba(colour="rgb")
 
-    class LaneTexture(mi.Texture):  # type: ignore[name-defined]
+    class LaneTexture(mi.Texture):  # type: ignore[name-defined, misc]
         """A texture with one colour per lane of the wavefront, wherever the surface is hit."""
 
         def __init__(self, props: Any) -> None:
@@ -321,7 +320,7 @@ class ScalarEvaluator:
         self._wi = [mi.Vector3f(*map(float, w)) for w in wi]
         self._wo = [mi.Vector3f(*map(float, w)) for w in wo]
 
-    def values(self, p: Array, rows: Array | None = None) -> Array:
+    def values(self, p: Array, rows: Indices | None = None) -> Array:
         """See `Evaluator`."""
         p = np.atleast_2d(p)
         pairs = range(len(self._wi)) if rows is None else [int(r) for r in rows]
@@ -351,29 +350,23 @@ class ScalarEvaluator:
 
     def jacobian(self, p: Array) -> tuple[Array, Array]:
         """See `Evaluator`; central differences, one-sided at the ends of the ranges."""
-        layout = self.layout
-        step = 1e-3 * (layout.maximum - layout.minimum)
-        high = np.minimum(p + step, layout.maximum)
-        low = np.maximum(p - step, layout.minimum)
-        points = np.tile(p, (2 * layout.size + 1, 1))
-        index = np.arange(layout.size)
-        points[1 + index, index] = high
-        points[1 + layout.size + index, index] = low
-        all_values = self.values(points)
-        upper, lower = all_values[1 : 1 + layout.size], all_values[1 + layout.size :]
-        slope = (upper - lower) / (high - low)[:, None, None]
-        return all_values[0], np.moveaxis(slope, 0, -1)
+        return self._differentiate(p, [slice(k, k + 1) for k in range(self.layout.size)])
 
     def band_jacobian(self, p: Array) -> tuple[Array, Array]:
         """See `Evaluator`; differences as in `jacobian`, all bands moved at once."""
+        return self._differentiate(
+            p, [self.layout.slices[o.name] for o in self.layout.family.parameters if o.per_band]
+        )
+
+    def _differentiate(self, p: Array, places: list[slice]) -> tuple[Array, Array]:
+        """f_cos (M, B), and its derivatives (M, B, n) by the values of n places, those of a place moved together."""
         layout = self.layout
-        own = [o for o in layout.family.parameters if o.per_band]
-        low, high = np.tile(p, (len(own), 1)), np.tile(p, (len(own), 1))
-        for k, o in enumerate(own):
-            place = layout.slices[o.name]
-            high[k, place] = np.minimum(p[place] + 1e-3 * o.range, o.maximum)
-            low[k, place] = np.maximum(p[place] - 1e-3 * o.range, o.minimum)
-        all_values = self.values(np.concatenate([p[None], high, low]))
-        upper, lower = all_values[1 : 1 + len(own)], all_values[1 + len(own) :]
-        width = np.stack([(high - low)[k, layout.slices[o.name]] for k, o in enumerate(own)])  # (n, B)
-        return all_values[0], np.moveaxis((upper - lower) / width[:, None, :], 0, -1)
+        step = 1e-3 * (layout.maximum - layout.minimum)
+        high, low = np.tile(p, (len(places), 1)), np.tile(p, (len(places), 1))
+        for k, place in enumerate(places):
+            high[k, place] = np.minimum(p + step, layout.maximum)[place]
+            low[k, place] = np.maximum(p - step, layout.minimum)[place]
+        value, *moved = self.values(np.concatenate([p[None], high, low]))
+        pairs = zip(moved[: len(places)], moved[len(places) :], places, strict=True)
+        width = high - low
+        return value, np.stack([(u - v) / width[k, place] for k, (u, v, place) in enumerate(pairs)], axis=-1)

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from manifold.errors import UsageError
 from manifold.records import Array
-from manifold.rendering.plugin_names import holds_none
 
-TRANSFORMS = ("identity", "log", "square", "gloss")
-"""How the optimiser sees a parameter p: as p, log p, the square root of its distance from the minimum, or the logarithm
-of its distance from the maximum (and a hundredth of the range more), as a gloss from 0 to 1 makes a lobe's width."""
+Transform = Literal["identity", "log", "square", "gloss"]
+"""The optimiser's coordinate of a parameter p: p, log p, the square root of its distance from the minimum, or minus the
+logarithm of its distance from the maximum (plus a hundredth of the range), as a gloss sets the width of a lobe."""
 
 _LOG_FLOOR = 1e-6  # what log takes a minimum of 0 for
 _GLOSS_FLOOR = 0.0101  # Mitsuba's clear coat: alpha 0.1 at gloss 0, 0.001 at gloss 1
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value of a JSON document is a finite number that a float can hold."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-
-
-def _is_word(value: Any) -> bool:
-    return isinstance(value, str) and value != "" and value.isprintable()
 
 
 @dataclass(frozen=True)
@@ -39,7 +27,7 @@ class FreeParameter:
         name: as in Mitsuba's dictionaries.
         minimum, maximum: the range, ends included.
         default: where a search begins, and what a missing value means.
-        transform: one of `TRANSFORMS`.
+        transform: the coordinate in which the optimiser sees it.
         per_band: one value per band, such as a colour, instead of one for all.
         affine: the BSDF is an affine function of it, band by band; the global search then solves it exactly.
         tolerance: the standard error, doubled, up to which the parameter counts as determined.
@@ -50,38 +38,24 @@ class FreeParameter:
     minimum: float
     maximum: float
     default: float
-    transform: str = "identity"
+    transform: Transform = "identity"
     per_band: bool = False
     affine: bool = False
     tolerance: float = 0.02
     undetermined: float | None = None
 
     def __post_init__(self) -> None:
-        if not _is_word(self.name):
-            raise UsageError(f"parameter {self.name!r}: expected a name, as in Mitsuba's dictionaries")
-        numbers = (self.minimum, self.maximum, self.default, self.tolerance)
-        if not all(map(is_number, numbers)) or self.tolerance <= 0:
-            raise UsageError(f"parameter {self.name}: {numbers}, expected finite numbers, tolerance above 0")
-        if not self.minimum < self.maximum or not self.minimum <= self.default <= self.maximum:
+        """Raise UsageError for a range without values, or without the default."""
+        kept = self.default if self.undetermined is None else self.undetermined
+        if not (
+            self.minimum < self.maximum
+            and self.minimum <= self.default <= self.maximum
+            and self.minimum <= kept <= self.maximum
+        ):
             raise UsageError(
                 f"parameter {self.name}: range {self.minimum} to {self.maximum}, default {self.default}; "
-                "expected minimum < maximum with the default between"
+                "expected minimum < maximum, with the default and `undetermined` between"
             )
-        kept = self.default if self.undetermined is None else self.undetermined
-        if not is_number(kept) or not self.minimum <= kept <= self.maximum:
-            raise UsageError(
-                f"parameter {self.name}: undetermined is {kept!r}, expected a number from {self.minimum} to "
-                f"{self.maximum}"
-            )
-        if self.transform not in TRANSFORMS:
-            raise UsageError(
-                f"parameter {self.name}: transform {self.transform!r}, expected one of {', '.join(TRANSFORMS)}"
-            )
-        for key in ("per_band", "affine"):
-            if not isinstance(getattr(self, key), bool):
-                raise UsageError(
-                    f"parameter {self.name}: {key} is {getattr(self, key)!r}, expected true or false"
-                )
         if self.transform == "log" and self.minimum < 0:
             raise UsageError(
                 f"parameter {self.name}: log needs a minimum of at least 0, found {self.minimum}"
@@ -141,10 +115,6 @@ class BsdfFamily:
     fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not _is_word(self.type):
-            raise UsageError(f"BSDF {self.type!r}: expected the name of a Mitsuba plugin as its type")
-        if holds_none(self.fixed):
-            raise UsageError(f"BSDF {self.type}: fixed contains null, expected a value; remove that entry")
         names = [parameter.name for parameter in self.parameters]
         if not names or len(set(names)) != len(names) or set(names) & set(self.fixed):
             raise UsageError(
@@ -174,76 +144,41 @@ class BsdfFamily:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> BsdfFamily:
-        """The family of plain values: `type`, `parameters` (a list of `FreeParameter` fields) and `fixed`.
-
-        Raises:
-            UsageError: an entry is missing, unknown, or of the wrong kind.
-        """
-        try:
-            parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
-            return cls(content["type"], parameters, dict(content.get("fixed", {})))
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise UsageError(
-                f"description of a BSDF: {error}; expected type, parameters (name, minimum, maximum, default, "
-                "transform, per_band, affine, tolerance) and fixed"
-            ) from error
+        """The family of what `to_json` gives; files are validated by `fit_check.family_of`."""
+        parameters = tuple(FreeParameter(**entry) for entry in content["parameters"])
+        return cls(content["type"], parameters, dict(content.get("fixed", {})))
 
 
 class Layout:
     """The layout of a family's parameters in one vector of K numbers, for B bands.
 
     Parameters stand in the family's order; one that is per band takes B places.
+
+    Attributes:
+        family, n_bands: as given.
+        slices: places of each parameter, by name.
+        owner: the parameter of each place.
+        size: K.
+        minimum, maximum, default, tolerance: of each place, shape (K,).
+        is_per_band: places of parameters per band, bool (K,).
+        labels: name of each place; with the band's index where a parameter has several.
     """
 
     def __init__(self, family: BsdfFamily, n_bands: int) -> None:
-        self.family = family
-        self.n_bands = n_bands
+        self.family, self.n_bands = family, n_bands
         self.slices: dict[str, slice] = {}
         owner: list[FreeParameter] = []
-        for parameter in family.parameters:
-            size = n_bands if parameter.per_band else 1
-            self.slices[parameter.name] = slice(len(owner), len(owner) + size)
-            owner += [parameter] * size
-        self.owner = tuple(owner)
-
-    @property
-    def size(self) -> int:
-        """K."""
-        return len(self.owner)
-
-    @cached_property
-    def minimum(self) -> Array:
-        """Lower ends of the ranges, shape (K,)."""
-        return np.array([parameter.minimum for parameter in self.owner])
-
-    @cached_property
-    def maximum(self) -> Array:
-        """Upper ends of the ranges, shape (K,)."""
-        return np.array([parameter.maximum for parameter in self.owner])
-
-    @cached_property
-    def default(self) -> Array:
-        """Default values, shape (K,)."""
-        return np.array([parameter.default for parameter in self.owner])
-
-    @cached_property
-    def tolerance(self) -> Array:
-        """Tolerances, shape (K,)."""
-        return np.array([parameter.tolerance for parameter in self.owner])
-
-    @cached_property
-    def is_per_band(self) -> Array:
-        """Entries that belong to parameters per band, bool (K,)."""
-        return np.array([parameter.per_band for parameter in self.owner])
-
-    @cached_property
-    def labels(self) -> tuple[str, ...]:
-        """A name per place: the parameter's, with the band's index where there are several."""
-        return tuple(
-            f"{name}[{k}]" if self.family.named(name).per_band else name
-            for name, place in self.slices.items()
-            for k in range(place.stop - place.start)
-        )
+        labels: list[str] = []
+        for o in family.parameters:
+            size = n_bands if o.per_band else 1
+            self.slices[o.name] = slice(len(owner), len(owner) + size)
+            owner += [o] * size
+            labels += [f"{o.name}[{k}]" for k in range(size)] if o.per_band else [o.name]
+        self.owner, self.labels, self.size = tuple(owner), tuple(labels), len(owner)
+        self.minimum, self.maximum, self.default, self.tolerance = np.array(
+            [(o.minimum, o.maximum, o.default, o.tolerance) for o in owner], float
+        ).T
+        self.is_per_band = np.array([o.per_band for o in owner])
 
     def inward(self, p: Array) -> Array:
         """Values (..., K) as the optimiser sees them."""
@@ -259,7 +194,7 @@ class Layout:
 
     def join(self, values: Mapping[str, Any]) -> Array:
         """The vector (K,) of values by name; defaults where a name is missing."""
-        out = self.default.copy()
+        out: Array = self.default.copy()
         for name, value in values.items():
             out[self.slices[name]] = value
         return out
@@ -270,11 +205,6 @@ class Layout:
             name: [float(v) for v in p[place]] if self.family.named(name).per_band else float(p[place.start])
             for name, place in self.slices.items()
         }
-
-    def with_bands(self, p: Array, n_bands: int) -> Array:
-        """The same material in another number of bands, where every band starts from the mean of p's."""
-        other = Layout(self.family, n_bands)
-        return other.join({name: np.mean(p[place]) for name, place in self.slices.items()})
 
 
 _COLOUR = FreeParameter("base_color", 0.0, 1.0, 0.5, per_band=True, affine=True, tolerance=0.01)
@@ -320,7 +250,7 @@ def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool 
 
 
 def default_principled(is_isotropic: bool = True, *, wide_colours: bool = False) -> BsdfFamily:
-    """`principled` as it is fitted unless another is asked for: to anisotropic materials with `anisotropic` free."""
+    """`principled` as it is fitted by default: with `anisotropic` free for anisotropic materials."""
     names = PRINCIPLED_DEFAULT if is_isotropic else (*PRINCIPLED_DEFAULT, "anisotropic")
     return principled(names, wide_colours=wide_colours)
 

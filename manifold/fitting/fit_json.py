@@ -13,8 +13,7 @@ from manifold import __version__
 from manifold.fitting import fit_check
 from manifold.fitting.bsdf_evaluation import bsdf_dict, load_bsdf
 from manifold.fitting.bsdf_parameters import BsdfFamily
-from manifold.rendering.plugin_names import require_plugins, types_of
-from manifold.system import atomic, small_files
+from manifold.system import atomic, reading
 
 if TYPE_CHECKING:
     from manifold.fitting.principled import FitResult
@@ -45,39 +44,25 @@ class Source:
 
 def document(result: FitResult, source: Source) -> dict[str, Any]:
     """A fit as plain values, as the schema describes them."""
-    wavelengths = result.bands.wavelengths_nm
-    spectral = dict(result.values) | result.spectra
+    wavelengths, own = result.bands.wavelengths_nm, result.spectra
+    known = asdict(result)
+    del known["bands"]
     content = {
         "format": "manifold fit",
         "format_version": FORMAT_VERSION,
         "program": PROGRAM,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": asdict(source) | {"latent": None if source.latent is None else list(source.latent)},
-        "bsdf": result.family.to_json(),
-        "values": dict(result.values),
-        "spectra": {"wavelengths_nm": list(wavelengths), "values": result.spectra}
-        if result.spectra and wavelengths is not None
-        else None,
+        "source": asdict(source),
+        "bsdf": known.pop("family"),
         "mitsuba": bsdf_dict(result.family, result.values),
-        "mitsuba_spectral": bsdf_dict(result.family, spectral, wavelengths) if result.spectra else None,
-        "method": result.method,
-        "metric": result.metric,
-        "hyperparameters": result.hyperparameters,
-        "residuals": result.residuals,
-        "diffuse_residual": result.diffuse_residual,
-        "spectral_residual": result.spectral_residual,
-        "minima": [asdict(minimum) for minimum in result.minima],
-        "statements": [asdict(statement) for statement in result.statements],
-        "notes": list(result.notes),
-        "n_pairs": result.n_pairs,
-        "variant": result.variant,
-        "seconds": result.seconds,
-    }
-    return signed(content)
+        "mitsuba_spectral": bsdf_dict(result.family, result.values | own, wavelengths) if own else None,
+    } | known
+    content["spectra"] = {"wavelengths_nm": wavelengths, "values": own} if own else None
+    return signed(json.loads(json.dumps(content, allow_nan=False)))  # lists for tuples, as it is read again
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """Plain values with the hash that tells later whether somebody changed them."""
+    """Plain values with the hash by which later changes are found."""
     return content | {"sha256": _digest(content)}
 
 
@@ -97,15 +82,14 @@ def write_document(path: Path, content: dict[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The plain values of a written fit, checked as in `fit_check.require_fit`.
+    """The plain values of a written fit, validated.
 
     Raises:
         UsageError: there is no such file.
         FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
     """
-    content = small_files.read_json(path, "the JSON of a fit")
+    content: dict[str, Any] = reading.read_json(path, "the JSON of a fit")
     fit_check.require_fit(content, path.name)
-    require_plugins(types_of([content["mitsuba"], content["mitsuba_spectral"]]), path.name)
     return content
 
 

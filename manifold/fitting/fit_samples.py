@@ -1,40 +1,56 @@
-"""Tables of reflectance samples that BSDFs are fitted to: from arrays, files, or any BRDF."""
+"""What BSDFs are fitted to: reflectance samples from arrays, readings or any BRDF, and pixels of a ball."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
-from manifold.brdf.cells import cells_of
-from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.unmeasured import unmeasured_cells
+from manifold.brdf.measured import EvaluableBRDF
+from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
-from manifold.directions import normalize, require_directions
+from manifold.colour.narrow_bands import with_spectra
+from manifold.directions import require_directions
 from manifold.errors import ShapeError, UsageError
 from manifold.formats.readings import Readings
 from manifold.metrics import RusinkiewiczGrid
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, Indices
 
 MIN_PAIRS = 4
 MAX_PAIRS = 2048
 _GRAZING_COS = 0.05  # 87 degrees: beyond, instruments and files extrapolate
+_BALL = (6, 18, 8)  # pixels, rings and spokes: 3,100 direction pairs
 
 
-class EvaluableBRDF(Protocol):
-    """The interface of a BRDF that fits and balls need."""
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """A small picture of a ball, lit from behind: errors are reported in the other light, which fits do not see.
 
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
+    Attributes:
+        wi, wo: the direction pairs that light it, unit vectors (P, 3).
+        light: what values f_cos at the pairs are multiplied by, shape (P, 1).
+        starts: first direction pair of each pixel, shape (K,).
+        values: linear radiance of the material's pixels, a white surface's being 1 in white surroundings; (K, B).
+    """
 
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether f is invariant under rotation of both directions about the normal."""
+    wi: Array
+    wo: Array
+    light: Array
+    starts: Indices
+    values: Array
 
-    def eval(self, wi: Array, wo: Array) -> Array:
-        """BRDF f in 1/sr, shape (..., B)."""
+    @classmethod
+    def of_brdf(cls, brdf: EvaluableBRDF) -> Pixels:
+        """The ball of a material; negative values of a prediction count as 0."""
+        ball = ball_colours.ball(*_BALL, turned_deg=180.0)
+        light = (ball.light / ball.wo[:, 2])[:, None]
+        empty = cls(ball.wi, ball.wo, light, ball.starts, np.zeros(0))
+        f_cos = np.maximum(brdf.eval(ball.wi, ball.wo), 0.0) * ball.wo[:, 2:]
+        return replace(empty, values=empty.of(f_cos))
+
+    def of(self, f_cos: Array) -> Array:
+        """Pixels (..., K, B) of values (..., P, B)."""
+        return np.asarray(np.add.reduceat(f_cos * self.light, self.starts, axis=-2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +62,8 @@ class FitSamples:
         f: BRDF in 1/sr, shape (M, B).
         weight: importance of each direction pair, mean 1, shape (M,).
         bands: the B bands.
-        is_isotropic: whether the material is; also where nobody knows.
+        is_isotropic: whether the material is, or is assumed to be.
+        pixels: of the material's ball in the same bands; None where it is known at the samples alone.
     """
 
     wi: Array
@@ -55,6 +72,7 @@ class FitSamples:
     weight: Array
     bands: Bands
     is_isotropic: bool = True
+    pixels: Pixels | None = None
 
     @classmethod
     def from_arrays(
@@ -80,7 +98,17 @@ class FitSamples:
             raise ShapeError(
                 f"values have shape {f.shape}, expected {(len(wi), bands.count)}: one row per pair, {bands}"
             )
-        _require_values(f)
+        for bad, what, error in (
+            (~np.isfinite(f), "not finite", ShapeError),
+            (f < 0, "negative", UsageError),
+        ):
+            if np.any(bad):
+                first = tuple(np.argwhere(bad)[0].tolist())
+                raise error(
+                    f"{np.count_nonzero(bad)} of {f.size} values are {what} (first at {first}); drop those"
+                )
+        if not np.any(f > 0):
+            raise UsageError("values are all 0: there is nothing to fit; check the measurement")
         below = int(np.count_nonzero((wi[:, 2] <= 0) | (wo[:, 2] <= 0)))
         if below:
             raise ShapeError(f"{below} of {len(wi)} direction pairs lie below the horizon; drop them")
@@ -111,7 +139,7 @@ class FitSamples:
         order = np.argsort(np.modf(np.arange(len(self)) * (0.5 * (np.sqrt(5.0) - 1.0)))[0], kind="stable")
         return self.subset(np.sort(order[:n]))
 
-    def subset(self, rows: Array) -> FitSamples:
+    def subset(self, rows: Indices) -> FitSamples:
         """The samples of the given rows."""
         weight = self.weight[rows]
         wi, wo, f = self.wi[rows], self.wo[rows], self.f[rows]
@@ -121,61 +149,21 @@ class FitSamples:
         """The same samples in linear sRGB under D65; colours outside Rec. 709 keep their negative values."""
         if self.bands.is_rgb:
             return self
-        return replace(self, f=to_srgb(self.f, self.bands), bands=Bands(None))
-
-
-def _require_values(f: Array) -> None:
-    bad = ~np.isfinite(f)
-    if np.any(bad):
-        at = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise ShapeError(f"values: {int(bad.sum())} of {f.size} are not finite (first at {at}); drop those")
-    if np.any(f < 0):
-        at = tuple(int(i) for i in np.argwhere(f < 0)[0])
-        raise UsageError(
-            f"values: {int((f < 0).sum())} of {f.size} are negative (first at {at}), expected 1/sr; "
-            "clip noise to 0 or drop those pairs"
-        )
-    if f.size and not np.any(f > 0):
-        raise UsageError("values are all 0: there is nothing to fit; check the measurement")
-
-
-def file_pairs(file: BsdfFile) -> tuple[Array, Array]:
-    """The direction pairs at which a file was measured: wi and wo, each (M, 3).
-
-    Left out are cells that the file marks as unmeasured or that hold nothing, and elevations above 87 degrees.
-
-    Raises:
-        UsageError: nothing is left.
-    """
-    mask = file.measured_mask & ~unmeasured_cells(file)
-    all_wi, all_wo = [], []
-    for p, t, cells in cells_of(file):
-        far = (cells.wo[..., 2] >= _GRAZING_COS) & (cells.wi[2] >= _GRAZING_COS)
-        wo = cells.wo[mask[p, t] & cells.is_above & far]
-        all_wo.append(normalize(wo))
-        all_wi.append(np.broadcast_to(cells.wi, wo.shape))
-    if not any(map(len, all_wo)):
-        raise UsageError(
-            "no measured cell below 87 degrees is above 0: there is nothing to fit; check the file"
-        )
-    return np.concatenate(all_wi), np.concatenate(all_wo)
-
-
-def from_file(file: BsdfFile, *, max_pairs: int = MAX_PAIRS) -> FitSamples:
-    """Samples of a file at the direction pairs at which it was measured, at most `max_pairs` of them."""
-    wi, wo = file_pairs(file)
-    brdf = MeasuredBRDF(file)
-    f = np.maximum(brdf.eval(wi, wo), 0.0)
-    samples = FitSamples.from_arrays(wi, wo, f, bands=brdf.bands).subsample(max_pairs)
-    return replace(samples, is_isotropic=file.is_isotropic)
+        pixels = self.pixels
+        if pixels is not None:
+            pixels = replace(pixels, values=to_srgb(pixels.values, self.bands))
+        return replace(self, f=to_srgb(self.f, self.bands), bands=Bands(None), pixels=pixels)
 
 
 def from_readings(readings: Readings) -> FitSamples:
     """Samples of an instrument's readings: those measured in all bands, 87 degrees from the normal at most.
 
+    Three narrow bands become spectra, see `colour.narrow_bands`.
+
     Raises:
         UsageError: fewer than four different pairs are left, or all values are 0.
     """
+    readings = with_spectra(readings)
     far = np.minimum(readings.wi[:, 2], readings.wo[:, 2]) >= _GRAZING_COS
     kept = np.flatnonzero(far & readings.measured.all(axis=1) & (readings.weights > 0.0))
     if len(kept) < MIN_PAIRS:
@@ -189,11 +177,11 @@ def from_readings(readings: Readings) -> FitSamples:
 
 
 def from_brdf(brdf: EvaluableBRDF) -> FitSamples:
-    """Samples of a BRDF, dense around the mirror direction; negative values of a prediction count as 0."""
+    """Samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0."""
     wi, wo, above = RusinkiewiczGrid().suited_to(brdf.is_isotropic).directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
     if len(keep) > MAX_PAIRS:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:MAX_PAIRS])
     wi, wo = wi[keep], wo[keep]
     samples = FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)
-    return replace(samples, is_isotropic=brdf.is_isotropic)
+    return replace(samples, is_isotropic=brdf.is_isotropic, pixels=Pixels.of_brdf(brdf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from manifold.records import Array, Bands
 class FittedBRDF:
     """Values of a fit in linear sRGB, or in its bands where colours were fitted per band. It does not sample."""
 
-    def __init__(self, content: dict[str, Any]):
+    def __init__(self, content: Mapping[str, Any]):
         """Take the content of a fit's JSON; see `fit_json.read`."""
         self._family = BsdfFamily.from_json(content["bsdf"])
         self._values = dict(content["values"])
@@ -25,6 +26,14 @@ class FittedBRDF:
         if content["spectra"] is not None:
             self._values |= content["spectra"]["values"]
             self._bands = Bands(tuple(float(w) for w in content["spectra"]["wavelengths_nm"]))
+
+    @classmethod
+    def of(
+        cls, family: BsdfFamily, values: Mapping[str, Any], bands: Bands, spectra: Mapping[str, Any]
+    ) -> FittedBRDF:
+        """That of fitted values, with those per band in `spectra` unless it is empty."""
+        known = {"wavelengths_nm": bands.wavelengths_nm, "values": spectra} if spectra else None
+        return cls({"bsdf": family.to_json(), "values": values, "spectra": known})
 
     @classmethod
     def read(cls, path: Path) -> FittedBRDF:

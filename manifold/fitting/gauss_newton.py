@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from manifold.errors import NumericalError
-from manifold.fitting.bsdf_evaluation import Evaluator
-from manifold.fitting.bsdf_parameters import Layout
-from manifold.fitting.fit_metrics import Metric
+from manifold.fitting.bsdf_evaluation import evaluator
+from manifold.fitting.bsdf_parameters import BsdfFamily, Layout
+from manifold.fitting.fit_metrics import Criterion
 from manifold.fitting.fit_samples import FitSamples
-from manifold.records import Array, Progress
+from manifold.records import Array, Indices, Mask, Progress
 from manifold.system.stages import Stages, with_progress
 
-_BAND_ITERATIONS = 20  # of `refine_bands`, at most
+_BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # of `refine_bands`, at most
 _VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
 
 
@@ -27,7 +28,7 @@ class GaussNewton:
 
     Attributes:
         n_search: parameter vectors of the coarse search, a power of two.
-        search_pairs: direction pairs it looks at.
+        search_pairs: direction pairs on which it is evaluated.
         n_starts: of those vectors, how many are refined; where the samples are no more than `coarse_pairs`, also the
             best vectors with a low and with a high value of each shared parameter, in and out of that quarter of its
             range.
@@ -43,7 +44,7 @@ class GaussNewton:
     search_pairs: int = 160
     n_starts: int = 6
     coarse_pairs: int = 320
-    coarse_iterations: int = 10
+    coarse_iterations: int = 6
     iterations: int = 60
     tolerance: float = 1e-5
     n_fine: int = 3
@@ -71,13 +72,12 @@ class Minimum:
 
 
 class Residuals:
-    """Residuals of samples as functions of what the optimiser sees, shape (M * B,), value and Jacobian shared."""
+    """Residuals as functions of what the optimiser sees, shape (R * B,), value and Jacobian shared."""
 
-    def __init__(self, evaluator: Evaluator, samples: FitSamples, metric: Metric) -> None:
-        self.evaluator, self.metric = evaluator, metric
-        self.layout = evaluator.layout
-        self._root = np.sqrt(samples.weight)[:, None]
-        self._target = metric(samples.f_cos)
+    def __init__(self, family: BsdfFamily, criterion: Criterion) -> None:
+        self.criterion = criterion
+        self.evaluator = evaluator(family, criterion.wi, criterion.wo, 3)
+        self.layout = self.evaluator.layout
         self._last: tuple[bytes, Array, Array] | None = None
 
     def _both(self, t: Array) -> tuple[Array, Array]:
@@ -88,25 +88,24 @@ class Residuals:
         return self._last[1], self._last[2]
 
     def value(self, t: Array) -> Array:
-        """Residuals (M * B,) at t (K,)."""
+        """Residuals (R * B,) at t (K,)."""
         return self._both(t)[0]
 
     def jacobian(self, t: Array) -> Array:
-        """Their derivatives by t, shape (M * B, K)."""
+        """Their derivatives by t, shape (R * B, K)."""
         return self._both(t)[1]
 
     def by_parameter(self, p: Array) -> tuple[Array, Array]:
-        """Residuals (M * B,) and their derivatives by the parameters themselves, (M * B, K)."""
+        """Residuals (R * B,) and their derivatives by the parameters themselves, (R * B, K)."""
         value, slope = self.evaluator.jacobian(p)
         slope[~np.isfinite(slope)] = 0.0  # a derivative that is infinite at the end of a range moves nothing
-        residual = self._root * (self.metric(value) - self._target)
-        J = (self._root * self.metric.slope(value))[..., None] * slope
-        return residual.ravel(), J.reshape(-1, self.layout.size)
+        J = self.criterion.slope(value, slope)
+        return self.criterion.residual(value).ravel(), J.reshape(-1, self.layout.size)
 
 
 def minimize(
     residuals: Residuals, start: Array, iterations: int, tolerance: float, part: tuple[Array, Array] | None = None,
-    kept: Array | None = None,
+    kept: Mask | None = None,
 ) -> Minimum:  # fmt: skip
     """Refine parameter values within their ranges.
 
@@ -143,9 +142,7 @@ def minimize(
     return Minimum(p, 2.0 * float(found.cost), found.status > 0, part)
 
 
-def search(
-    evaluator: Evaluator, samples: FitSamples, metric: Metric, options: GaussNewton
-) -> tuple[Array, Array]:
+def search(residuals: Residuals, options: GaussNewton) -> tuple[Array, Array]:
     """Parameter vectors spread over the ranges, and their costs on a few of the samples, best first.
 
     Bands share their values in a vector, except those of an affine parameter: two evaluations give its best value
@@ -156,7 +153,8 @@ def search(
     Raises:
         NumericalError: it is finite nowhere.
     """
-    layout = evaluator.layout
+    layout, bsdf, metric = residuals.layout, residuals.evaluator, residuals.criterion.metric
+    samples = residuals.criterion.samples
     rows = _spread(len(samples), options.search_pairs)
     y, w = samples.f_cos[rows], samples.weight[rows][:, None]
     names = [o.name for o in layout.family.parameters]
@@ -169,12 +167,12 @@ def search(
         low, high = o.inward(o.minimum), o.inward(o.maximum)
         points[:, layout.slices[name]] = o.outward(low + (high - low) * sobol[:, j])[:, None]
     if solved is None:
-        model = evaluator.values(points, rows)
+        model = bsdf.values(points, rows)
     else:
         place, o = layout.slices[solved], layout.family.named(solved)
         black, white = points.copy(), points.copy()
         black[:, place], white[:, place] = 0.0, 1.0
-        both = evaluator.values(np.concatenate([black, white]), rows)
+        both = bsdf.values(np.concatenate([black, white]), rows)
         offset, gain = both[: len(points)], both[len(points) :] - both[: len(points)]
         W = w * metric.slope(y) ** 2
         best = np.sum(W * gain * (y - offset), axis=1) / np.maximum(np.sum(W * gain * gain, axis=1), 1e-30)
@@ -204,48 +202,45 @@ def _cost(minimum: Minimum) -> float:
     return minimum.cost
 
 
-def select_minima(minima: list[Minimum], is_as_good: Callable[[float, float], bool]) -> list[Minimum]:
+def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
     """Minima, best first, and of the rivals those that noise may hide and in whose part no such minimum lies.
 
     Args:
         minima: as `find_minima` returns them.
-        is_as_good: of a cost and the best one, whether noise may hide their difference.
+        limit: difference of two costs that noise may hide.
     """
     best = minima[0].cost
     kept = [one for one in minima if one.part is None]
     for one in minima:
-        if one.part is None or not is_as_good(one.cost, best):
+        if one.part is None or one.cost - best > limit:
             continue
         lower, upper = one.part
         if not any(
-            is_as_good(other.cost, best) and np.all((other.p >= lower) & (other.p <= upper)) for other in kept
+            other.cost - best <= limit and np.all((other.p >= lower) & (other.p <= upper)) for other in kept
         ):
             kept.append(one)
     return sorted(kept, key=lambda minimum: max(minimum.cost, best))
 
 
 def find_minima(
-    evaluator: Evaluator, samples: FitSamples, metric: Metric, options: GaussNewton,
-    coarse: Evaluator, on_progress: Progress | None = None,
-) -> list[Minimum]:  # fmt: skip
+    residuals: Residuals, options: GaussNewton, on_progress: Progress | None = None
+) -> list[Minimum]:
     """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`.
 
     Args:
-        evaluator: of all samples.
-        samples: what is fitted.
-        metric: measure of the residuals.
+        residuals: of all samples.
         options: hyperparameters.
-        coarse: evaluator of `coarse_rows(samples, options)`.
         on_progress: called after each refinement.
     """
     stages = Stages(on_progress, {"coarse search": 4, "refinement": 3, "valleys": 3})
     at_start = stages.begin("coarse search")
-    layout = evaluator.layout
+    layout = residuals.layout
     scale = layout.maximum - layout.minimum
-    points, _ = search(evaluator, samples, metric, options)
+    points, _ = search(residuals, options)
     starts = _diverse(layout.inward(points), points, layout.is_per_band, options.n_starts)
-    few = samples.subset(coarse_rows(samples, options))
-    first = Residuals(coarse, few, metric)
+    samples = residuals.criterion.samples
+    few = samples.subset(_spread(len(samples), options.coarse_pairs))
+    first = Residuals(layout.family, Criterion(few, residuals.criterion.metric.name))
     if len(few) == len(samples):  # few samples leave room for rivals
         parts = _outer_quarters(points, layout)
         rivals = [
@@ -262,13 +257,12 @@ def find_minima(
     candidates = distinct(scale, rough, 0.05)
     best = candidates[0].cost
     chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
-    full = Residuals(evaluator, samples, metric)
     in_chosen = with_progress(chosen, stages.begin("refinement"))
-    ends = [minimize(full, one.p, options.iterations, options.tolerance) for one in in_chosen]
+    ends = [minimize(residuals, one.p, options.iterations, options.tolerance) for one in in_chosen]
     best_end = min(ends, key=_cost)
     for _ in with_progress(range(options.n_walks), stages.begin("valleys")):
-        starts = _along_the_valley(full, samples, best_end, options)
-        beside = [minimize(full, start, options.iterations, options.tolerance) for start in starts]
+        starts = _along_the_valley(residuals, best_end, options)
+        beside = [minimize(residuals, start, options.iterations, options.tolerance) for start in starts]
         ends += beside
         if not beside or min(map(_cost, beside)) >= best_end.cost * (1.0 - 1e-6):
             break
@@ -276,40 +270,43 @@ def find_minima(
     return distinct(scale, ends, 0.02)
 
 
-def refine_bands(evaluator: Evaluator, samples: FitSamples, metric: Metric, p: Array) -> tuple[Array, Array]:
+def refine_bands(
+    family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
+) -> tuple[dict[str, float | list[float]], float]:
     """Values of the parameters per band, each band by itself, what bands share kept.
 
-    Levenberg-Marquardt in all bands at once. Values stay above 0: Mitsuba takes no negative spectra.
+    Levenberg-Marquardt in all bands at once, at some of the samples. Values stay above 0: Mitsuba takes no negative
+    spectra.
 
     Args:
-        evaluator: of all samples in their B bands.
-        samples: what is fitted.
+        family: what is fitted.
+        samples: to what, in B bands.
         metric: measure of the residuals.
-        p: where to begin, shape (K,).
+        values: by name, in RGB; every band starts from their mean.
     Returns:
-        Values (K,), and f_cos (M, B) there.
+        All values by name, and the relative residual.
     """
-    layout = evaluator.layout
-    own = [layout.slices[o.name] for o in layout.family.parameters if o.per_band]
+    criterion = Criterion(samples.subset(_spread(len(samples), _BAND_PAIRS)), metric)
+    bands = evaluator(family, criterion.wi, criterion.wo, samples.bands.count)
+    layout = bands.layout
+    p = layout.join({name: np.mean(value) for name, value in values.items()})
+    own = [layout.slices[o.name] for o in family.parameters if o.per_band]
     index = np.stack([np.arange(place.start, place.stop) for place in own], axis=1)  # (B, n)
     lower, upper = np.maximum(layout.minimum, 0.0)[index], layout.maximum[index]
-    root, target = np.sqrt(samples.weight)[:, None], metric(samples.f_cos)
-    p = p.copy()
     p[index] = np.clip(p[index], lower, upper)
-    value, slope = evaluator.band_jacobian(p)
-    cost = np.sum((root * (metric(value) - target)) ** 2, axis=0)  # (B,)
+    value, slope = bands.band_jacobian(p)
+    cost = np.sum(criterion.residual(value) ** 2, axis=0)  # (B,)
     damping = np.full(len(index), 1e-3)
     for _ in range(_BAND_ITERATIONS):
-        residual = root * (metric(value) - target)
-        J = (root * metric.slope(value))[..., None] * slope  # (M, B, n)
+        residual, J = criterion.residual(value), criterion.slope(value, slope)  # (R, B), (R, B, n)
         hessian = np.einsum("mbi,mbj->bij", J, J)
         gradient = np.einsum("mbi,mb->bi", J, residual)
         diagonal = np.einsum("bii->bi", hessian)
         scaled = hessian + (damping[:, None] * diagonal + 1e-30)[:, None, :] * np.eye(len(own))
         trial = p.copy()
         trial[index] = np.clip(p[index] - np.linalg.solve(scaled, gradient[..., None])[..., 0], lower, upper)
-        new_value, new_slope = evaluator.band_jacobian(trial)
-        new_cost = np.sum((root * (metric(new_value) - target)) ** 2, axis=0)
+        new_value, new_slope = bands.band_jacobian(trial)
+        new_cost = np.sum(criterion.residual(new_value) ** 2, axis=0)
         better = new_cost < cost
         step = np.max(np.abs(trial - p)[index])
         p[index[better]] = trial[index[better]]
@@ -319,22 +316,17 @@ def refine_bands(evaluator: Evaluator, samples: FitSamples, metric: Metric, p: A
         damping = np.where(better, 0.2 * damping, 10.0 * damping)
         if step < 1e-6:
             break
-    return p, value
+    return layout.split(p), criterion.relative(value)
 
 
-def coarse_rows(samples: FitSamples, options: GaussNewton) -> Array:
-    """The samples of the first refinement."""
-    return _spread(len(samples), options.coarse_pairs)
-
-
-def _spread(n: int, count: int) -> Array:
+def _spread(n: int, count: int) -> Indices:
     """At most `count` of n rows, in no step with any regular order of the table, sorted."""
     if n <= count:
         return np.arange(n)
     return np.sort(np.random.default_rng(0).permutation(n)[:count])
 
 
-def _diverse(inward: Array, points: Array, is_per_band: Array, n: int) -> list[Array]:
+def _diverse(inward: Array, points: Array, is_per_band: Mask, n: int) -> list[Array]:
     """The first n points, best first, that differ from each other in what is shared by the bands."""
     shared = inward[:, ~is_per_band]
     if not shared.shape[1]:
@@ -351,9 +343,7 @@ def _diverse(inward: Array, points: Array, is_per_band: Array, n: int) -> list[A
     return [points[k] for k in chosen]
 
 
-def _along_the_valley(
-    full: Residuals, samples: FitSamples, best: Minimum, options: GaussNewton
-) -> list[Array]:
+def _along_the_valley(full: Residuals, best: Minimum, options: GaussNewton) -> list[Array]:
     """Starts in the dips of the cost along its flattest direction through a minimum, lowest first.
 
     Few samples see a sharp lobe: along the valley in which a stronger and blunter lobe is nearly as good, the cost has
@@ -364,13 +354,12 @@ def _along_the_valley(
     J = full.jacobian(at) * (upper - lower)
     direction = np.linalg.eigh(J.T @ J)[1][:, 0] * (upper - lower)
     steps = np.linspace(-_VALLEY, _VALLEY, options.n_scan)
-    points = at + steps[:, None] * direction
+    points: Array = at + steps[:, None] * direction
     inside = np.all((points >= lower) & (points <= upper), axis=1)
     if np.count_nonzero(inside) < 3:
         return []
     points = layout.outward(points[inside])
-    residual = full.metric(full.evaluator.values(points)) - full.metric(samples.f_cos)
-    costs = np.einsum("m,pmb,pmb->p", samples.weight, residual, residual)
+    costs = np.sum(full.criterion.residual(full.evaluator.values(points)) ** 2, axis=(1, 2))
     dips = 1 + np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:]))
     dips = dips[np.abs(steps[inside][dips]) > 1.5 * (steps[1] - steps[0])]  # the minimum itself
     lowest = dips[np.argsort(costs[dips])][: options.n_fine]

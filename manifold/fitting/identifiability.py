@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
 from manifold.fitting.bsdf_parameters import Layout
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 DETERMINED = "determined"
 UNCERTAIN = "uncertain"
@@ -67,9 +67,9 @@ def residual_variance(residual: Array, n_parameters: int, floor: float) -> float
     return max(float(residual @ residual) / freedom, floor)
 
 
-def is_as_good(cost: float, best: float, variance: float, n_parameters: int) -> bool:
-    """Whether noise of this variance may hide the difference of two costs: a chi-square test at 99 %."""
-    return cost - best <= variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
+def as_good_limit(variance: float, n_parameters: int) -> float:
+    """The difference of two costs that noise of this variance may hide: a chi-square test at 99 %."""
+    return variance * float(chi2.ppf(_CONFIDENCE, n_parameters))
 
 
 def gauss_newton_step(layout: Layout, p: Array, residual: Array, J: Array) -> tuple[Array, float]:
@@ -101,7 +101,12 @@ def is_different(
 
 
 def identify_parameters(
-    layout: Layout, p: Array, J: Array, variance: float, alternatives: list[Array], kept: Array | None = None
+    layout: Layout,
+    p: Array,
+    J: Array,
+    variance: float,
+    alternatives: list[Array],
+    kept: Mask | None = None,
 ) -> tuple[ParameterIdentifiability, ...]:
     """The identifiability of every value of the layout.
 

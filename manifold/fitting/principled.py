@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold.brdf.measured import BRDF, require_brdf
+from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.fitting import (
     adam_and_swarm,
@@ -21,10 +22,10 @@ from manifold.fitting import (
     undetermined,
 )
 from manifold.fitting.adam_and_swarm import AdamOptions, SwarmOptions
-from manifold.fitting.bsdf_evaluation import Evaluator, evaluator
-from manifold.fitting.bsdf_parameters import BsdfFamily, Layout, default_principled, diffuse
-from manifold.fitting.fit_metrics import Metric
+from manifold.fitting.bsdf_parameters import BsdfFamily, default_principled, diffuse
+from manifold.fitting.fit_metrics import NOTICEABLE, BallDifference, Criterion
 from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fitting.identifiability import ParameterIdentifiability
 from manifold.fitting.undetermined import TriedDefaults
@@ -73,6 +74,7 @@ class FitResult:
         hyperparameters: of the method, with the assumed noise.
         residuals: relative residuals by metric, of the RGB fit.
         diffuse_residual: that of the best constant-albedo diffuse, in the metric of the fit.
+        ball: difference of the balls of fit and material; None where that is known at samples alone.
         spectral_residual: in the metric of the fit over all bands; None for RGB samples.
         minima: all distinct minima found, best first.
         statements: how well the samples determine each value.
@@ -95,6 +97,7 @@ class FitResult:
     minima: tuple[FittedMinimum, ...]
     statements: tuple[ParameterIdentifiability, ...]
     notes: tuple[str, ...] = field(default=())
+    ball: BallDifference | None = None
     n_pairs: int = 0
     variant: str = ""
     seconds: float = 0.0
@@ -112,7 +115,7 @@ def fit_bsdf(
     family: BsdfFamily | None = None,
     *,
     method: str = "gauss-newton",
-    metric: str = "cube-root",
+    metric: str = "appearance",
     noise: float = 0.01,
     options: GaussNewton | AdamOptions | SwarmOptions | None = None,
     wide_colours: bool = False,
@@ -124,11 +127,13 @@ def fit_bsdf(
     then found in every band with the shared ones fixed.
 
     Args:
-        target: a file (sampled where it was measured), any BRDF (sampled on a grid), or samples.
+        target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid, and
+            their ball is lit in two lights: one for the fit, one for its error alone.
         family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
             `diffuse()` where that fits better: no parameters make `principled` Lambertian.
         method: one of `METHODS`.
-        metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared.
+        metric: one of `fit_metrics.METRICS`, in which residuals are minimised and compared. `appearance` is that of the
+            colours of the ball and of cube roots at the samples; of samples without a ball, cube roots alone.
         noise: relative standard deviation of the samples that the statements assume at least.
         options: hyperparameters of the method.
         wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
@@ -141,7 +146,27 @@ def fit_bsdf(
     options = _options(method, options)
     if not (np.isfinite(noise) and 0 < noise < 1):
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
-    samples = _samples_of(target)
+    if isinstance(target, BsdfFile):
+        target = MeasuredBRDF(fill_unmeasured(target))
+    if isinstance(target, FitSamples):
+        return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours, on_progress)
+    require_brdf(target, "what is fitted")
+    samples = fit_samples.from_brdf(target)
+    found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours, on_progress)
+    ball = BallDifference.between(
+        FittedBRDF.of(found.family, found.values, found.bands, found.spectra), target
+    )
+    notes = found.notes
+    if ball.unseen_light > NOTICEABLE:
+        notes += (f"visibly different: mean CIEDE2000 {ball.unseen_light:.1f} on the ball",)
+    return replace(found, ball=ball, notes=notes)
+
+
+def _fit_or_diffuse(
+    samples: FitSamples, family: BsdfFamily | None, method: str, metric: str, noise: float, options: Any,
+    wide_colours: bool, on_progress: Progress | None,
+) -> FitResult:  # fmt: skip
+    """A fit of the family, or of what is fitted by default."""
     if family is not None:
         return _fit(samples, family, method, metric, noise, options, on_progress)
     default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
@@ -163,40 +188,28 @@ def _fit(
     if not samples.bands.is_rgb:
         _require_independent_bands(family)
     rgb = samples.as_rgb()
-    measure = Metric.of(metric, rgb)
-    whole = evaluator(family, rgb.wi, rgb.wo, 3)
-    tried = TriedDefaults.none(whole.layout.size)
+    residuals = Residuals(family, Criterion(rgb, metric))
+    layout = residuals.layout
+    tried = TriedDefaults.none(layout.size)
     start = time.perf_counter()
     with threadpool_limits(1):  # small matrices: threads would only wait for each other
         if isinstance(options, GaussNewton):
-            rows = gauss_newton.coarse_rows(rgb, options)
-            coarse = evaluator(family, rgb.wi[rows], rgb.wo[rows], 3)
-            minima = gauss_newton.find_minima(whole, rgb, measure, options, coarse, on_progress)
-            judged = _judge(whole, rgb, measure, minima, noise, tried)
+            minima = gauss_newton.find_minima(residuals, options, on_progress)
+            assessed = _assess(residuals, minima, noise, tried)
             best, tried = undetermined.keep_undetermined(
-                Residuals(whole, rgb, measure), minima[0], judged.statements, judged.is_as_good, options
+                residuals, minima[0], assessed.statements, assessed.limit, options
             )
             minima = [best, *minima[1:]]
         elif isinstance(options, AdamOptions):
-            minima = [adam_and_swarm.adam(family, rgb, whole, measure, options)]
+            minima = [adam_and_swarm.adam(family, rgb, residuals, options)]
         else:
-            minima = [adam_and_swarm.swarm(family, rgb, whole, measure, options)]
-        spectra, spectral_residual = _fit_spectra(family, samples, metric, minima[0].p, whole.layout)
+            minima = [adam_and_swarm.swarm(family, rgb, residuals, options)]
+        spectra, spectral_residual = _fit_spectra(family, samples, metric, layout.split(minima[0].p))
     seconds = time.perf_counter() - start
     return _result(
-        family, samples, rgb, whole, measure, minima, noise, tried,
-        method=method, hyperparameters=asdict(options) | {"noise": noise}, spectra=spectra,
-        spectral_residual=spectral_residual, seconds=seconds,
+        family, samples, residuals, minima, noise, tried, method=method, spectra=spectra,
+        hyperparameters=asdict(options) | {"noise": noise}, spectral_residual=spectral_residual, seconds=seconds,
     )  # fmt: skip
-
-
-def _samples_of(target: BRDF | BsdfFile | FitSamples) -> FitSamples:
-    if isinstance(target, FitSamples):
-        return target
-    if isinstance(target, BsdfFile):
-        return fit_samples.from_file(target)
-    require_brdf(target, "what is fitted")
-    return fit_samples.from_brdf(target)
 
 
 def _options(method: str, options: Any) -> Any:
@@ -222,155 +235,137 @@ def _require_independent_bands(family: BsdfFamily) -> None:
         )
 
 
-def _noise_variance(samples: FitSamples, metric: Metric, noise: float) -> float:
+def _noise_variance(criterion: Criterion, noise: float) -> float:
     """Variance of a residual that relative noise of the samples causes, averaged over them."""
-    y = samples.f_cos
-    return float(np.mean(samples.weight[:, None] * (metric.slope(y) * noise * y) ** 2))
+    y = criterion.samples.f_cos
+    weight = criterion.samples.weight[:, None]
+    return float(np.mean(weight * (criterion.metric.slope(y) * noise * y) ** 2))
 
 
 def _fit_spectra(
-    family: BsdfFamily, samples: FitSamples, metric: str, p: Array, layout: Layout
+    family: BsdfFamily, samples: FitSamples, metric: str, values: Mapping[str, Any]
 ) -> tuple[dict[str, list[float]], float | None]:
     """Values per band of the parameters per band, the shared ones fixed, and the relative residual."""
-    own = [o for o in family.parameters if o.per_band]
+    own = [o.name for o in family.parameters if o.per_band]
     if samples.bands.is_rgb or not own:
         return {}, None
-    measure = Metric.of(metric, samples)
-    bands = evaluator(family, samples.wi, samples.wo, samples.bands.count)
-    q, value = gauss_newton.refine_bands(bands, samples, measure, layout.with_bands(p, samples.bands.count))
-    split = bands.layout.split(q)
-    return (
-        {o.name: split[o.name] for o in own},  # type: ignore[misc]
-        fit_metrics.relative_residual(samples, measure, value),
-    )
+    found, residual = gauss_newton.refine_bands(family, samples, metric, values)
+    return {name: found[name] for name in own}, residual  # type: ignore[misc]
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
-    """Minima, those worth listing, beside each other."""
+class _Assessment:
+    """Minima worth listing, and how well the samples determine the values of the first.
+
+    Attributes:
+        minima, is_as_good: best first, and whether noise may hide the difference of each to the best.
+        statements: of the K values of the best.
+        n_different: minima as good as the best with values that differ beyond their errors.
+        residual, J: at the best, shapes (n,) and (n, K).
+        limit: difference of two costs that noise may hide.
+    """
 
     minima: list[Minimum]
-    as_good: list[bool]
+    is_as_good: list[bool]
     statements: tuple[ParameterIdentifiability, ...]
     n_different: int
     residual: Array
     J: Array
-    is_as_good: Callable[[float, float], bool]
+    limit: float
 
 
-def _judge(
-    whole: Evaluator,
-    rgb: FitSamples,
-    metric: Metric,
-    minima: list[Minimum],
-    noise: float,
-    tried: TriedDefaults,
-) -> _Judged:
-    """Minima as good as the first, and the identifiability of its values."""
-    layout, best = whole.layout, minima[0]
-    residual, J = Residuals(whole, rgb, metric).by_parameter(best.p)
-    variance = identifiability.residual_variance(residual, layout.size, _noise_variance(rgb, metric, noise))
-
-    def is_as_good(cost: float, best: float) -> bool:
-        return identifiability.is_as_good(cost, best, variance, layout.size)
-
-    minima = gauss_newton.select_minima(minima, is_as_good)
-    as_good = [is_as_good(one.cost, best.cost) for one in minima]
-    others = [one.p for one, good in zip(minima[1:], as_good[1:], strict=True) if good]
+def _assess(residuals: Residuals, minima: list[Minimum], noise: float, tried: TriedDefaults) -> _Assessment:
+    layout, best = residuals.layout, minima[0]
+    residual, J = residuals.by_parameter(best.p)
+    assumed = _noise_variance(residuals.criterion, noise)
+    variance = identifiability.residual_variance(residual, layout.size, assumed)
+    limit = identifiability.as_good_limit(variance, layout.size)
+    minima = gauss_newton.select_minima(minima, limit)
+    is_as_good = [one.cost - best.cost <= limit for one in minima]
+    others = [one.p for one, good in zip(minima[1:], is_as_good[1:], strict=True) if good]
     statements = identifiability.identify_parameters(layout, best.p, J, variance, others, tried.kept)
     statements = tuple(
         replace(s, state=identifiability.UNCERTAIN) if refused and s.state == identifiability.UNSEEN else s
         for s, refused in zip(statements, tried.refused, strict=True)
     )
     n_different = sum(identifiability.is_different(layout, best.p, p, statements) for p in others)
-    return _Judged(minima, as_good, statements, n_different, residual, J, is_as_good)
+    return _Assessment(minima, is_as_good, statements, n_different, residual, J, limit)
 
 
 def _result(
-    family: BsdfFamily, samples: FitSamples, rgb: FitSamples, whole: Evaluator, metric: Metric,
-    minima: list[Minimum], noise: float, tried: TriedDefaults, **known: Any,
+    family: BsdfFamily, samples: FitSamples, residuals: Residuals, minima: list[Minimum], noise: float,
+    tried: TriedDefaults, **known: Any,
 ) -> FitResult:  # fmt: skip
-    layout, best = whole.layout, minima[0]
-    judged = _judge(whole, rgb, metric, minima, noise, tried)
-    statements = judged.statements
-    step, cost = identifiability.gauss_newton_step(layout, best.p, judged.residual, judged.J)
-    step[tried.kept] = 0.0
-    most = int(np.argmax(np.abs(step) / layout.tolerance))
-    is_minimum = judged.is_as_good(best.cost, cost) or np.abs(step[most]) <= layout.tolerance[most]
-    norm = fit_metrics.norm(rgb, metric)
-    diffuse = np.sqrt(fit_metrics.best_diffuse(rgb, metric)[1]) / norm
-    values = layout.split(best.p)
-    residuals = fit_metrics.relative_residuals(rgb, whole.values(best.p)[0])
-    return FitResult(
+    layout, best, criterion = residuals.layout, minima[0], residuals.criterion
+    metric, norm = criterion.metric.name, criterion.norm
+    assessed = _assess(residuals, minima, noise, tried)
+    everywhere = residuals.evaluator
+    if metric != "appearance":
+        everywhere = Residuals(family, Criterion(criterion.samples, "appearance")).evaluator
+    result = FitResult(
         family=family,
-        values=values,
+        values=layout.split(best.p),
         bands=samples.bands,
-        metric=metric.name,
-        residuals=residuals,
-        diffuse_residual=float(diffuse),
+        metric=metric,
+        residuals=fit_metrics.relative_residuals(criterion.samples, everywhere.values(best.p)[0]),
+        diffuse_residual=float(np.sqrt(fit_metrics.best_diffuse(criterion)[1]) / norm),
         minima=tuple(
             FittedMinimum(layout.split(one.p), float(np.sqrt(one.cost) / norm), good, one.converged)
-            for one, good in zip(judged.minima, judged.as_good, strict=True)
+            for one, good in zip(assessed.minima, assessed.is_as_good, strict=True)
         ),
-        statements=statements,
-        notes=tuple(
-            _notes(family, values, statements, judged.n_different, residuals[metric.name], float(diffuse))
-            + _notes_on_anisotropy(family, values, samples)
-            + [
-                f"not a minimum of the {metric.name} residual: a Gauss-Newton step moves "
-                f"{layout.labels[most]} by {step[most]:+.3f}; use --method gauss-newton"
-            ]
-            * (not is_minimum)
-        ),
+        statements=assessed.statements,
         n_pairs=len(samples),
         variant=backend.mitsuba(colour="rgb").variant(),
         **known,
     )
+    notes = _notes(result, assessed.n_different, samples.is_isotropic)
+    step, cost = identifiability.gauss_newton_step(layout, best.p, assessed.residual, assessed.J)
+    step[tried.kept] = 0.0
+    most = int(np.argmax(np.abs(step) / layout.tolerance))
+    is_other = result.method != "gauss-newton"
+    if is_other and best.cost - cost > assessed.limit and np.abs(step[most]) > layout.tolerance[most]:
+        notes.append(
+            f"not a minimum of the {metric} residual: a Gauss-Newton step moves {layout.labels[most]} by "
+            f"{step[most]:+.3f}; use method gauss-newton"
+        )
+    return replace(result, notes=tuple(notes))
 
 
-def _notes(
-    family: BsdfFamily, values: Mapping[str, Any], statements: tuple[ParameterIdentifiability, ...], n_others: int,
-    residual: float, diffuse: float,
-) -> list[str]:  # fmt: skip
-    notes = []
-    for o in family.parameters:
-        if o.per_band and (min(values[o.name]) < 0 or max(values[o.name]) > 1) and o.maximum <= 2:
-            colour = ", ".join(f"{v:.3f}" for v in values[o.name])
+def _notes(result: FitResult, n_others: int, is_isotropic: bool) -> list[str]:
+    """What a user should know of a fit."""
+    notes, statements = [], result.statements
+    for o in result.family.parameters:
+        value = result.values[o.name]
+        if isinstance(value, list) and (min(value) < 0 or max(value) > 1) and o.maximum <= 2:
+            colour = ", ".join(f"{v:.3f}" for v in value)
             notes.append(f"{o.name} ({colour}) lies outside Rec. 709; it is not clamped")
-    ends = [s.name for s in statements if s.at_bound]
-    if ends:
+    if ends := [s.name for s in statements if s.at_bound]:
         notes.append(f"at the end of the range: {', '.join(ends)}")
     if n_others:
         notes.append(f"ambiguous: {n_others + 1} solutions fit equally well within the noise; all are listed")
-    unknown = [s.name for s in statements if s.state == identifiability.UNSEEN and not s.is_kept]
-    if unknown:
+    if unknown := [s.name for s in statements if s.state == identifiability.UNSEEN and not s.is_kept]:
         notes.append(f"not determined by the data: {', '.join(unknown)}")
-    kept = [s.name for s in statements if s.is_kept]
-    if kept:
+    if kept := [s.name for s in statements if s.is_kept]:
         notes.append(f"not determined by the data, left at the defaults: {', '.join(kept)}")
+    residual, diffuse = result.residuals[result.metric], result.diffuse_residual
     if _is_worse_than_diffuse(residual, diffuse):
         notes.append(f"no better than a diffuse surface ({residual:.3f} against {diffuse:.3f})")
     if residual > _POOR_FIT:
-        notes.append(f"{family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %")
-    return notes
-
-
-def _notes_on_anisotropy(family: BsdfFamily, values: Mapping[str, Any], samples: FitSamples) -> list[str]:
-    """Of an anisotropic material that is fitted the same at all azimuths."""
-    if (
-        samples.is_isotropic
-        or family.type not in ("principled", "diffuse")
-        or family.fixed.get("anisotropic")
-    ):
-        return []
-    if "anisotropic" not in values:
-        return ["anisotropic, but fitted the same at all azimuths: let `anisotropic` be free"]
-    if values["anisotropic"] < _LEAST_ANISOTROPY:
-        return [
+        notes.append(
+            f"{result.family.type} does not fit these samples: relative residual {100.0 * residual:.0f} %"
+        )
+    is_known = result.family.type in ("principled", "diffuse") and not result.family.fixed.get("anisotropic")
+    anisotropic = result.values.get("anisotropic")
+    if is_isotropic or not is_known:
+        return notes
+    if anisotropic is None:
+        notes.append("anisotropic, but fitted the same at all azimuths: let `anisotropic` be free")
+    elif isinstance(anisotropic, float) and anisotropic < _LEAST_ANISOTROPY:
+        notes.append(
             "anisotropic, but fitted the same at all azimuths: principled's highlights are wider along x; where the "
             "sample's are wider along y, turn it by a quarter about its normal"
-        ]
-    return []
+        )
+    return notes
 
 
 def _is_worse_than_diffuse(residual: float, diffuse: float) -> bool:

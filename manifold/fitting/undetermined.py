@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from manifold.fitting.bsdf_parameters import FreeParameter
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals, minimize
 from manifold.fitting.identifiability import UNCERTAIN, UNSEEN, ParameterIdentifiability
-from manifold.records import Array
+from manifold.records import Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +21,8 @@ class TriedDefaults:
         refused: the fit was worse; bool (K,). The samples do see these.
     """
 
-    kept: Array
-    refused: Array
+    kept: Mask
+    refused: Mask
 
     @classmethod
     def none(cls, size: int) -> TriedDefaults:
@@ -35,7 +34,7 @@ def keep_undetermined(
     residuals: Residuals,
     best: Minimum,
     statements: tuple[ParameterIdentifiability, ...],
-    is_as_good: Callable[[float, float], bool],
+    limit: float,
     options: GaussNewton,
 ) -> tuple[Minimum, TriedDefaults]:
     """The best minimum with undetermined values at their defaults, where that costs nothing, the others refined again.
@@ -48,7 +47,7 @@ def keep_undetermined(
         residuals: of all samples.
         best: the best minimum.
         statements: of its K values.
-        is_as_good: of a cost and the best one, whether noise may hide their difference.
+        limit: difference of two costs that noise may hide.
         options: of the refinements.
     Returns:
         The minimum, and what became of the values that were set to defaults.
@@ -69,7 +68,7 @@ def keep_undetermined(
         start = found.p.copy()
         start[k] = owners[k].undetermined
         trial = minimize(residuals, start, options.iterations, options.tolerance, kept=kept)
-        if is_as_good(trial.cost, best.cost):
+        if trial.cost - best.cost <= limit:
             tried.kept[k], found = True, trial
         else:
             tried.refused[k] = True

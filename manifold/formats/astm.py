@@ -12,16 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.formats.angle_columns import (
-    angle_name,
-    directions,
-    exceed_radians,
-    stated_unit,
-)
+from manifold.formats.angles import directions, exceed_radians
+from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, wavelength
 from manifold.formats.csv_table import angles_deg, band_heads
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
-from manifold.formats.value_columns import Quantity, as_brdf, bands_of, quantity, wavelength_of
+from manifold.formats.text import decode, find_separator, read_lines, split_cells
+from manifold.formats.values import as_brdf, bands_of, nanometres
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.names import in_one_line
@@ -30,7 +27,6 @@ _REMEDY = "export the table again"
 _MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
-_PER_STERADIAN = re.compile(r"1\s*/\s*sr|sr\s*\^?\s*-?\s*1", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -57,30 +53,30 @@ def read(path: Path) -> list[Readings]:
             that is no finite number; the error names the line.
         UsageError: the file cannot be read.
     """
-    place = Place(path, _REMEDY)
+    context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     start = next((k for k, line in enumerate(lines) if re.match(r"\s*VARS?\b", line, re.IGNORECASE)), None)
     if start is None:
-        raise place.error("no line VARS found, expected one that names the columns")
+        raise context.error("no line VARS found, expected one that names the columns")
     header = _header(lines[:start])
     measured = header.get("MEAS_NAME", "")
     heads = re.sub(r"(?i)^\s*VARS?\b[\s:=]*", "", lines[start])
-    columns = _columns(heads, measured, place, f"line {start + 1}")
+    columns = _columns(heads, measured, context, f"line {start + 1}")
     if re.fullmatch(r"BTDF|transmi\w*", measured, re.IGNORECASE):
-        raise place.error(f"MEAS_NAME is {measured}: transmitted light, expected BRDF")
+        raise context.error(f"MEAS_NAME is {measured}: transmitted light, expected BRDF")
     is_mini_diff = re.search(r"mini[\s_-]*diff", " ".join(header.values()), re.IGNORECASE) is not None
     columns = _wavelength_of_header(columns, header)
-    table, notes, columns = _rows(lines, start + 1, columns, place)
+    table, notes, columns = _rows(lines, start + 1, columns, context)
     announced = header.get("NUM_POINTS")
     if announced is not None:
-        expected = place.count(announced, "NUM_POINTS", _MOST_ROWS)
+        expected = context.count(announced, "NUM_POINTS", _MOST_ROWS)
         if len(table) < expected:
-            raise place.error(f"{len(table)} rows, expected {expected} (NUM_POINTS): the file is truncated")
+            raise context.error(f"{len(table)} rows, expected {expected} (NUM_POINTS): the file is truncated")
         if len(table) > expected:
             notes.append(f"NUM_POINTS is {expected}, but the file has {len(table)} rows: all are used")
     name = header.get("SAMPLE_NAME") or path.stem
     instrument = header.get("SYSTEM_NAME") or "goniometer (ASTM table)"
-    return [_readings(table, columns, name, instrument, is_mini_diff, notes, place)]
+    return [_readings(table, columns, name, instrument, is_mini_diff, notes, context)]
 
 
 def _header(lines: list[str]) -> dict[str, str]:
@@ -93,39 +89,42 @@ def _header(lines: list[str]) -> dict[str, str]:
     return header
 
 
-def _columns(text: str, measured: str, place: Place, where: str) -> _Columns:
+def _columns(text: str, measured: str, context: ErrorContext, where: str) -> _Columns:
     """The columns that the line VARS names; `measured` is what MEAS_NAME says of the values."""
-    heads = [_PER_STERADIAN.sub("", head) for head in split_cells(text, find_separator([text]))]
+    heads = split_cells(text, find_separator([text]))
     names, bands = [], []
     for head in heads:
         angle = angle_name(head)
         if angle is not None and angle in names:
-            raise place.error(f"{angle} appears twice, expected each angle once", where)
+            raise context.error(f"{angle} appears twice, expected each angle once", where)
         if angle is None:
             bands.append(head)
         names.append(angle or head)
     missing = [name for name in ("theta_i", "theta_o") if name not in names]
     if missing or not bands:
-        raise place.error(
+        raise context.error(
             f"columns {', '.join(heads[:8])}, expected theta_i, phi_i, theta_s, phi_s and bands such as 465nm",
             where,
         )
-    unit = stated_unit(text)
-    return _Columns(names, bands, None if unit is None else unit == "degrees", quantity([measured, *bands]))
+    unit = angle_unit([head for head in heads if head not in bands], context, where)
+    said = "" if measured.lower().startswith("refl") else measured  # of BRDFs that are called reflectance
+    kind = quantity([said]) or quantity(bands) or "f"
+    return _Columns(names, bands, None if unit is None else unit == "degrees", kind)
 
 
 def _wavelength_of_header(columns: _Columns, header: dict[str, str]) -> _Columns:
-    """The columns, a single band called by the wavelength that the header says: micrometres where it is below 100."""
-    found = re.match(r"[\d.]+", header.get("WAVELENGTH", ""))
-    said = number(found[0]) if found else None
-    if said is None or said <= 0.0 or len(columns.bands) != 1 or wavelength_of(columns.bands[0]):
+    """The columns, a single band with the wavelength of the header."""
+    nm = nanometres(header.get("WAVELENGTH", ""))
+    if nm is None or len(columns.bands) != 1 or wavelength(columns.bands[0]):
         return columns
-    band = f"{said if said >= 100.0 else 1000.0 * said:g}nm"
+    band = f"{nm:g}nm"
     names = [band if name in columns.bands else name for name in columns.names]
     return replace(columns, names=names, bands=[band])
 
 
-def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tuple[Array, list[str], _Columns]:
+def _rows(
+    lines: list[str], start: int, columns: _Columns, context: ErrorContext
+) -> tuple[Array, list[str], _Columns]:
     """The table of numbers, notes, and the columns with what `VARS` leaves out."""
     numbered = [
         (k, line) for k, line in enumerate(lines[start:], start=start + 1)
@@ -136,9 +135,9 @@ def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tupl
     if numbered and re.fullmatch(r"\s*(DATA|BEGIN|DATA_?BEGIN)\s*", numbered[0][1], re.IGNORECASE):
         numbered = numbered[1:]
     if not numbered:
-        raise place.error("no rows below VARS, expected one per direction pair")
+        raise context.error("no rows below VARS, expected one per direction pair")
     if len(numbered) > _MOST_ROWS:
-        raise place.error(f"{len(numbered)} rows, expected at most {_MOST_ROWS}")
+        raise context.error(f"{len(numbered)} rows, expected at most {_MOST_ROWS}")
     separator = find_separator([line for _, line in numbered[:20]])
     width = len(split_cells(numbered[0][1], separator))
     notes: list[str] = []
@@ -149,10 +148,10 @@ def _rows(lines: list[str], start: int, columns: _Columns, place: Place) -> tupl
             f"VARS names {width - 1} columns, rows have {width}: the one after theta_s is taken as phi_s"
         )
     if width != len(columns.names):
-        raise place.error(
+        raise context.error(
             f"{width} cells, expected {len(columns.names)} as VARS says", f"line {numbered[0][0]}"
         )
-    return place.table(numbered, separator, width), notes, columns
+    return context.table(numbered, separator, width), notes, columns
 
 
 def _readings(
@@ -162,7 +161,7 @@ def _readings(
     instrument: str,
     is_mini_diff: bool,
     notes: list[str],
-    place: Place,
+    context: ErrorContext,
 ) -> Readings:
     angle = {name: table[:, k] for k, name in enumerate(columns.names) if name not in columns.bands}
     is_degrees = columns.is_degrees
@@ -179,10 +178,10 @@ def _readings(
         table, angle = table[~padded], {key: values[~padded] for key, values in angle.items()}
         if np.any(padded):
             notes.append(f"{int(padded.sum())} rows beyond 75 degrees are padding of the Mini-Diff, not data")
-    keep, wi, wo = directions(angle, place, notes)
+    keep, wi, wo = directions(angle, context, notes)
     first = [k for k, head in enumerate(columns.names) if head in columns.bands]
     values = as_brdf(table[keep][:, first], columns.kind, wo, notes)
-    nm, values = bands_of(columns.bands, values, notes, place)
+    nm, values = bands_of(columns.bands, values, notes, context)
     weights = np.ones(len(wi))
     if is_mini_diff:
         weights[np.abs(angle["theta_i"][keep]) > _STEEP_INCIDENCE] = _STEEP_WEIGHT
@@ -197,7 +196,7 @@ def write(path: Path, readings: Readings) -> None:
     """The table in radians, azimuths from 0 to 2 pi, in order of the readings.
 
     Raises:
-        ShapeError: a value was not measured, for which such tables have no word.
+        ShapeError: a value was not measured, which such tables cannot express.
         UsageError: the file cannot be written.
     """
     if not np.all(readings.measured):

@@ -1,28 +1,117 @@
-"""Common parts of the text formats `.bsdf` of LightTools and Zemax: words, lists with counts, and tables of blocks."""
+"""What the text formats `.bsdf` of LightTools and Zemax share: lists of angles, keys, and tables with a TIS each."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from manifold.formats.text import Place, read_lines
-from manifold.records import Array
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.text import read_lines
+from manifold.records import Array, Indices
 
 _MOST_ANGLES = 20_000
 _MOST_VALUES = 50_000_000
 _REMEDY = "export the file again"
 _COMMENT = ("#", "!")
-XYZ_TO_BAND = {"trisx": 0, "trisy": 1, "trisz": 2, "tristimulusx": 0, "tristimulusy": 1, "tristimulusz": 2}
+_MOST_BLOCKS = 100_000
+_LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
+_NUMBERS = ("aoi", "poi", "wavelength")
+_XYZ = {f"{word}{letter}": k for word in ("tris", "tristimulus") for k, letter in enumerate("xyz")}
 
 
-class Words:
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One table and what the keys before it say.
+
+    Attributes:
+        values: azimuths x radials.
+        words: what stands behind other keys, by their plain form.
+        numbers: `aoi`, `poi` and `wavelength` where they are given.
+        tristimulus: 0, 1 or 2 for X, Y or Z.
+    """
+
+    values: Array
+    words: dict[str, str]
+    numbers: dict[str, float]
+    tristimulus: int | None
+
+
+@dataclass
+class BsdfText:
+    """A file of blocks.
+
+    Attributes:
+        context: for errors.
+        comments: its comment lines.
+        lists: angles in degrees by plain key, such as `scatterradial`.
+        blocks: its tables, in their order.
+    """
+
+    context: ErrorContext
+    comments: list[str]
+    lists: dict[str, Array] = field(default_factory=dict)
+    blocks: list[Block] = field(default_factory=list)
+
+    def directions(self) -> tuple[Array, Array, Indices]:
+        """Azimuth and radial angle (n,) in degrees of the directions of a table, and where they stand in it.
+
+        A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
+        """
+        azimuths, radials = self.lists["scatterazimuth"], self.lists["scatterradial"]
+        keep = np.ones((azimuths.size, radials.size), dtype=bool)
+        if azimuths.size > 1 and np.isclose(azimuths[-1] - azimuths[0], 360.0):
+            keep[-1] = False
+        keep[1:, np.isclose(radials, 0.0)] = False
+        azimuth, radial = (a[keep] for a in np.meshgrid(azimuths, radials, indexing="ij"))
+        return azimuth, radial, np.flatnonzero(keep)
+
+
+def read_blocks(path: Path) -> BsdfText:
+    """All tables of a file.
+
+    Raises:
+        FileFormatError: a list or table is cut off or too long, or holds what is no number.
+        UsageError: the file cannot be read.
+    """
+    words = _Words(path)
+    text = BsdfText(words.context, words.comments)
+    said: dict[str, str] = {}
+    numbers: dict[str, float] = {}
+    band: int | None = None
+    while (word := words.next()) is not None:
+        key = _plain(word)
+        if key in _LISTS:
+            text.lists[key] = words.angles(word)
+        elif key in _NUMBERS:
+            numbers[key] = words.number(word)
+        elif key in _XYZ or key == "monochrome":
+            band = _XYZ.get(key)
+        elif key == "tristimulusvalue":
+            band = _XYZ.get(_plain(words.rest()))
+        elif key == "tis":
+            words.number(word)
+            missing = [name for name in _LISTS[2:] if name not in text.lists]
+            if missing or len(text.blocks) == _MOST_BLOCKS:
+                expected = f"{missing[0]} before it" if missing else f"at most {_MOST_BLOCKS}"
+                raise text.context.error(f"a table, expected {expected}", words.line)
+            values = words.table(*(text.lists[name] for name in _LISTS[2:]))
+            text.blocks.append(Block(values, dict(said), dict(numbers), band))
+        elif re.match(r"[+-]?[\d.]", word):
+            raise text.context.error(f"found '{word[:24]}', expected a key: a table is too long", words.line)
+        elif key not in ("databegin", "dataend"):
+            said[key] = words.rest()
+    return text
+
+
+class _Words:
     """The words of a file in turn, comments left out, each with its line."""
 
     def __init__(self, path: Path) -> None:
         """Read the file. Raises: as `read_lines`."""
-        self.place = Place(path, _REMEDY)
+        self.context = ErrorContext(path, _REMEDY)
         numbered = [(k, line) for k, line in enumerate(read_lines(path), start=1) if line.strip()]
         self._lines = [(k, line) for k, line in numbered if not line.lstrip().startswith(_COMMENT)]
         self.comments = [line.strip() for _, line in numbered if line.lstrip().startswith(_COMMENT)]
@@ -65,24 +154,24 @@ class Words:
         where = self.line
         word = self.next()
         if word is None:
-            raise self.place.error(f"the file ends, expected {what}", where)
-        return self.place.number(word, f"{where}, {what}")
+            raise self.context.error(f"the file ends, expected {what}", where)
+        return self.context.number(word, f"{where}, {what}")
 
     def numbers(self, count: int, what: str) -> Array:
         """The next `count` words as finite numbers, shape (count,)."""
         values: list[float] = []
         while len(values) < count:
             if self._line >= len(self._lines):
-                raise self.place.error(
+                raise self.context.error(
                     f"the file ends after {len(values)} of {count} {what}: it is truncated", self.line
                 )
             number, words = self._lines[self._line][0], self._words
             taken = words[self._word : self._word + count - len(values)]
             if taken and taken[0][:1].isalpha():
-                raise self.place.error(
+                raise self.context.error(
                     f"{len(values)} {what}, expected {count} before '{taken[0][:24]}'", f"line {number}"
                 )
-            values += self.place.numbers(taken, number) if taken else []
+            values += self.context.numbers(taken, number) if taken else []
             self._word += len(taken)
             if self._word >= len(words):
                 self._line, self._word = self._line + 1, 0
@@ -91,37 +180,23 @@ class Words:
     def angles(self, key: str) -> Array:
         """A count and that many angles in degrees that increase, as they follow a key."""
         where = self.line
-        count = self.place.count(self.next() or "", f"{where}, {key}", _MOST_ANGLES)
+        count = self.context.count(self.next() or "", f"{where}, {key}", _MOST_ANGLES)
         values = self.numbers(count, f"angles of {key}")
         if np.any(np.diff(values) <= 0.0):
-            raise self.place.error(f"{key} does not increase, expected ordered angles", where)
+            raise self.context.error(f"{key} does not increase, expected ordered angles", where)
         return values
 
-    def table(self, azimuths: Array, radials: Array, what: str) -> Array:
+    def table(self, azimuths: Array, radials: Array) -> Array:
         """The next azimuths x radials values; the lines' own division does not matter."""
+        shape = azimuths.size, radials.size
         if azimuths.size * radials.size > _MOST_VALUES:
-            raise self.place.error(
-                f"{azimuths.size} x {radials.size} values, expected at most {_MOST_VALUES}"
-            )
-        return self.numbers(azimuths.size * radials.size, what).reshape(azimuths.size, radials.size)
+            raise self.context.error(f"{shape[0]} x {shape[1]} values, expected at most {_MOST_VALUES}")
+        return self.numbers(azimuths.size * radials.size, "values of a table").reshape(shape)
 
 
-def plain(word: str) -> str:
+def _plain(word: str) -> str:
     """A key without case, colons and underscores."""
     return re.sub(r"[^a-z0-9]", "", word.lower())
-
-
-def grid_rows(azimuths: Array, radials: Array) -> Array:
-    """Indices (n,) of an azimuths x radials table that are directions of their own.
-
-    A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
-    """
-    last_is_first = azimuths.size > 1 and np.isclose(azimuths[-1] - azimuths[0], 360.0)
-    keep = np.ones((azimuths.size, radials.size), dtype=bool)
-    if last_is_first:
-        keep[-1] = False
-    keep[1:, np.isclose(radials, 0.0)] = False
-    return np.flatnonzero(keep)
 
 
 def angle_line(angles: Array) -> str:

@@ -1,74 +1,51 @@
-"""CSV files of readings: the table of a spectrophotometer's workbook, or directions in degrees beside f in 1/sr.
+"""CSV files of readings: a row per geometry of a spectrophotometer, or directions in degrees beside f in 1/sr.
 
-Separators are `;`, tab, `|` or comma, or blanks below a head that names directions. Unless commas separate, decimal
-commas are numbers.
+Separators are `;`, tab or comma, or blanks below a header of directions. Unless commas separate, decimal commas are
+numbers. Lines that begin with # are comments; `# name:`, `# instrument:` and `# gloss 60:` are the package's own.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import re
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from manifold.directions import to_spherical
-from manifold.formats.direction_table import names_directions, read_directions
-from manifold.formats.geometry_names import can_be_geometry, is_geometry
+from manifold.formats.column_heads import gloss_angle
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.spectro_table import read_table
-from manifold.formats.table_cells import HEADER_ROWS, gloss_angle, parse_wavelength, plain_table
-from manifold.formats.table_layouts import names_both
-from manifold.formats.text import LARGEST_TEXT, Place, decode, number, read_bytes
+from manifold.formats.tables import (
+    HEADERS,
+    Columns,
+    Table,
+    find_columns,
+    names_directions,
+    read_table,
+    resembles_header,
+)
+from manifold.formats.text import decode, number, read_bytes
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.names import in_one_line
 
-_REMEDY = "export the table again with columns Geometry, 400, 410, ..."
-_HEADS = 3  # of wavelengths, or of geometries beside them, make a line the head of a table
-_TEXTURE = ("graininess", "sparkle", "coarseness", "diffuse")
+_REMEDY = f"give the table a header such as {HEADERS}"
+_SEPARATORS = (";", "\t", ",", None)  # None: blanks
+_MOST_COMMENTS = 40  # lines at the top
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file's beginning is a table of readings."""
+    """Whether a file's beginning has a line that resembles the header of a table of readings."""
     text = decode(head)
     if "\0" in text:
         return False
-    rows_of_both, titles = 0, 0
-    for line in [line for line in text.splitlines() if line.strip()][:60]:
-        words = line.lower()
-        separator = _separator(line)
-        titles += is_geometry(line.strip(' ";,|\t'))
-        if names_directions(_cells(_uncommented(line))) or _names_wavelength(line):
+    for line in [line.lstrip("#% ") for line in text.splitlines() if line.strip()][:60]:
+        if any(resembles_header(_cells(line, s)) for s in _SEPARATORS if s) or names_directions(line.split()):
             return True
-        if separator is None:
-            continue
-        if "geometr" in words:
-            return True
-        cells = [cell.strip(' "') for cell in words.split(separator)]
-        if _is_header(cells) or (sum(c.isdigit() for c in line) > 20 and "as" in line):
-            return True
-        rows_of_both += names_both(cells[0]) or any(
-            can_be_geometry(first) and parse_wavelength(second) is not None
-            for first, second in pairwise(cells[:3])
-        )
-    return rows_of_both >= _HEADS or titles >= 2
-
-
-def _is_header(cells: list[str]) -> bool:
-    """Whether cells are wavelengths, both geometries and wavelengths, geometries beside the word, or both words."""
-    has_angle, has_nm = (
-        any(cell.startswith(words) for cell in cells)
-        for words in (("angle", "aspecular"), ("wavelength", "lambda", "nm"))
-    )
-    return (has_angle and has_nm) or (
-        sum(parse_wavelength(cell) is not None for cell in cells) >= _HEADS
-        or sum(map(names_both, cells)) >= _HEADS
-        or (cells[0].startswith(("nm", "wavelength")) and sum(map(can_be_geometry, cells)) >= _HEADS)
-    )
+    return False
 
 
 def read(path: Path) -> list[Readings]:
@@ -78,80 +55,75 @@ def read(path: Path) -> list[Readings]:
         FileFormatError: there is no header, or a cell is not what its column holds; the error names it.
         UsageError: the file cannot be read.
     """
-    place = Place(path, _REMEDY)
-    text = decode(read_bytes(path, LARGEST_TEXT))
-    lines = [_uncommented(line) for line in text.splitlines()]
-    rows = _rows(lines, place)
-    _require_width(rows, place)
-    texture = {
-        line[1:].partition(":")[0].strip(): line.partition(":")[2].strip()
-        for line in lines
-        if line.startswith("#") and any(word in line.lower() for word in _TEXTURE)
-    }
-    name, instrument = path.stem, ""
-    for line in lines[:40]:
+    context = ErrorContext(path, _REMEDY)
+    lines = [_uncommented(line) for line in decode(read_bytes(path)).split("\n")]
+    own = dict(_own_comments(lines))
+    table, columns = _table(["" if line.startswith("#") else line for line in lines], context)
+    is_spectro = columns.geometry is not None
+    instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"
+    found = read_table(table, columns, context, own.get("name") or path.stem, instrument)
+    if len(found) > 1:
+        return found
+    units = {angle: number(text) for key, text in own.items() if (angle := gloss_angle(key)) is not None}
+    gloss = {angle: value for angle, value in units.items() if value is not None}  # not `gloss: matt`
+    return [replace(found[0], gloss={**gloss, **found[0].gloss})]
+
+
+def _own_comments(lines: list[str]) -> Iterator[tuple[str, str]]:
+    """Keys in lower case and values of comments such as `# name: satin`."""
+    for line in lines[:_MOST_COMMENTS]:
         key, _, value = line.lstrip("# ").partition(":")
         if line.startswith("#") and value.strip():
-            name = value.strip() if key.strip().lower() == "name" else name
-            instrument = value.strip() if key.strip().lower() == "instrument" else instrument
-    gloss = {
-        angle: units
-        for line in lines[:40]
-        for key, _, value in [line.lstrip("# ").partition(":")]
-        if line.startswith("#")
-        and (angle := gloss_angle(key)) is not None
-        and (units := number(value.strip())) is not None  # not `gloss: matt`
-    }
-    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and not _names_sample(line)]
-    table = plain_table(rows)
-    found_readings = read_directions(table, place, name, instrument or "goniometer (CSV)", comments)
-    found_readings = found_readings or read_table(table, place, name, instrument or "spectrophotometer (CSV)")
-    if len(found_readings) == 1:
-        (only,) = found_readings
-        return [replace(only, texture=texture or only.texture, gloss={**gloss, **only.gloss})]
-    return found_readings
+            yield key.strip().lower(), value.strip()
 
 
 def _uncommented(line: str) -> str:
-    """The line; without its mark if it is a comment that is the head of a table of directions."""
+    """The line; without its mark if it is a comment that is the header of a table of directions."""
     bare = line.lstrip("#% ")
-    return bare if line.startswith(("#", "%")) and names_directions(_cells(bare)) else line
+    is_header = line.startswith(("#", "%")) and any(names_directions(_cells(bare, s)) for s in _SEPARATORS)
+    return bare if is_header else line
 
 
-def _names_sample(line: str) -> bool:
-    return line.lstrip("# ").lower().startswith(("name:", "instrument:"))
+def _table(lines: list[str], context: ErrorContext) -> tuple[Table, Columns]:
+    """The cells, by the first separator with which a line is a header, and its columns."""
+    refusal = context.error("no header of a table of readings found")
+    for separator in _SEPARATORS:
+        head = Table([_cells(line, separator) for line in lines[:70]])
+        columns = find_columns(head, context)
+        if columns is not None and (separator is not None or columns.geometry is None):
+            table = Table([_row(line, separator, k, context) for k, line in enumerate(lines, start=1)])
+            _require_width(table, columns, separator, context)
+            return table, columns
+    raise refusal
 
 
-def _cells(line: str) -> list[str]:
-    """Cells of a line by its own separator, blanks where there is no other."""
-    separator = _separator(line)
-    return line.split() if separator is None else line.split(separator)
+def _cells(line: str, separator: str | None) -> list[str]:
+    """Cells of a line, quotes taken off where they are whole."""
+    if separator is None:
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
 
 
-def _rows(lines: list[str], place: Place) -> list[list[str]]:
-    """Cells of all lines, none in comments."""
-    plain = ["" if line.startswith("#") else line for line in lines]
-    head = [line for line in plain[:HEADER_ROWS] if line.strip()]
-    found = [s for line in head if (s := _separator(line)) is not None]
-    found = found or [s for line in head for s in ";\t|," if s in line and _names_wavelength(line)]
-    if not found and any(names_directions(line.split()) for line in head):
-        return [line.split() for line in plain]
-    if not found:
-        raise place.error("no separated cells found, expected a table")
-    separator = max(set(found), key=found.count)
+def _row(line: str, separator: str | None, number_of_line: int, context: ErrorContext) -> list[str]:
+    """Cells of a line; a quote ends on its own line. Trailing empty cells, which programs leave, are left out."""
+    if separator is None:
+        return line.split()
     try:
-        table = [
-            [cell.strip() for cell in row]
-            for row in csv.reader(io.StringIO("\n".join(plain)), delimiter=separator)
-        ]
+        row = next(csv.reader([line], delimiter=separator, strict=True), [])
     except csv.Error as error:
-        raise place.error(f"not a table ({error})") from None
-    return [_repaired(row, separator) for row in table]
+        raise context.error(f"not cells of a table ({error})", f"row {number_of_line}") from None
+    while separator != "," and row and not row[-1].strip():
+        row.pop()
+    return [cell.strip() for cell in row]
 
 
-def _names_wavelength(line: str) -> bool:
-    """Whether a line is the head of columns of which the first holds wavelengths."""
-    return re.match(r'[ "]*(wave ?length|lambda|nm)[^;,|\t]{0,12}[;,|\t]', line, re.IGNORECASE) is not None
+def _require_width(table: Table, columns: Columns, separator: str | None, context: ErrorContext) -> None:
+    """Raise FileFormatError where a row has numbers beyond the header: decimal commas that are taken as separators."""
+    width = len(columns.heads)
+    for k, row in enumerate(table.rows[columns.row + 1 :], start=columns.row + 1):
+        if any(number(str(cell)) is not None for cell in row[width:]):
+            remedy = ": decimal commas need quotes, or another separator" if separator == "," else ""
+            raise context.error(f"{len(row)} cells below a header of {width}{remedy}", table.where(k))
 
 
 def write(path: Path, readings: Readings) -> None:
@@ -180,37 +152,3 @@ def band_heads(readings: Readings) -> list[str]:
     """`465nm` or `R`, `G`, `B`."""
     nm = readings.bands.wavelengths_nm
     return ["R", "G", "B"] if nm is None else [f"{w:.9g}nm" for w in nm]
-
-
-def _separator(line: str) -> str | None:
-    counts = {s: line.count(s) for s in (";", "\t", "|", ",")}
-    for separator in (";", "\t", "|"):
-        if counts[separator] >= 2:
-            return separator
-    return "," if counts[","] >= 2 else None
-
-
-def _repaired(row: list[str], separator: str) -> list[str]:
-    """Cells without trailing empty ones, which programs leave behind."""
-    while len(row) > 1 and not row[-1] and separator != ",":
-        row = row[:-1]
-    return row
-
-
-def _require_width(rows: list[list[str]], place: Place) -> None:
-    """Raise FileFormatError where a row has numbers beyond the end of the header.
-
-    Decimal commas that are not told from separators make such rows.
-    """
-    header = next(
-        (k for k, row in enumerate(rows[:HEADER_ROWS]) if row and _is_header([c.lower() for c in row])), None
-    )
-    if header is None:
-        return
-    width = len(rows[header])
-    for k, row in enumerate(rows[header + 1 :], start=header + 2):
-        if any(number(cell) is not None for cell in row[width:]):
-            raise place.error(
-                f"{len(row)} cells below a header of {width}: decimal commas need quotes, or another separator",
-                f"row {k}",
-            )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -9,14 +10,8 @@ from typing import Literal
 import numpy as np
 
 from manifold.directions import from_rusinkiewicz, from_spherical
-from manifold.errors import ShapeError
 from manifold.formats.readings import Readings
-from manifold.records import Array, Bands
-
-_AXES = {
-    "half-difference": ("theta_h", "theta_d", "phi_d"),
-    "incident-outgoing": ("theta_i", "phi_i", "theta_o", "phi_o"),
-}
+from manifold.records import Array, Bands, Indices, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,37 +37,6 @@ class DenseTable:
     values: Array
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Check shapes and order.
-
-        Raises:
-            ShapeError: the coordinates are unknown, nodes do not increase, or values do not fit them.
-        """
-        names = _AXES.get(self.coordinates)
-        if names is None or len(self.axes) != len(names):
-            raise ShapeError(
-                f"{self.name}: {len(self.axes)} axes of '{self.coordinates}', expected "
-                + " or ".join(f"{len(axes)} of '{key}'" for key, axes in _AXES.items())
-            )
-        for name, nodes in zip(names, self.axes, strict=True):
-            if nodes.ndim != 1 or nodes.size == 0 or not np.all(np.isfinite(nodes)):
-                raise ShapeError(f"{self.name}: {name} has shape {nodes.shape}, expected (n,), all finite")
-            if np.any(np.diff(nodes) <= 0):
-                raise ShapeError(f"{self.name}: {name} does not increase, expected ordered nodes")
-        expected = (*(nodes.size for nodes in self.axes), self.bands.count)
-        if self.values.shape != expected:
-            raise ShapeError(f"{self.name}: values have shape {self.values.shape}, expected {expected}")
-        if np.any(np.isinf(self.values)):
-            raise ShapeError(f"{self.name}: an infinite value, expected f in 1/sr, or NaN where not measured")
-
-    def require_srgb(self, shape: tuple[int, ...]) -> None:
-        """Raise ShapeError unless the values are linear sRGB at nodes of this shape."""
-        if self.values.shape != (*shape, 3) or not self.bands.is_rgb:
-            expected = (*shape, 3)
-            raise ShapeError(
-                f"{self.name}: values have shape {self.values.shape}, expected {expected} of sRGB"
-            )
-
     @cached_property
     def bands(self) -> Bands:
         """The spectral axis."""
@@ -84,14 +48,14 @@ class DenseTable:
         return self.coordinates == "half-difference" or self.axes[1].size == 1
 
     @property
-    def measured(self) -> Array:
+    def measured(self) -> Mask:
         """Which nodes were measured in all bands, bool, the shape of `values` without its last axis."""
         return np.asarray(np.isfinite(self.values).all(axis=-1))
 
-    def directions(self, index: Array | None = None) -> tuple[Array, Array]:
+    def directions(self, index: Indices | None = None) -> tuple[Array, Array]:
         """wi and wo, each (n, 3), of nodes by their flat index (n,); of all by default, the last angle fastest."""
         shape = self.values.shape[:-1]
-        index = np.arange(np.prod(shape)) if index is None else np.asarray(index)
+        index = np.arange(math.prod(shape), dtype=np.intp) if index is None else index
         angles = [nodes[k] for nodes, k in zip(self.axes, np.unravel_index(index, shape), strict=True)]
         if self.coordinates == "half-difference":
             return from_rusinkiewicz(*angles)

@@ -7,17 +7,17 @@ relative to azimuth 0 differs between programs: it is found from the highlight.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
+from manifold.formats.bsdf_text import Block, angle_line, read_blocks
 from manifold.formats.dense import DenseTable
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import Place, decode
-from manifold.formats.tristimulus import linear_srgb_to_xyz, unnamed_band, xyz_to_linear_srgb
+from manifold.formats.text import decode
+from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -26,28 +26,6 @@ _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tel
 _NEAR = np.cos(np.deg2rad(10.0))  # around a mirror direction
 _AROUND = np.cos(np.deg2rad([20.0, 40.0]))
 _TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of paints and papers by 1.4 at most
-# Rough surfaces show no peak, but send more light ahead at steep incidence. At 50 to 70 degrees none of 222 materials
-# (RGL files, neural fits, the corpus) is more than 2.9 times as bright in another of four directions.
-_STEEP_FROM, _AHEAD = 50.0, 3.0
-_MOST_BLOCKS = 100_000
-
-
-@dataclass
-class _Block:
-    """One table and what is said of it."""
-
-    aoi: float = 0.0
-    poi: float = 0.0
-    wavelength: float | None = None
-    tristimulus: int | None = None
-    is_front: bool = True
-    is_brdf: bool = True
-    values: Array = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def is_reflected(self) -> bool:
-        """Whether it holds reflection of light from the front."""
-        return self.is_front and self.is_brdf and self.aoi <= 90.0
 
 
 def sniff(head: bytes) -> bool:
@@ -67,22 +45,20 @@ def read(path: Path) -> list[Readings]:
         FileFormatError: a list or table is cut off or holds what is no number, or nothing is reflected.
         UsageError: the file cannot be read.
     """
-    words = Words(path)
-    azimuths, radials, blocks, heading = _blocks(words)
-    notes: list[str] = []
-    left = sum(not b.is_reflected for b in blocks)
-    if left:
-        notes.append(f"{left} blocks of transmission or of the back are left out")
-    blocks = [b for b in blocks if b.is_reflected]
+    text = read_blocks(path)
+    blocks = [block for block in text.blocks if _is_reflected(block)]
     if not blocks:
-        raise words.place.error(
+        raise text.context.error(
             "no block of front reflectance, expected AOI, POI, Wavelength, TIS and a table"
         )
-    nm, incidences, values = _stack(blocks, notes, words.place)
-    rows = grid_rows(azimuths, radials)
-    phi, theta = (a.reshape(-1)[rows] for a in np.meshgrid(azimuths, radials, indexing="ij"))
+    notes: list[str] = []
+    if left := len(text.blocks) - len(blocks):
+        notes.append(f"{left} blocks of transmission or of the back are left out")
+    nm, incidences, values = _stack(blocks, notes, text.context)
+    phi, theta, rows = text.directions()
     keep = np.abs(theta) <= 90.0
     values, theta, phi = values[:, rows][:, keep], theta[keep], phi[keep]
+    heading = " ".join([*text.comments[:20], *blocks[0].words.values()])
     is_mini_diff = re.search(r"mini[\s_-]*diff", heading, re.IGNORECASE) is not None
     if is_mini_diff and _is_ramp(theta, phi, values):
         inside = theta <= _PADDING_FROM + 1e-6
@@ -103,8 +79,6 @@ def read(path: Path) -> list[Readings]:
     )
     wi[:, 2] = np.maximum(wi[:, 2], 0.0)
     values = values.reshape(-1, values.shape[-1])
-    if nm is None:
-        values = xyz_to_linear_srgb(values)
     return [
         Readings(
             path.stem, "Mini-Diff (LightTools text)" if is_mini_diff else "LightTools BSDF",
@@ -113,88 +87,43 @@ def read(path: Path) -> list[Readings]:
     ]  # fmt: skip
 
 
-def _blocks(words: Words) -> tuple[Array, Array, list[_Block], str]:
-    azimuths = radials = np.zeros(0)
-    blocks: list[_Block] = []
-    block = _Block()
-    with words.place.path.open("rb") as file:
-        heading = " ".join(decode(file.read(4000)).split("\n")[:20])
-    while (word := words.next()) is not None:
-        key = plain(word)
-        if key == "scatterazimuth":
-            azimuths = words.angles(word)
-        elif key == "scatterradial":
-            radials = words.angles(word)
-        elif key in ("samplerotation", "angleofincidence"):
-            words.angles(word)  # each block says its own
-        elif key == "aoi":
-            block.aoi = words.number(word)
-        elif key == "poi":
-            block.poi = words.number(word)
-        elif key == "wavelength":
-            block.wavelength = words.number(word)
-        elif key == "side":
-            block.is_front = not words.rest().lower().startswith("back")
-        elif key == "scattertype":
-            block.is_brdf = not words.rest().lower().startswith("btdf")
-        elif key == "tristimulusvalue":
-            block.tristimulus = XYZ_TO_BAND.get(plain(words.rest()))
-        elif key == "tis":
-            words.number(word)
-            if not azimuths.size or not radials.size:
-                raise words.place.error("a table before ScatterAzimuth and ScatterRadial", words.line)
-            block.values = words.table(azimuths, radials, f"values of AOI {block.aoi:g}")
-            blocks.append(block)
-            if len(blocks) > _MOST_BLOCKS:
-                raise words.place.error(f"more than {_MOST_BLOCKS} blocks")
-            block = _Block(block.aoi, block.poi, block.wavelength, None, block.is_front, block.is_brdf)
-        elif key == "dataend":
-            break
-        elif re.match(r"[+-]?[\d.]", word):
-            raise words.place.error(
-                f"found '{word[:24]}', expected a key such as AOI: a table is too long", words.line
-            )
-        elif key != "databegin":
-            words.rest()  # keys that say nothing of values
-    return azimuths, radials, blocks, heading
+def _is_reflected(block: Block) -> bool:
+    """Whether a block holds reflection of light from the front."""
+    side, kind = (block.words.get(key, "").lower() for key in ("side", "scattertype"))
+    return (
+        not side.startswith("back") and not kind.startswith("btdf") and block.numbers.get("aoi", 0.0) <= 90.0
+    )
 
 
 def _stack(
-    blocks: list[_Block], notes: list[str], place: Place
+    blocks: list[Block], notes: list[str], context: ErrorContext
 ) -> tuple[Array | None, list[tuple[float, float]], Array]:
     """Wavelengths, or None for XYZ; incidences; values (incidences, azimuths * radials, B)."""
     is_xyz = any(b.tristimulus is not None for b in blocks)
-    labels: list[float] = []
-    for b in blocks:
-        if is_xyz and b.tristimulus is None:
-            raise place.error(
-                "blocks with and without TristimulusValue, expected X, Y and Z of every incidence"
-            )
-        labels.append(float(b.tristimulus or 0) if is_xyz else (b.wavelength or 0.0))
-    bands = sorted(set(labels))
-    incidences = sorted({(b.aoi, b.poi) for b in blocks})
+    labels = [float(b.tristimulus or 0) if is_xyz else b.numbers.get("wavelength", 0.0) for b in blocks]
+    angles = [(b.numbers.get("aoi", 0.0), b.numbers.get("poi", 0.0)) for b in blocks]
+    bands, incidences = sorted(set(labels)), sorted(set(angles))
     if any(not 0.0 <= aoi <= 90.0 for aoi, _ in incidences):
-        raise place.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
+        raise context.error(f"AOI {max(abs(a) for a, _ in incidences):g}, expected 0 to 90 degrees")
     if len(bands) * len(incidences) != len(blocks):
-        raise place.error(
+        raise context.error(
             f"{len(blocks)} blocks, expected one of each of {len(bands)} bands at each of {len(incidences)} "
             "incidences, with bands given by Wavelength, or by TristimulusValue TrisX, TrisY and TrisZ"
         )
     values = np.full((len(incidences), blocks[0].values.size, len(bands)), np.nan)
-    for b, label in zip(blocks, labels, strict=True):
-        values[incidences.index((b.aoi, b.poi)), :, bands.index(label)] = b.values.reshape(-1)
+    for block, label, incidence in zip(blocks, labels, angles, strict=True):
+        values[incidences.index(incidence), :, bands.index(label)] = block.values.reshape(-1)
     if np.any(np.isnan(values)):
-        raise place.error("two blocks of the same incidence and band, expected one of each")
+        raise context.error("two blocks of the same incidence and band, expected one of each")
     if is_xyz:
-        notes.append("CIE XYZ, converted to linear sRGB")
         if len(bands) != 3:
-            raise place.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
-        return None, incidences, values
+            raise context.error(f"{len(bands)} tristimulus values, expected X, Y and Z")
+        return None, incidences, converted(values, notes)
     if bands == [0.0]:
         return unnamed_band(notes), incidences, values
     nm = np.array(bands)
     if nm[0] <= 0:
-        raise place.error(f"wavelength {nm[0]:g}, expected nanometres")
+        raise context.error(f"wavelength {nm[0]:g}, expected nanometres")
     return (nm * 1000.0 if nm[-1] < 100.0 else nm), incidences, values
 
 
@@ -224,9 +153,6 @@ def _incident_azimuth(
     if peaks[best] >= _TELLING * max(peak for offset, peak in peaks.items() if offset != best):
         notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the highlight")
         return best
-    if (side := _brightest_side(incidences, wo, values.mean(axis=-1))) is not None:
-        notes.append(f"incidence is taken at azimuth POI + {side:g}, opposite the brightest side")
-        return side
     in_usual_plane = peaks[90.0] + peaks[270.0] >= peaks[0.0] + peaks[180.0]
     taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
     notes.append(f"no highlight shows the mirror direction: incidence is taken at azimuth POI + {taken:g}")
@@ -245,25 +171,6 @@ def _peak(
         if np.any(near) and np.any(around):
             total += float(brightness[k, near].mean() / max(brightness[k, around].mean(), 1e-300))
     return total
-
-
-def _brightest_side(incidences: list[tuple[float, float]], wo: Array, brightness: Array) -> float | None:
-    """The offset of incidence from POI whose mirror direction is far the brightest, at the steepest incidence.
-
-    None where no incidence is steep, nothing stands out, or what is opposite was not measured.
-    """
-    steep = [k for k, (aoi, _) in enumerate(incidences) if _STEEP_FROM <= aoi <= _PADDING_FROM]
-    if not steep:
-        return None
-    aoi, poi = incidences[steep[-1]]
-    found = {}
-    for offset in (90.0, 270.0, 180.0, 0.0):
-        near = wo @ from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset + 180.0)) > _NEAR
-        if np.any(near):
-            found[offset] = float(brightness[steep[-1], near].mean())
-    best = max(found, key=lambda offset: found[offset], default=0.0)
-    is_clear = all(found[best] > _AHEAD * value for offset, value in found.items() if offset != best)
-    return best if is_clear and (best + 180.0) % 360.0 in found else None
 
 
 def write(path: Path, table: DenseTable) -> None:

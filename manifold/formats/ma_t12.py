@@ -9,7 +9,9 @@ from __future__ import annotations
 import io
 import warnings
 import zipfile
-from collections.abc import Mapping
+import zlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,25 +19,22 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import FileFormatError
-from manifold.formats.direction_table import read_directions
-from manifold.formats.geometry_names import can_be_geometry
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import MA_T12_NAMES, Readings
-from manifold.formats.sheet_images import sheet_images
-from manifold.formats.spectro_table import TAKEN_AS_FACTORS, TAKEN_AS_PERCENT, Header, find_header, read_rows
-from manifold.formats.table_cells import Cell, Table, plain_table
-from manifold.formats.table_layouts import with_geometries
-from manifold.formats.text import Place, read_bytes
+from manifold.formats.tables import HEADERS, Cell, Columns, Table, find_columns, in_one_unit, read_table
+from manifold.formats.text import read_bytes
 from manifold.system import atomic
 
 _REMEDY = "export the workbook again from the spectrophotometer's program"
 _LARGEST_FILE = 200_000_000  # bytes; flake images make a real workbook a few megabytes
 _LARGEST_SHEETS = 12_000_000  # bytes unpacked: 500 samples in one workbook
 _MOST_PARTS = 5000
-_MOST_ROWS, _MOST_CELLS = 50_000, 2_000_000  # openpyxl makes all cells up to the last of a row
+_MOST_ROWS = 50_000  # of a sheet
+_MOST_CELLS = 2_000_000  # of all sheets: openpyxl makes all cells up to the last of a row
 
 
 def sniff(head: bytes) -> bool:
-    """Whether a file may be a workbook: a ZIP archive; its parts are looked at when it is read."""
+    """Whether a file may be a workbook: a ZIP archive; its parts are checked when it is read."""
     return head.startswith(b"PK\x03\x04")
 
 
@@ -46,129 +45,106 @@ def read(path: Path) -> list[Readings]:
         FileFormatError: it is another archive, damaged, unpacks to more than any workbook does, or a cell is wrong.
         UsageError: the file cannot be read.
     """
-    place = Place(path, _REMEDY)
+    context = ErrorContext(path, _REMEDY)
     data = read_bytes(path, _LARGEST_FILE)
-    _check_archive(data, place)
-    sheets = _sheets(data, place)
+    workbook = _without_images(data, context)
+    sheets = _sheets(workbook, context)
     instrument = _instrument(sheets)
-    measured = [
-        one
-        for title in sheets
-        for one in read_directions(plain_table(sheets[title], title), place, path.stem, instrument)
+    found = _tables(sheets, context)
+    readings = [
+        (
+            table.sheet,
+            read_table(
+                table, columns, context, str(table.sheet) if len(found) > 1 else path.stem, instrument
+            ),
+        )
+        for table, columns in found
     ]
-    if measured:
-        return measured
-    found = _tables(sheets, place)
-    several = len(found) > 1
-
-    readings = {
-        title: read_rows(*table, place, title if several else path.stem, instrument)
-        for title, table in found.items()
-    }
-    if any(TAKEN_AS_PERCENT in one.notes for of in readings.values() for one in of):
-        readings = {title: [_as_percent(one) for one in of] for title, of in readings.items()}
-    texture = _texture(sheets, data)
+    texture = _texture(sheets, data, workbook)
     return [
-        replace(one, texture=texture.get(one.name, texture.get("", {}))) for one in _named_apart(readings)
+        replace(one, texture=texture.get(one.name, texture.get("", {})))
+        for one in in_one_unit(_named_apart(readings))
     ]
 
 
-def _as_percent(readings: Readings) -> Readings:
-    """The readings in the unit of another sheet, which is percent, where their own sheet gave none."""
-    if TAKEN_AS_FACTORS not in readings.notes:
-        return readings
-    notes = tuple(TAKEN_AS_PERCENT if note == TAKEN_AS_FACTORS else note for note in readings.notes)
-    return replace(readings, values=readings.values / 100.0, notes=notes)
-
-
-def _tables(sheets: Mapping[str, list[list[Cell]]], place: Place) -> dict[str, tuple[Table, Header]]:
-    """The sheets that hold reflectance, by title: those called spectral, else all; or one of geometries' sheets.
+def _tables(sheets: Mapping[str, list[list[Cell]]], context: ErrorContext) -> list[tuple[Table, Columns]]:
+    """The sheets that hold readings: those called spectral, else all.
 
     Raises:
         FileFormatError: there is none.
     """
     titles = [title for title in sheets if "spectral" in title.lower()] or list(sheets)
-    found = {}
-    for title in titles:
-        table = find_header(plain_table(sheets[title], title), place)
-        if table is not None:
-            found[title] = table
-    spectra = {title: table for title, table in found.items() if not table[1].is_rgb}
-    if found:
-        return spectra or found
-    geometries = [(plain_table(sheets[t], t), t) for t in sheets if can_be_geometry(t)]
-    joined = with_geometries(geometries, place)
-    table = find_header(joined, place) if joined is not None else None
-    if table is not None:
-        return {geometries[0][1]: table}
-    listed = ", ".join(list(sheets)[:6])
-    raise place.error(
-        f"found a workbook with sheets {listed}, expected one called 'Spectral Data', or "
-        "columns of wavelengths beside one of geometries such as 45as15, or a sheet per geometry"
-    )
+    tables = [Table(sheets[title], title) for title in titles]
+    found = [(table, columns) for table in tables if (columns := find_columns(table, context)) is not None]
+    if not found:
+        raise context.error(
+            f"found a workbook with sheets {', '.join(list(sheets)[:6])}, expected one called 'Spectral Data' with a "
+            f"header such as {HEADERS}"
+        )
+    return found
 
 
-def _named_apart(readings: Mapping[str, list[Readings]]) -> list[Readings]:
+def _named_apart(found: Sequence[tuple[str | None, list[Readings]]]) -> list[Readings]:
     """The samples of all sheets; where two have the same name, the title of the sheet stands before it."""
-    names = [one.name for found in readings.values() for one in found]
+    names = Counter(one.name for _, own in found for one in own)
     return [
-        one if names.count(one.name) == 1 else replace(one, name=f"{title}: {one.name}")
-        for title, found in readings.items()
-        for one in found
+        one if names[one.name] == 1 else replace(one, name=f"{title}: {one.name}")
+        for title, own in found
+        for one in own
     ]
 
 
-def _check_archive(data: bytes, place: Place) -> None:
-    """Refuse what is no workbook, and what unpacks to more than one."""
+def _without_images(data: bytes, context: ErrorContext) -> io.BytesIO:
+    """The workbook without its images, which may be large; what is no workbook, or unpacks to more, is refused."""
+    packed = io.BytesIO()
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(packed, "w") as made:
             parts = archive.infolist()
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
-        raise place.error(f"not a readable workbook ({error})") from None
-    names = {part.filename for part in parts}
-    if not any(name.startswith("xl/") for name in names):
-        kinds = (
-            ("word/", "a Word document"),
-            ("ppt/", "a presentation"),
-            ("mimetype", "an OpenDocument file"),
-        )
-        kind = next((k for prefix, k in kinds if any(n.startswith(prefix) for n in names)), "a ZIP archive")
-        raise place.error(f"found {kind}, expected an .xlsx workbook of a spectrophotometer")
-    unpacked = sum(part.file_size for part in parts if not part.filename.startswith("xl/media/"))
-    if len(parts) > _MOST_PARTS or unpacked > _LARGEST_SHEETS:
-        raise place.error(
-            f"its {len(parts)} parts unpack to {unpacked / 1e6:.0f} MB, expected a spectrophotometer's workbook of "
-            f"at most {_LARGEST_SHEETS / 1e6:.0f} MB"
-        )
+            if not any(part.filename.startswith("xl/") for part in parts):
+                raise context.error("found a ZIP archive, expected an .xlsx workbook of a spectrophotometer")
+            kept = [part for part in parts if not part.filename.startswith("xl/media/")]
+            unpacked = sum(part.file_size for part in kept)
+            if len(parts) > _MOST_PARTS or unpacked > _LARGEST_SHEETS:
+                raise context.error(
+                    f"its {len(parts)} parts unpack to {unpacked / 1e6:.0f} MB, expected a spectrophotometer's "
+                    f"workbook of at most {_LARGEST_SHEETS / 1e6:.0f} MB"
+                )
+            for part in kept:
+                made.writestr(part.filename, archive.read(part))
+    except FileFormatError:  # which is a ValueError
+        raise
+    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError) as error:
+        raise context.error(f"not a readable workbook ({' '.join(str(error).split())[:80]})") from None
+    return packed
 
 
-def _sheets(data: bytes, place: Place) -> dict[str, list[list[Cell]]]:
+def _sheets(workbook: io.BytesIO, context: ErrorContext) -> dict[str, list[list[Cell]]]:
     """Cells of every sheet by its title."""
     import openpyxl
 
+    sheets: dict[str, list[list[Cell]]] = {}
+    cells = 0
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-            sheets = {}
+            book = openpyxl.load_workbook(workbook, read_only=True, data_only=True)
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # the size declared in the file is not trusted
-                rows: list[list[Cell]] = []
-                cells = 0
-                for row in sheet.iter_rows(values_only=True, max_row=_MOST_ROWS):
+                rows = sheets.setdefault(str(sheet.title), [])
+                for row in sheet.iter_rows(values_only=True):
                     cells += len(row)
-                    if cells > _MOST_CELLS:
-                        raise place.error(f"sheet '{sheet.title}' has more than {_MOST_CELLS} cells")
-                    rows.append([cell if isinstance(cell, int | float | None) else str(cell) for cell in row])
-                sheets[str(sheet.title)] = rows
+                    if cells > _MOST_CELLS or len(rows) >= _MOST_ROWS:
+                        raise context.error(
+                            f"sheet '{sheet.title}' makes more than {_MOST_ROWS} rows, or {_MOST_CELLS} cells in all"
+                        )
+                    last = next((k for k in range(len(row), 0, -1) if row[k - 1] is not None), 0)
+                    rows.append([c if isinstance(c, int | float | None) else str(c) for c in row[:last]])
             book.close()
     except (MemoryError, FileFormatError):
         raise
     except Exception as error:  # openpyxl raises whatever its parsers do
         reason = " ".join(str(error).split())[:80] or type(error).__name__
-        raise place.error(f"not a readable workbook ({reason})") from None
-    if not sheets:
-        raise place.error("a workbook without sheets, expected 'Spectral Data'")
+        raise context.error(f"not a readable workbook ({reason})") from None
     return sheets
 
 
@@ -188,7 +164,9 @@ def _instrument(sheets: Mapping[str, list[list[Cell]]]) -> str:
     return "multi-angle spectrophotometer (workbook)"
 
 
-def _texture(sheets: Mapping[str, list[list[Cell]]], data: bytes) -> dict[str, dict[str, Any]]:
+def _texture(
+    sheets: Mapping[str, list[list[Cell]]], data: bytes, workbook: io.BytesIO
+) -> dict[str, dict[str, Any]]:
     """Texture rows and flake images by sample; what names no sample is under the empty name."""
     texture: dict[str, dict[str, Any]] = {}
     title = _pick(sheets, "texture data")
@@ -196,7 +174,7 @@ def _texture(sheets: Mapping[str, list[list[Cell]]], data: bytes) -> dict[str, d
         texture.setdefault(name, {}).setdefault("values", []).append(entry)
     title = _pick(sheets, "texture image")
     if title:
-        images = sheet_images(data, title, sheets[title])
+        images = _images(data, workbook, title, sheets[title])
         for entry in texture.values() if texture and images else ():
             entry["images"] = images
         if images and not texture:
@@ -218,6 +196,30 @@ def _texture_rows(rows: list[list[Cell]]) -> list[tuple[str, dict[str, Any]]]:
                     found.append((str(entry.get("Name", entry.get("name", ""))), entry))
             return found
     return []
+
+
+def _images(data: bytes, workbook: io.BytesIO, title: str, rows: list[list[Cell]]) -> dict[str, bytes]:
+    """Pictures of a sheet (PNG, JPEG), by the caption in the cell to their left; none where they cannot be read."""
+    import openpyxl
+    from openpyxl.packaging.relationship import get_dependents, get_rels_path
+    from openpyxl.reader.drawings import find_images
+
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if sum(part.file_size for part in archive.infolist()) > _LARGEST_FILE:
+                return {}
+            sheet = openpyxl.load_workbook(workbook, read_only=True)[title]._worksheet_path
+            relations = get_dependents(archive, get_rels_path(sheet))
+            drawings = [relation.target for relation in relations if relation.Type.endswith("/drawing")]
+            found = {}
+            for image in [image for drawing in drawings[:1] for image in find_images(archive, drawing)[1]]:
+                row = image.anchor._from.row
+                caption = rows[row][0] if row < len(rows) and rows[row] else None
+                found[str(caption or f"row {row + 1}")] = image._data()
+            return found
+    except Exception:  # openpyxl raises whatever its parsers do; readings do not depend on pictures
+        return {}
 
 
 def write(path: Path, readings: Readings) -> None:

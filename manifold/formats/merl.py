@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold.formats.dense import DenseTable
-from manifold.formats.text import Place, read_bytes
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.text import read_bytes
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -26,8 +27,8 @@ _SIZE = _HEADER.size + 3 * 8 * SHAPE[0] * SHAPE[1] * SHAPE[2]
 
 def axes() -> tuple[Array, Array, Array]:
     """theta_h (90,), theta_d (90,) and phi_d (180,) of the nodes in radians."""
-    t = np.arange(90) / 90.0
-    return 0.5 * np.pi * t**2, 0.5 * np.pi * t, np.pi * np.arange(180) / 180.0
+    t = np.arange(90.0) / 90.0
+    return 0.5 * np.pi * t**2, 0.5 * np.pi * t, np.pi * np.arange(180.0) / 180.0
 
 
 def sniff(head: bytes) -> bool:
@@ -45,21 +46,23 @@ def read(path: Path) -> list[DenseTable]:
         FileFormatError: other counts, another length, or a value that is not finite.
         UsageError: the file cannot be read.
     """
-    place = Place(path, "download the file again")
+    context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * _SIZE)
     counts = _HEADER.unpack_from(data)
     if counts != SHAPE:
-        raise place.error(f"has {' x '.join(map(str, counts))} nodes, expected 90 x 90 x 180")
+        raise context.error(f"has {' x '.join(map(str, counts))} nodes, expected 90 x 90 x 180")
     if len(data) != _SIZE:
-        raise place.error(f"has {len(data)} bytes, expected {_SIZE} of a MERL file: it is cut off or longer")
+        raise context.error(
+            f"has {len(data)} bytes, expected {_SIZE} of a MERL file: it is cut off or longer"
+        )
     planes = np.frombuffer(data, "<f8", offset=_HEADER.size).reshape(3, *SHAPE)
     if not np.all(np.isfinite(planes)):
         plane, *node = (int(k[0]) for k in np.nonzero(~np.isfinite(planes)))
-        raise place.error(f"{'RGB'[plane]} at node {tuple(node)} is not finite, expected a number")
+        raise context.error(f"{'RGB'[plane]} at node {tuple(node)} is not finite, expected a number")
     values = np.moveaxis(planes, 0, -1) * SCALES
     values[np.any(planes < 0.0, axis=0)] = np.nan
     if not np.any(np.isfinite(values)):
-        raise place.error("no value was measured: all are negative")
+        raise context.error("no value was measured: all are negative")
     return [DenseTable(path.stem, "MERL", "half-difference", axes(), None, values)]
 
 
@@ -67,10 +70,8 @@ def write(path: Path, table: DenseTable) -> None:
     """A MERL file of a half-difference table in linear sRGB at MERL's nodes.
 
     Raises:
-        ShapeError: the table has other nodes or bands.
         UsageError: the file cannot be written.
     """
-    table.require_srgb(SHAPE)
     measured = np.isfinite(table.values).all(axis=-1, keepdims=True)
     # What is measured is not negative in a MERL file, where that says "not measured"; colours may be out of gamut.
     planes = np.where(measured, np.maximum(table.values, 0.0) / SCALES, -1.0)

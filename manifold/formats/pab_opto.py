@@ -14,14 +14,15 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import Place, decode, find_separator, number, read_lines, split_cells
-from manifold.formats.tristimulus import converted, unnamed_band
+from manifold.formats.text import decode, find_separator, number, read_lines, split_cells
+from manifold.formats.values import converted, nanometres, unnamed_band
 from manifold.records import Array
 
 _REMEDY = "export the measurement again"
 _MOST_ROWS = 5_000_000
-_LEAST_COSINE = 1e-3  # DSF / cos(theta_o) says nothing nearer to the horizon
+_LEAST_COSINE = 1e-3  # DSF / cos(theta_o) is meaningless closer to the horizon
 
 
 def sniff(head: bytes) -> bool:
@@ -40,17 +41,17 @@ def read(path: Path) -> list[Readings]:
         FileFormatError: no incidence, an unknown quantity, or a row that is not `theta phi value`.
         UsageError: the file cannot be read.
     """
-    place = Place(path, _REMEDY)
+    context = ErrorContext(path, _REMEDY)
     lines = read_lines(path)
     header = _header(lines)
-    theta_i, phi_i = _incidence(header, place)
+    theta_i, phi_i = _incidence(header, context)
     quantity = (header.get("format", "theta phi BSDF").split() or ["BSDF"])[-1].upper()
     if quantity not in ("DSF", "BSDF", "BRDF"):
         why = " (transmitted light)" if quantity == "BTDF" else ""
-        raise place.error(
+        raise context.error(
             f"format '{header.get('format', '')[:40]}'{why}, expected theta phi DSF or theta phi BSDF"
         )
-    table = _rows(lines, place)
+    table = _rows(lines, context)
     notes = [] if "format" in header else ["no line #format: values are taken as BSDF in 1/sr"]
     theta, phi = np.deg2rad(table[:, 0]), np.deg2rad(table[:, 1])
     values = table[:, 2:]
@@ -61,7 +62,7 @@ def read(path: Path) -> list[Readings]:
     if not np.all(above):
         notes.append(f"{int((~above).sum())} rows at or below the horizon are left out")
     if not np.any(above):
-        raise place.error("nothing but transmitted light, expected rows on the side of incidence")
+        raise context.error("nothing but transmitted light, expected rows on the side of incidence")
     theta, phi, values = theta[above], phi[above], values[above]
     if quantity == "DSF":
         values = values / np.cos(theta)[:, None]
@@ -69,9 +70,10 @@ def read(path: Path) -> list[Readings]:
     if values.shape[1] == 3 and "xyz" in header.get("colorimetry", "xyz").lower():
         values = converted(values, notes)
     elif values.shape[1] == 1:
-        nm = _wavelength(header, notes)
+        named = nanometres(header.get("wavelength", ""))
+        nm = unnamed_band(notes) if named is None else np.array([named])
     else:
-        raise place.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
+        raise context.error(f"rows of {values.shape[1]} values, expected 1, or 3 of CIE XYZ")
     wi = np.tile(from_spherical(np.deg2rad(theta_i), np.deg2rad(phi_i)), (len(values), 1))
     name = header.get("sample_name") or path.stem
     return [Readings(name, "pab-opto", wi, from_spherical(theta, phi), nm, values, notes=tuple(notes))]
@@ -86,43 +88,34 @@ def _header(lines: list[str]) -> dict[str, str]:
     return header
 
 
-def _incidence(header: dict[str, str], place: Place) -> tuple[float, float]:
+def _incidence(header: dict[str, str], context: ErrorContext) -> tuple[float, float]:
     """theta and phi of incidence in degrees."""
     texts = header.get("incident_angle", "").replace(",", " ").split()
     if len(texts) < 2 and "intheta" in header:
         texts = [header["intheta"], header.get("inphi", "0")]
     values = [number(text) for text in texts[:2]]
     if len(values) < 2 or values[0] is None or values[1] is None:
-        raise place.error("no incidence found, expected a line '#incident_angle theta phi' in degrees")
+        raise context.error("no incidence found, expected a line '#incident_angle theta phi' in degrees")
     if not 0.0 <= values[0] <= 180.0:
-        raise place.error(f"incident theta is {values[0]:g}, expected 0 to 180 degrees")
+        raise context.error(f"incident theta is {values[0]:g}, expected 0 to 180 degrees")
     return values[0], values[1]
 
 
-def _wavelength(header: dict[str, str], notes: list[str]) -> Array:
-    """The wavelength (1,) in nm; below 100 it is in micrometres."""
-    found = re.match(r"[\d.,]+", header.get("wavelength", ""))
-    value = number(found[0]) if found else None
-    if value is None or value <= 0:
-        return unnamed_band(notes)
-    return np.array([value if value >= 100.0 else 1000.0 * value])
-
-
-def _rows(lines: list[str], place: Place) -> Array:
+def _rows(lines: list[str], context: ErrorContext) -> Array:
     rows = [
         (k, line)
         for k, line in enumerate(lines, start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     if not rows or len(rows) > _MOST_ROWS:
-        raise place.error(f"{len(rows)} rows, expected 1 to {_MOST_ROWS}")
+        raise context.error(f"{len(rows)} rows, expected 1 to {_MOST_ROWS}")
     separator = find_separator([line for _, line in rows[:20]])
     width = len(split_cells(rows[0][1], separator))
     if width < 3:
-        raise place.error(f"{width} cells, expected theta, phi and a value", f"line {rows[0][0]}")
-    table = place.table(rows, separator, width)
+        raise context.error(f"{width} cells, expected theta, phi and a value", f"line {rows[0][0]}")
+    table = context.table(rows, separator, width)
     if np.any(table[:, 0] < 0.0) or np.any(table[:, 0] > 180.0):
-        raise place.error("a theta outside 0 to 180 degrees, expected degrees from the normal")
+        raise context.error("a theta outside 0 to 180 degrees, expected degrees from the normal")
     return table
 
 
@@ -137,7 +130,8 @@ def merge(parts: Sequence[Readings]) -> Readings:
         if part.bands != first.bands:
             raise FileFormatError(f"{part.name}: {part.bands}, expected {first.bands} as in {first.name}")
     notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-    wi, wo, values, weights = (
-        np.concatenate([getattr(part, key) for part in parts]) for key in ("wi", "wo", "values", "weights")
+    wi, wo, values, weights, scatter = (
+        np.concatenate([getattr(part, key) for part in parts])
+        for key in ("wi", "wo", "values", "weights", "scatter")
     )
-    return replace(first, wi=wi, wo=wo, values=values, weights=weights, notes=notes)
+    return replace(first, wi=wi, wo=wo, values=values, weights=weights, scatter=scatter, notes=notes)

@@ -16,7 +16,7 @@ import numpy as np
 
 from manifold.directions import from_spherical, require_directions
 from manifold.errors import ShapeError
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, Indices, Mask
 
 # Anchor leg and aspecular angle in degrees, in the instrument's order.
 _MA_T12 = (
@@ -26,8 +26,13 @@ _MA_T12 = (
 MA_T12_NAMES = tuple(f"{anchor}as{aspecular}" for anchor, aspecular in _MA_T12)
 """The 12 geometries of an MA-T12, in the order of `geometry_ma_t12`."""
 
+_CONTRADICTION = 0.1  # scatter of repeated readings that is noted
+
 GLOSS_ANGLES_DEG = (20.0, 60.0, 85.0)
 """Incidences of gloss meters in degrees (ISO 2813)."""
+
+MOST_GLOSS = {20.0: 2040.0, 60.0: 1000.0, 85.0: 162.0}
+"""Gloss units of a mirror that reflects all light, by angle: 100 over the reflectance of glass of index 1.567."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +47,9 @@ class Readings:
         wavelengths_nm: band centres in nm, increasing, shape (B,); None for linear sRGB, B = 3.
         values: f in 1/sr, shape (P, B); NaN is not measured; noise may make values slightly negative.
         weights: relative reliability of each pair, at least 0, shape (P,); all 1 by default.
+        scatter: standard deviation of the cube roots of repeated readings of a pair, relative, shape (P,); 0 by
+            default, where they were not repeated.
+        colour_error: expected CIEDE2000 of spectra that were estimated from fewer bands; 0 where they were measured.
         notes: what was ambiguous in the file, and how it was taken; one sentence each.
         texture: what the instrument says of texture (graininess, sparkle, flake images), by name; plain values.
         gloss: gloss units of a gloss meter (ISO 2813), by its angle in degrees: 20, 60 or 85.
@@ -57,14 +65,16 @@ class Readings:
     notes: tuple[str, ...] = ()
     texture: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     gloss: Mapping[float, float] = field(default_factory=lambda: MappingProxyType({}))
+    scatter: Array = field(default_factory=lambda: np.zeros(0))
+    colour_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Check shapes and values, and make arrays read-only.
 
         Raises:
             ShapeError: directions are not unit vectors above the horizon (P, 3), values not (P, B), or infinite;
-                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative or at
-                other angles; P = 0.
+                wavelengths do not increase; weights are not (P,), negative or not finite; gloss is negative, more
+                than that of a mirror, or at other angles; P = 0.
         """
         wi, wo = (require_directions(w, f"{self.name}: {n}") for n, w in (("wi", self.wi), ("wo", self.wo)))
         if wi.ndim != 2 or wi.shape != wo.shape or wi.shape[0] == 0:
@@ -85,17 +95,23 @@ class Readings:
             raise ShapeError(
                 f"{self.name}: weights have shape {weights.shape}, expected {expected[:1]}, at least 0"
             )
-        for name, array in (("wi", wi), ("wo", wo), ("values", values), ("weights", weights)):
+        scatter = (
+            np.asarray(self.scatter, dtype=np.float64) if np.size(self.scatter) else np.zeros(expected[0])
+        )
+        for name, array in (
+            ("wi", wi), ("wo", wo), ("values", values), ("weights", weights), ("scatter", scatter),
+        ):  # fmt: skip
             object.__setattr__(self, name, _frozen(array))
         object.__setattr__(self, "wavelengths_nm", None if nm is None else _frozen(nm))
         for angle, units in self.gloss.items():
-            if angle not in GLOSS_ANGLES_DEG or not 0.0 <= units < np.inf:
-                raise ShapeError(
-                    f"{self.name}: gloss of {units:g} units at {angle:g} degrees, expected 0 or more, at 20, 60 or 85"
-                )
+            if (fault := gloss_fault(angle, units)) is not None:
+                raise ShapeError(f"{self.name}: {fault}")
         object.__setattr__(self, "texture", MappingProxyType(dict(self.texture)))
         object.__setattr__(self, "gloss", MappingProxyType(dict(self.gloss)))
         object.__setattr__(self, "notes", tuple(self.notes))
+
+    def __repr__(self) -> str:
+        return f"<Readings: {self.name}, {len(self)} of {self.instrument}, {self.bands}>"
 
     def __len__(self) -> int:
         """P."""
@@ -107,7 +123,7 @@ class Readings:
         return Bands.from_array(self.wavelengths_nm)
 
     @property
-    def measured(self) -> Array:
+    def measured(self) -> Mask:
         """Which values were measured, bool, shape (P, B)."""
         return np.isfinite(self.values)
 
@@ -123,10 +139,15 @@ class Readings:
         nm = None if self.wavelengths_nm is None else self.wavelengths_nm[index]
         return replace(self, wavelengths_nm=nm, values=self.values[:, index])
 
-    def select_pairs(self, pairs: Array) -> Readings:
+    def select_pairs(self, pairs: Indices | Mask) -> Readings:
         """The readings at some of their pairs, by index (n,) or mask (P,), in the order given."""
         return replace(
-            self, wi=self.wi[pairs], wo=self.wo[pairs], values=self.values[pairs], weights=self.weights[pairs]
+            self,
+            wi=self.wi[pairs],
+            wo=self.wo[pairs],
+            values=self.values[pairs],
+            weights=self.weights[pairs],
+            scatter=self.scatter[pairs],
         )
 
     def with_note(self, note: str) -> Readings:
@@ -151,6 +172,10 @@ def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float =
     `45as60az125.3` and `15as46.9az104.5` are one detector, 45 degrees from the normal and across the plane.
 
     Source: ASTM E2194, E2539; geometries of the MA98.
+
+    >>> wi, wo = aspecular_pair(45.0, 45.0)  # 45/0: the detector looks along the normal
+    >>> bool(np.allclose(wo, [0.0, 0.0, 1.0]))
+    True
     """
     wi = from_spherical(np.deg2rad(anchor_deg), np.pi)
     offset, azimuth = np.deg2rad(aspecular_deg), np.deg2rad(azimuth_deg)
@@ -161,21 +186,50 @@ def aspecular_pair(anchor_deg: float, aspecular_deg: float, azimuth_deg: float =
     return wi, np.cos(offset) * mirror + np.sin(offset) * turned
 
 
-def mean_of_repeats(wi: Array, wo: Array, values: Array) -> tuple[Array, Array, Array, int]:
-    """Readings with one row per direction pair, in order of first appearance, and how many rows went into others."""
+def gloss_fault(angle_deg: float, units: float) -> str | None:
+    """What is wrong with gloss units at an angle, or None."""
+    if angle_deg not in MOST_GLOSS:
+        return f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)"
+    most = MOST_GLOSS[angle_deg]
+    if 0.0 <= units <= most:
+        return None
+    return (
+        f"gloss of {units:g} units at {angle_deg:g} degrees, expected 0 to {most:g}, that of a perfect mirror"
+    )
+
+
+def mean_of_repeats(
+    wi: Array, wo: Array, values: Array
+) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+    """Readings with one row per direction pair, in order of first appearance, their scatter, and a note if any repeat.
+
+    Returns:
+        wi, wo, values and scatter as of `Readings`, and the note.
+    """
     keys = np.round(np.hstack([wi, wo]), 9)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     if first.size == len(keys):
-        return wi, wo, values, 0
+        return wi, wo, values, np.zeros(len(keys)), ()
     measured = np.isfinite(values)
-    totals = np.zeros((first.size, values.shape[1]))
-    counts = np.zeros_like(totals)
-    np.add.at(totals, inverse, np.where(measured, values, 0.0))
+    counts = np.zeros((first.size, values.shape[1]))
     np.add.at(counts, inverse, measured)
-    means = np.divide(totals, counts, out=np.full_like(totals, np.nan), where=counts > 0)
+
+    def mean(of: Array) -> Array:
+        totals = np.zeros_like(counts)
+        np.add.at(totals, inverse, np.where(measured, of, 0.0))
+        return np.divide(totals, counts, out=np.full_like(totals, np.nan), where=counts > 0)
+
+    roots = np.cbrt(np.maximum(values, 0.0))
+    of_pair = mean(roots)
+    variance = mean((roots - of_pair[inverse]) ** 2) * counts / np.maximum(counts - 1.0, 1.0)
+    norm = np.maximum(np.nansum(of_pair**2, axis=1), np.finfo(float).tiny)
+    scatter = np.sqrt(np.nansum(variance, axis=1) / norm)
     order = np.argsort(first)
-    return wi[first[order]], wo[first[order]], means[order], len(keys) - first.size
+    note = f"{len(keys) - first.size} readings repeat a geometry: their means are taken"
+    if scatter.max() > _CONTRADICTION:
+        note += f", but they contradict each other, by up to {100.0 * scatter.max():.0f} % in cube roots"
+    return wi[first[order]], wo[first[order]], mean(values)[order], scatter[order], (note,)
 
 
 def _frozen(array: Array) -> Array:

@@ -6,12 +6,12 @@ A format is a module with `sniff(head) -> bool` and `read(path) -> list of recor
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.errors import FileFormatError, UnknownNameError, UsageError
 from manifold.formats import (
     astm,
     csv_table,
@@ -27,26 +27,19 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
 from manifold.formats.light_side import with_light_side_note
 from manifold.formats.readings import Readings
-from manifold.formats.tensor_file import MAGIC, printable
+from manifold.formats.tables import HEADERS
+from manifold.formats.tensor_file import MAGIC
 from manifold.formats.text import read_bytes
-from manifold.system.names import names_like
+from manifold.system.names import first_few, names_like, printable
 
 Record = Readings | DenseTable
 _SNIFFED = 16384
 _SHOWN = 8  # names of samples in a message
-_WORKBOOKS = (".xlsx", ".xlsm", ".xls")
 _LARGEST_VALUE = 1e9  # in 1/sr; measured mirror directions reach 1e5
 
 
-@dataclass(frozen=True)
-class Format:
-    """One format.
-
-    Attributes:
-        name: for people.
-        sniff: whether a file's first bytes are of it.
-        read: all samples of a file.
-    """
+class Format(NamedTuple):
+    """One format: its name, whether a file's first bytes are of it, and a reader of all samples of a file."""
 
     name: str
     sniff: Callable[[bytes], bool]
@@ -62,8 +55,8 @@ FORMATS = (
     Format("LightTools BSDF text", lighttools.sniff, lighttools.read),
     Format("Zemax BSDF text", zemax.sniff, zemax.read),
     Format("ASTM table", astm.sniff, astm.read),
-    Format("CSV table", csv_table.sniff, csv_table.read),
     Format("UTIA", utia.sniff, utia.read),
+    Format("CSV table", csv_table.sniff, csv_table.read),
 )
 
 
@@ -73,35 +66,33 @@ def identify(path: Path | str) -> Format | None:
     Raises:
         UsageError: it is missing, no regular file, or cannot be read.
     """
-    path = Path(path)
+    head = _head(Path(path))
+    return next((known for known in FORMATS if not head.startswith(MAGIC) and known.sniff(head)), None)
+
+
+def _head(path: Path) -> bytes:
     if not path.is_file():
         read_bytes(path)  # says what it is
     try:
         with path.open("rb") as stream:
-            head = stream.read(_SNIFFED)
+            return stream.read(_SNIFFED)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    for candidate in () if head.startswith(MAGIC) else FORMATS:
-        if candidate.sniff(head):
-            return candidate
-    return None
 
 
 def unknown(path: Path) -> FileFormatError:
-    """What to say of a file whose content is of none of these formats."""
-    with path.open("rb") as stream:
-        head = stream.read(_SNIFFED)
+    """The error for a file of none of these formats."""
+    head = _head(path)
+    name = printable(path.name, 255)
     if head.startswith(MAGIC):
         return FileFormatError(
-            f"{printable(path.name, 255)}: found an RGL file, a whole BRDF, expected readings or a table; read it with "
-            "manifold.read_bsdf, or write it as a table with `manifold convert`"
+            f"{name}: found an RGL file, a whole BRDF, expected readings or a table; read it with manifold.read_bsdf, "
+            "or write it as a table with `manifold convert`"
         )
     what = name_format(head) if head else "an empty file"
-    if path.suffix.lower() in _WORKBOOKS:
-        what += ", no workbook with spectra"
     names = ", ".join(known.name for known in FORMATS)
     return FileFormatError(
-        f"{printable(path.name, 255)}: found {what}, expected an RGL file or one of: {names}"
+        f"{name}: found {what}, expected an RGL file or one of: {names}, which has a header such as {HEADERS}"
     )
 
 
@@ -133,19 +124,19 @@ def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -
     Args:
         path: of any known format.
         sample: which, by name; may be left out where there is only one.
-        is_only: whether no other file is asked for this sample: then a file's only sample, too, must have its name.
+        is_only: whether the sample is sought in this file alone: then even a single sample must have the name.
     Raises:
-        UsageError: there are several and none is named, or none has this name.
-        FileFormatError: as `read_all`.
+        UsageError: there are several and none is named, none has this name, or the file cannot be read.
+        FileFormatError: the file is of no known format, or damaged.
     """
     found = read_all(path)
     names = [record.name for record in found]
     if len(found) == 1 and (sample is None or not is_only):
         return found[0]
     if sample is None:
-        raise UsageError(f"{path}: holds {len(names)} samples ({_some(names)}); name one with --sample")
+        raise UsageError(f"{path}: holds {len(names)} samples ({first_few(names, _SHOWN)}); name one of them")
     if sample not in names:
-        raise UsageError(f"{path}: no sample '{sample}'; {names_like(names, sample)}")
+        raise UnknownNameError(f"{path}: no sample '{sample}'; {names_like(names, sample)}")
     return found[names.index(sample)]
 
 
@@ -154,7 +145,9 @@ def read_readings(
 ) -> Readings:
     """One sample as readings; dense tables give their measured nodes, at most `limit` of them.
 
-    Raises: as `read`.
+    Raises:
+        UsageError: there are several samples and none is named, none has this name, or the file cannot be read.
+        FileFormatError: the file is of no known format, or damaged.
     """
     return _as_readings(read(path, sample, is_only=is_only), limit)
 
@@ -163,8 +156,8 @@ def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[t
     """The samples that two instruments' files both hold: one each, or those of the same names.
 
     Raises:
-        UsageError: one holds several samples, and none has a name of the other's.
-        FileFormatError: as `read_all`.
+        UsageError: one holds several samples, none of which has a name in the other, or cannot be read.
+        FileFormatError: a file is of no known format, or damaged.
     """
     found = [{record.name: record for record in read_all(path)} for path in (reference, other)]
     first, second = ({name: _as_readings(record, limit) for name, record in of.items()} for of in found)
@@ -174,13 +167,9 @@ def read_pairs(reference: Path, other: Path, limit: int | None = None) -> list[t
     if not both:
         raise UsageError(
             f"{reference.name} holds {len(first)} samples, {other.name} {len(second)}, and no name is in both; "
-            f"expected the same names: {_some(list(first))}; {_some(list(second))}"
+            f"expected the same names: {first_few(list(first), _SHOWN)}; {first_few(list(second), _SHOWN)}"
         )
     return [(first[name], second[name]) for name in both]
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
 def _as_readings(record: Record, limit: int | None) -> Readings:

@@ -10,30 +10,24 @@ from __future__ import annotations
 
 import math
 import mmap
-import os
-import stat
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from manifold.errors import FileFormatError, UsageError
+from manifold.formats.error_context import ErrorContext
 from manifold.formats.foreign import name_format
-from manifold.records import Array
+from manifold.records import AnyArray
 from manifold.system import atomic
 
 MAGIC = b"tensor_file\0"
 _PREAMBLE = struct.Struct("<12sBBI")
-_SMALLEST_FIELD = 14  # bytes of a field's header: empty name, no axes
-_MAX_AXES = 32  # numpy's own limit was this for decades; RGL files have at most 5
-_MOST_BYTES = 4 << 30
-_MAX_FIELDS = 1024  # RGL files have 13; without a limit the names of a large damaged file fill the memory
-_MAX_NAME = 0xFFFF  # bytes
+_FIELD = struct.Struct("<HBQ")  # number of axes, dtype, offset
+_MOST_FIELDS = 1024  # RGL files have 13
 _ALIGNMENT = 8
 _SNIFFED = 8192  # bytes of another format's header that may hold the word that tells it
-WRITE_REMEDY = "correct the record; nothing was written"
 
 _DTYPES = {
     1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<u8", 8: "<i8", 9: "<f2", 10: "<f4", 11: "<f8",
@@ -41,32 +35,12 @@ _DTYPES = {
 _CODES = {np.dtype(name): code for code, name in _DTYPES.items()}
 
 
-class ErrorContext:
-    """Errors of one short line that name the file and, where there is one, the field, and say what to do."""
-
-    def __init__(self, path: Path, remedy: str = "the file is damaged: fetch it again") -> None:
-        self.path = path
-        self.remedy = remedy  # what to do where an error says nothing better
-
-    def error(self, found: str, field: str | None = None, remedy: str | None = None) -> FileFormatError:
-        where = f"{printable(self.path.name or str(self.path), 255)}: "
-        if field is not None:
-            where += f"field '{printable(field)}' "
-        return FileFormatError(f"{where}{found}; {remedy or self.remedy}")
-
-
-def printable(text: str, limit: int = 64) -> str:
-    """The text on one line: what does not print as an escape, the end of a long text left out."""
-    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1])
-    return text if len(text) <= limit else f"{text[: limit - 3]}..."
-
-
 def shape_text(shape: tuple[int, ...]) -> str:
     """A shape as numpy writes it, cut off where a damaged header makes it long."""
     return str(shape) if len(shape) <= 8 else f"({', '.join(map(str, shape[:4]))}, ... {len(shape)} axes)"
 
 
-def read_tensors(path: Path | str) -> dict[str, Array]:
+def read_tensors(path: Path | str) -> dict[str, AnyArray]:
     """The fields of a tensor file in the order of the file: read-only views of the mapped file.
 
     Args:
@@ -77,76 +51,8 @@ def read_tensors(path: Path | str) -> dict[str, Array]:
         FileFormatError: no such file, another format, or a header that points outside the file.
     """
     path = Path(path)
-    context = ErrorContext(path)
+    context = ErrorContext(path, "the file is damaged: fetch it again")
     buffer = _map(path, context)
-    entries, header_end = _read_header(buffer, context)
-    _require_separate(entries, header_end, context)
-    return {entry.name: entry.view(buffer) for entry in entries}
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """One field's header."""
-
-    name: str
-    dtype: np.dtype
-    shape: tuple[int, ...]
-    offset: int
-
-    @property
-    def end(self) -> int:
-        return self.offset + math.prod(self.shape) * self.dtype.itemsize
-
-    def header(self) -> bytes:
-        """As it stands in the file."""
-        name = self.name.encode("utf-8")
-        length, axes = struct.pack("<H", len(name)), struct.pack(f"<{len(self.shape)}Q", *self.shape)
-        return length + name + struct.pack("<HBQ", len(self.shape), _CODES[self.dtype], self.offset) + axes
-
-    def view(self, buffer: mmap.mmap) -> Array:
-        """The field's data, without a copy unless the file does not align it."""
-        count = math.prod(self.shape)
-        # An empty field may point at the very end of the file, where frombuffer sees nothing to view.
-        array = np.frombuffer(buffer, self.dtype, count, self.offset) if count else np.empty(0, self.dtype)
-        if not array.flags.aligned:
-            array = array.copy()
-        array = array.reshape(self.shape)
-        array.flags.writeable = False
-        return array
-
-
-def _map(path: Path, context: ErrorContext) -> mmap.mmap:
-    """The whole file as read-only memory."""
-    try:
-        # A pipe would block in open(), a device could go on for ever: only regular files are opened.
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise context.error(
-                "is not a regular file, expected an RGL tensor file", remedy="name the .bsdf file itself"
-            )
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size < _PREAMBLE.size:
-                raise context.error(
-                    f"has {size} bytes, expected an RGL tensor file",
-                    remedy="it is empty or cut off: fetch it again",
-                )
-            if size > _MOST_BYTES:
-                raise context.error(
-                    f"has {size} bytes, expected at most {_MOST_BYTES}",
-                    remedy="the largest files of the database have 111 MB",
-                )
-            return mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise context.error(
-            f"cannot be read ({reason}), expected an RGL tensor file",
-            remedy="check the path and its permissions",
-        ) from error
-
-
-def _read_header(buffer: mmap.mmap, context: ErrorContext) -> tuple[list[_Entry], int]:
-    """All field headers, checked against the size of the file, and where they end."""
-    size = len(buffer)
     magic, major, minor, count = _PREAMBLE.unpack_from(buffer)
     if magic != MAGIC:
         raise context.error(
@@ -154,142 +60,103 @@ def _read_header(buffer: mmap.mmap, context: ErrorContext) -> tuple[list[_Entry]
             remedy="give a file of the RGL database or its tools; `manifold convert` makes one of other formats",
         )
     if (major, minor) != (1, 0):
-        raise context.error(
-            f"has tensor format {major}.{minor}, expected 1.0",
-            remedy="convert it with the tool that wrote it",
-        )
-    if count * _SMALLEST_FIELD > size - _PREAMBLE.size:
-        raise context.error(f"announces {count} fields, more than its {size} bytes can hold")
-    if count > _MAX_FIELDS:
-        raise context.error(f"announces {count} fields, expected at most {_MAX_FIELDS}")
-    entries: list[_Entry] = []
-    names: set[str] = set()
+        raise context.error(f"has tensor format {major}.{minor}, expected 1.0")
+    if count > _MOST_FIELDS:
+        raise context.error(f"announces {count} fields, expected at most {_MOST_FIELDS}")
+    tensors: dict[str, AnyArray] = {}
+    spans: list[tuple[int, int, str]] = []
     position = _PREAMBLE.size
     for index in range(count):
-        entry, position = _read_entry(buffer, position, index, context)
-        if entry.name in names:
-            raise context.error("appears twice, expected unique names", entry.name)
-        names.add(entry.name)
-        entries.append(entry)
-    return entries, position
+        name, array, offset, position = _read_field(buffer, position, f"#{index + 1}", context)
+        if name in tensors:
+            raise context.error("appears twice, expected unique names", field=name)
+        tensors[name] = array
+        spans += [(offset, offset + array.nbytes, name)] if array.nbytes else []
+    for (_, end, before), (start, _, name) in pairwise([(0, position, "header"), *sorted(spans)]):
+        if start < end:
+            raise context.error(f"starts at byte {start}, inside '{before[:64]}'", field=name)
+    return tensors
 
 
-def _read_entry(buffer: mmap.mmap, position: int, index: int, context: ErrorContext) -> tuple[_Entry, int]:
-    """One field header and the position behind it."""
-    size = len(buffer)
-    shown = f"#{index + 1}"
-
-    def take(format_: str) -> tuple[int, ...]:
-        nonlocal position
-        width = struct.calcsize(format_)
-        if position + width > size:
-            raise context.error("has a header cut off by the end of the file, expected all of it", shown)
-        values = struct.unpack_from(format_, buffer, position)
-        position += width
-        return values
-
-    (length,) = take("<H")
-    if position + length > size:
-        raise context.error(f"has a name of {length} bytes, more than the file holds", shown)
+def _map(path: Path, context: ErrorContext) -> mmap.mmap:
+    """The whole file as read-only memory."""
     try:
-        name = buffer[position : position + length].decode("utf-8")
+        with path.open("rb") as file:
+            buffer = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:  # ValueError: an empty file
+        raise context.error(
+            f"cannot be read ({getattr(error, 'strerror', None) or error}), expected an RGL tensor file",
+            remedy="check the path",
+        ) from error
+    if len(buffer) < _PREAMBLE.size:
+        raise context.error(f"has {len(buffer)} bytes, expected an RGL tensor file")
+    return buffer
+
+
+def _read_field(
+    buffer: mmap.mmap, position: int, number: str, context: ErrorContext
+) -> tuple[str, AnyArray, int, int]:
+    """Name, data and offset of a field, and the position behind its header; `number` stands for its name in errors."""
+    try:
+        (length,) = struct.unpack_from("<H", buffer, position)
+        end = position + 2 + length
+        name = buffer[position + 2 : end].decode("utf-8")
+        ndim, code, offset = _FIELD.unpack_from(buffer, end)
+        shape = struct.unpack_from(f"<{ndim}Q", buffer, end + _FIELD.size)
     except UnicodeDecodeError:
-        raise context.error("has a name that is not UTF-8, expected text", shown) from None
-    shown = name
-    position += length
-    ndim, code, offset = take("<HBQ")
-    if ndim > _MAX_AXES:
-        raise context.error(f"has {ndim} axes, expected at most {_MAX_AXES}", shown)
+        raise context.error("has a name that is not UTF-8, expected text", field=number) from None
+    except struct.error:
+        raise context.error("has a header cut off by the end of the file", field=number) from None
+    if not name.isprintable():
+        raise context.error("has a name that does not print, expected text", field=number)
     if code not in _DTYPES:
-        raise context.error(f"has dtype {code}, expected 1 to 11", shown)
-    entry = _Entry(name, np.dtype(_DTYPES[code]), take(f"<{ndim}Q"), offset)
-    _check_entry(entry, context, f"#{index + 1}")
-    if entry.end > size:
+        raise context.error(f"has dtype {code}, expected 1 to 11", field=name)
+    dtype, count = np.dtype(_DTYPES[code]), math.prod(shape)
+    if offset + count * dtype.itemsize > len(buffer):
         raise context.error(
-            f"with shape {shape_text(entry.shape)} and dtype {entry.dtype.name} ends at byte {entry.end}, "
-            f"but the file has {size}",
-            shown,
-            remedy="it is truncated or damaged: fetch it again",
+            f"with shape {shape_text(shape)} and dtype {dtype.name} ends beyond the file of {len(buffer)} bytes",
+            field=name,
         )
-    return entry, position
+    # Without a copy unless the file does not align it. Behind the end of a file there is nothing to view.
+    array = np.frombuffer(buffer, dtype, count, offset) if count else np.empty(0, dtype)
+    try:
+        array = np.require(array, requirements="A").reshape(shape)
+    except (ValueError, OverflowError):  # axes whose product overflows, one of them 0; or too many
+        raise context.error(f"has shape {shape_text(shape)}, which is too large", field=name) from None
+    array.flags.writeable = False
+    return name, array, offset, end + _FIELD.size + 8 * ndim
 
 
-def _check_entry(entry: _Entry, context: ErrorContext, number: str) -> None:
-    """What every field must satisfy to be written and read back: a name to print, a shape numpy can hold."""
-    if not entry.name.isprintable():
-        raise context.error("has a name that is not printable, expected text", number)
-    if len(entry.name.encode("utf-8")) > _MAX_NAME:
-        raise context.error(f"has a name longer than {_MAX_NAME} bytes", entry.name)
-    if len(entry.shape) > _MAX_AXES:
-        raise context.error(f"has {len(entry.shape)} axes, expected at most {_MAX_AXES}", entry.name)
-    # numpy refuses shapes whose non-zero axes overflow, be the array empty or not.
-    if math.prod(max(size, 1) for size in entry.shape) * entry.dtype.itemsize >= 2**63:
-        raise context.error(
-            f"has shape {shape_text(entry.shape)}, expected less than 2**63 bytes", entry.name
-        )
-
-
-def _require_separate(entries: list[_Entry], header_end: int, context: ErrorContext) -> None:
-    """No field may share bytes with another, or with the header."""
-    last_name, last_end = "the header", header_end
-    for entry in sorted(entries, key=lambda e: (e.offset, e.end)):
-        if entry.end == entry.offset:
-            continue
-        if entry.offset < last_end:
-            raise context.error(
-                f"starts at byte {entry.offset}, inside {last_name}; expected it behind byte {last_end}",
-                entry.name,
-            )
-        last_name, last_end = f"field '{printable(entry.name)}'", entry.end
-
-
-def write_tensors(path: Path | str, fields: Mapping[str, Array]) -> None:
+def write_tensors(path: Path | str, fields: Mapping[str, AnyArray]) -> None:
     """Write named arrays as a tensor file, atomically, every field aligned to 8 bytes.
 
     Raises:
-        FileFormatError: a field that tensor files cannot hold.
+        FileFormatError: a field of a dtype that tensor files cannot hold; nothing is written.
         UsageError: the file cannot be written.
     """
     path = Path(path)
-    if not path.name or "\0" in path.name:
-        raise UsageError(
-            f"{printable(str(path), 255)}: names no file, expected the path of a tensor file; add a file name"
-        )
-    context = ErrorContext(path, WRITE_REMEDY)
-    check_tensors(fields, context)
-    position = _aligned(_PREAMBLE.size + sum(map(_header_size, fields, fields.values())))
-    entries: list[_Entry] = []
+    context = ErrorContext(path, "correct the record; nothing was written")
     for name, array in fields.items():
-        entries.append(_Entry(name, array.dtype, array.shape, position))
-        position = _aligned(entries[-1].end)
-    with atomic.replacing(path) as partial, open(partial, "wb") as out:
-        out.write(_PREAMBLE.pack(MAGIC, 1, 0, len(entries)))
-        for entry in entries:
-            out.write(entry.header())
-        for entry, array in zip(entries, fields.values(), strict=True):
-            out.write(bytes(entry.offset - out.tell()))
-            if array.size:
-                out.write(np.ascontiguousarray(array).data)
-        out.write(bytes(position - out.tell()))
-
-
-def _header_size(name: str, array: Array) -> int:
-    return len(_Entry(name, array.dtype, array.shape, 0).header())
-
-
-def check_tensors(fields: Mapping[str, Array], context: ErrorContext) -> None:
-    """Everything given is an array that a tensor file can hold, under a name that can be read back."""
-    if len(fields) > _MAX_FIELDS:
-        raise context.error(f"would hold {len(fields)} fields, expected at most {_MAX_FIELDS}")
-    for number, (name, array) in enumerate(fields.items(), start=1):
-        if not isinstance(name, str):
-            raise context.error(f"has a name of type {type(name).__name__}, expected text", f"#{number}")
-        if not isinstance(array, np.ndarray):
-            raise context.error(f"is a {type(array).__name__}, expected a NumPy array", name)
         if array.dtype not in _CODES:
             known = ", ".join(dtype.name for dtype in _CODES)
-            raise context.error(f"has dtype {array.dtype.str}, expected little-endian {known}", name)
-        _check_entry(_Entry(name, array.dtype, array.shape, 0), context, f"#{number}")
+            raise context.error(f"has dtype {array.dtype.str}, expected little-endian {known}", field=name)
+    offset = _aligned(_PREAMBLE.size + sum(len(_header(name, array, 0)) for name, array in fields.items()))
+    with atomic.replacing(path) as partial, open(partial, "wb") as out:
+        out.write(_PREAMBLE.pack(MAGIC, 1, 0, len(fields)))
+        for name, array in fields.items():
+            out.write(_header(name, array, offset))
+            offset = _aligned(offset + array.nbytes)
+        for array in fields.values():
+            out.write(bytes(_aligned(out.tell()) - out.tell()))
+            if array.size:
+                out.write(np.ascontiguousarray(array).data)
+        out.write(bytes(_aligned(out.tell()) - out.tell()))
+
+
+def _header(name: str, array: AnyArray, offset: int) -> bytes:
+    """The header of a field whose data stand at an offset."""
+    text, axes = name.encode("utf-8"), struct.pack(f"<{array.ndim}Q", *array.shape)
+    return struct.pack("<H", len(text)) + text + _FIELD.pack(array.ndim, _CODES[array.dtype], offset) + axes
 
 
 def _aligned(position: int) -> int:

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold.formats.dense import DenseTable
-from manifold.formats.text import Place, read_bytes
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.text import read_bytes
 from manifold.records import Array
 from manifold.system import atomic
 
@@ -51,17 +52,17 @@ def read(path: Path) -> list[DenseTable]:
         FileFormatError: another length, or a value that is not finite.
         UsageError: the file cannot be read.
     """
-    place = Place(path, "download the file again")
+    context = ErrorContext(path, "download the file again")
     data = read_bytes(path, 2 * SIZE)
     if len(data) != SIZE:
-        raise place.error(
+        raise context.error(
             f"has {len(data)} bytes, expected {SIZE} of a UTIA file: it is cut off or another file"
         )
     planes = np.frombuffer(data, "<f8").reshape(3, *SHAPE)
     bad = ~np.isfinite(planes) | (np.abs(planes) > 1e12)
     if np.any(bad):
         plane, *node = (int(k[0]) for k in np.nonzero(bad))
-        raise place.error(
+        raise context.error(
             f"{'RGB'[plane]} at node {tuple(node)} is {planes[(plane, *node)]:.3g}, expected f in 1/sr"
         )
     values = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
@@ -86,9 +87,7 @@ def write(path: Path, table: DenseTable) -> None:
     """A UTIA file of a table in linear sRGB at UTIA's nodes.
 
     Raises:
-        ShapeError: the table has other nodes or bands.
         UsageError: the file cannot be written.
     """
-    table.require_srgb(SHAPE)
     planes = np.nan_to_num(np.moveaxis(table.values, -1, 0))
     atomic.write_bytes(path, planes.astype("<f8").tobytes())

@@ -13,17 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical, rotate_z
-from manifold.formats.bsdf_text import XYZ_TO_BAND, Words, angle_line, grid_rows, plain
+from manifold.formats.bsdf_text import BsdfText, angle_line, read_blocks
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
-from manifold.formats.tristimulus import converted, linear_srgb_to_xyz, unnamed_band
-from manifold.records import Array
+from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
+from manifold.records import Array, Mask
 from manifold.system import atomic
 from manifold.system.names import in_one_line
 
 # of zeros: instruments end at 75 to 85 degrees, tables at the horizon
 _PADDING_FROM = np.cos(np.deg2rad(75.0))
-_LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
 
 
 def sniff(head: bytes) -> bool:
@@ -51,47 +50,26 @@ def read(path: Path) -> list[Readings]:
         FileFormatError: transmission, a list or table that is cut off or holds what is no number.
         UsageError: the file cannot be read.
     """
-    words = Words(path)
-    lists: dict[str, Array] = {}
-    header: dict[str, str] = {}
-    parts: dict[int, list[Array]] = {}
-    band = 0
-    while (word := words.next()) is not None:
-        key = plain(word)
-        if key in _LISTS:
-            lists[key] = words.angles(word)
-        elif key in XYZ_TO_BAND or key == "monochrome":
-            band = XYZ_TO_BAND.get(key, 0)
-        elif key == "tis":
-            words.number(word)
-            missing = [k for k in _LISTS[1:] if k not in lists]
-            if missing:
-                raise words.place.error(f"a table before {missing[0]}", words.line)
-            parts.setdefault(band, []).append(
-                words.table(lists["scatterazimuth"], lists["scatterradial"], "values of a table")
-            )
-        elif re.match(r"[+-]?[\d.]", word):
-            raise words.place.error(
-                f"found '{word[:24]}', expected a key such as TIS: a table is too long", words.line
-            )
-        elif key not in ("databegin", "dataend"):
-            header[key] = words.rest()
-    if header.get("scattertype", "BRDF").upper().startswith("BTDF"):
-        raise words.place.error("a BTDF, expected reflectance (ScatterType BRDF)")
-    rotations = lists.get("samplerotation", np.zeros(1))
-    incidences = [(r, t) for r in rotations for t in lists.get("angleofincidence", [])]
+    text = read_blocks(path)
+    said = text.blocks[0].words if text.blocks else {}
+    if said.get("scattertype", "BRDF").upper().startswith("BTDF"):
+        raise text.context.error("a BTDF, expected reflectance (ScatterType BRDF)")
+    parts: dict[int | None, list[Array]] = {}
+    for block in text.blocks:
+        parts.setdefault(block.tristimulus, []).append(block.values)
+    rotations = text.lists.get("samplerotation", np.zeros(1))
+    incidences = [(r, t) for r in rotations for t in text.lists.get("angleofincidence", [])]
     counts = {len(part) for part in parts.values()}
-    if counts != {len(incidences)} or set(parts) not in ({0}, {0, 1, 2}):
+    if counts != {len(incidences)} or set(parts) not in ({None}, {0, 1, 2}):
         found = ", ".join(str(count) for count in sorted(counts)) or "no"
-        why = (
-            "the file is cut off"
-            if max(counts, default=0) <= len(incidences)
-            else (f"SpectralContent {header.get('spectralcontent', 'not said')}, expected Monochrome or XYZ")
-        )
-        raise words.place.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
+        why = "the file is cut off"
+        if max(counts, default=0) > len(incidences):
+            why = f"SpectralContent {said.get('spectralcontent', 'not said')}, expected Monochrome or XYZ"
+        raise text.context.error(f"{found} tables, expected {len(incidences)}, one per incidence: {why}")
     notes = ["angles are taken about the mirror direction, azimuth 0 towards the normal"]
-    nm = _wavelength(words.comments, notes) if set(parts) == {0} else None
-    return [_readings(path.stem, incidences, lists, [np.array(parts[b]) for b in sorted(parts)], nm, notes)]
+    nm = _wavelength(text.comments, notes) if None in parts else None
+    values = np.stack([np.array(parts[band]) for band in sorted(parts, key=lambda k: k or 0)], axis=-1)
+    return [_readings(path.stem, incidences, text, values, nm, notes)]
 
 
 def _wavelength(comments: list[str], notes: list[str]) -> Array:
@@ -103,25 +81,25 @@ def _wavelength(comments: list[str], notes: list[str]) -> Array:
     return unnamed_band(notes)
 
 
-def _is_measured(wo: Array, values: Array) -> Array:
+def _is_measured(wo: Array, values: Array) -> Mask:
     """Which directions (n, 3) of one incidence hold data, (n,): not zeros that fill the table up to the horizon."""
     is_dark = np.all(values == 0.0, axis=1)
     lowest = np.min(wo[~is_dark, 2], initial=_PADDING_FROM)
-    return ~is_dark | (wo[:, 2] > lowest - 1e-6) | bool(np.all(is_dark))
+    is_data: Mask = ~is_dark | (wo[:, 2] > lowest - 1e-6) | bool(np.all(is_dark))
+    return is_data
 
 
 def _readings(
     name: str,
     incidences: list[tuple[float, float]],
-    lists: dict[str, Array],
-    parts: list[Array],
+    text: BsdfText,
+    values: Array,
     nm: Array | None,
     notes: list[str],
 ) -> Readings:
-    azimuths, radials = lists["scatterazimuth"], lists["scatterradial"]
-    rows = grid_rows(azimuths, radials)
-    azimuth, radial = (np.deg2rad(a.reshape(-1)[rows]) for a in np.meshgrid(azimuths, radials, indexing="ij"))
-    values = np.stack([part.reshape(len(part), -1)[:, rows] for part in parts], axis=-1)
+    azimuth, radial, rows = text.directions()
+    azimuth, radial = np.deg2rad(azimuth), np.deg2rad(radial)
+    values = values.reshape(len(values), -1, values.shape[-1])[:, rows]
     wi, wo, kept, padding = [], [], [], 0
     for (rotation, theta), block in zip(incidences, values, strict=True):
         w, out = directions(np.deg2rad(theta), radial, azimuth, np.deg2rad(rotation))

@@ -1,11 +1,10 @@
 from .identity import MaterialInfo
 from .importing import ImportResult, import_files
-from .store import Library, LibraryInfo
+from .store import Library
 
 __all__ = [
     "ImportResult",
     "Library",
-    "LibraryInfo",
     "MaterialInfo",
     "import_files",
 ]

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from manifold.errors import LibraryError, UsageError
+from manifold.errors import LibraryError
 from manifold.library import staging
 from manifold.library.identity import hash_arrays
 from manifold.library.schema import StoredArray
-from manifold.library.zarr_reading import attributes_of, open_group, read_array
-from manifold.library.zarr_writing import write_array, write_group
+from manifold.library.zarr_arrays import open_group, read_array, write_array, write_group
 from manifold.records import Array
 
 MOST_BYTES = 1 << 30
@@ -24,17 +23,13 @@ MOST_BYTES = 1 << 30
 
 
 def get(library: Path, key: str) -> dict[str, Array] | None:
-    """Arrays that `put` stored under a key, or None if there are none or they are damaged.
-
-    Raises:
-        UsageError: this cannot be a key.
-    """
-    folder = _folder(library, key)
+    """Arrays that `put` stored under a key, or None if there are none or they are damaged."""
+    folder = library / "cache" / key
     if not folder.is_dir():
         return None
     try:
         group = open_group(folder)
-        attributes = attributes_of(group)
+        attributes: dict[str, Any] = dict(group.attrs)
         arrays = {name: read_array(group, name) for name in attributes["names"]}
         if attributes["sha256"] != hash_arrays(arrays):
             return None
@@ -48,18 +43,18 @@ def get(library: Path, key: str) -> dict[str, Array] | None:
 def put(library: Path, key: str, arrays: Mapping[str, Array]) -> None:
     """Store arrays under a key, atomically; no effect if the library cannot be written.
 
-    Raises:
-        UsageError: this cannot be a key.
+    Args:
+        library: its folder.
+        key: letters, digits, - and _.
+        arrays: by name.
     """
-    target = _folder(library, key)
+    target = library / "cache" / key
     try:
         with staging.writing(library) as staged:
             folder = staged / key
             write_group(folder, {"names": list(arrays), "sha256": hash_arrays(arrays)})
             for name, array in arrays.items():
-                write_array(folder / _checked(name), StoredArray(np.asarray(array)))
-            if target.exists():
-                os.rename(target, staged / "old")
+                write_array(folder / name, StoredArray(np.asarray(array)))
             staging.publish(folder, target)
             _prune(target.parent)
     except (OSError, LibraryError):
@@ -77,13 +72,3 @@ def _prune(folder: Path) -> None:
         total += sum(file.stat().st_size for file in Path(path).rglob("*") if file.is_file())
         if total > MOST_BYTES:
             shutil.rmtree(path, ignore_errors=True)
-
-
-def _folder(library: Path, key: str) -> Path:
-    return library / "cache" / _checked(key)
-
-
-def _checked(key: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}", key):
-        raise UsageError(f"{key!r} cannot be a cache key; use letters, digits, - and _")
-    return key

@@ -1,19 +1,26 @@
-"""Download files of the RGL material database; see `manifold.library.downloading` for one of them."""
+"""Download files of the RGL material database."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
-from manifold.errors import FetchError, UsageError
-from manifold.library.downloading import Downloader, FatalFetchError, disk, verify
+import pooch
+import requests
+
+from manifold import __version__
+from manifold.errors import FetchError, FileFormatError, UsageError
+from manifold.io_rgl import read_bsdf
 from manifold.library.location import require_outside_libraries
 from manifold.library.rgl_table import Entry, rgl_table, select
 from manifold.records import Progress
+from manifold.system.names import first_few
 
 BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
+_MOST_BYTES = 1 << 30  # of files whose size no table knows; the largest in the database have 111 MB
+_BLOCK_BYTES = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -55,14 +62,11 @@ def fetch(
     on_progress: Progress | None = None,
     timeout_s: float = 30.0,
     attempts: int = 4,
-    pause_s: float = 1.0,
-    deadline_s: float = 3600.0,
 ) -> FetchResult:
     """Download `BASE/NAME/NAME_spec.bsdf` for each name into a folder.
 
-    A download goes to `NAME_spec.bsdf.part`, which a later call resumes, and gets its final name only when
-    its size and SHA-256 are right. A file that is there already is hashed: the right one is left alone, any
-    other one is replaced by the verified download. One bad file does not stop the others.
+    A file gets its final name when its SHA-256 is right. A file that is there already is hashed: the right one is left
+    alone, any other one is replaced. One bad file does not stop the others.
 
     Args:
         names: materials, or None for all isotropic ones.
@@ -70,102 +74,143 @@ def fetch(
         base_url: http or https.
         anisotropic: with `names` None, also the anisotropic ones (1.2 GB more, no checksums known).
         table: what is known of each file; the database's own table by default.
-        on_progress: see `Progress`.
+        on_progress: called with (bytes done, bytes in all, file).
         timeout_s: seconds without data after which a connection counts as stalled.
-        attempts: tries per file without a new byte before it is given up.
-        pause_s: seconds before the second try; doubles each time.
-        deadline_s: seconds for one file, after which it is given up; a later call goes on.
+        attempts: tries per file.
     Raises:
         UsageError: an unknown name, another kind of URL, or a folder in a library.
         FetchError: the folder cannot be written.
         IncompleteFetchError: files are missing; its `result` tells what worked.
     """
-    entries = select(names, rgl_table() if table is None else table, anisotropic)
+    entries = {
+        f"{e.name}_spec.bsdf": e for e in select(names, rgl_table() if table is None else table, anisotropic)
+    }
     _require_url(base_url)
     folder = Path(to)
     require_outside_libraries(folder, into=True)
-    with disk(folder):
+    try:
         folder.mkdir(parents=True, exist_ok=True)
-    meter = _Meter(entries, on_progress)
-    downloader = Downloader(base_url.rstrip("/"), folder, meter.set, timeout_s, attempts, pause_s, deadline_s)
-    downloaded, present = [], []
+    except OSError as error:
+        raise FetchError(f"{folder}: {error.strerror}; choose another folder") from error
+    pooch.get_logger().setLevel("ERROR")
+    files = pooch.create(
+        path=folder,
+        base_url=base_url,
+        registry={file: e.sha256 and f"sha256:{e.sha256}" for file, e in entries.items()},
+        urls={
+            file: f"{base_url.rstrip('/')}/{quote(e.name)}/{quote(e.name)}_spec.bsdf"
+            for file, e in entries.items()
+        },
+        retry_if_failed=attempts - 1,
+    )
+    downloaded: list[Path] = []
+    present: list[Path] = []
     failed: dict[str, str] = {}
-    for entry in entries:
-        target = folder / f"{entry.name}_spec.bsdf"
+
+    def note(path: str, action: str, _: pooch.Pooch) -> str:
+        (present if action == "fetch" else downloaded).append(Path(path))
+        return path
+
+    meter = _Meter(list(entries.values()), on_progress)
+    downloader = pooch.HTTPDownloader(
+        progressbar=meter,
+        chunk_size=_BLOCK_BYTES,
+        timeout=timeout_s,
+        headers={"User-Agent": f"brdf-manifold/{__version__}"},
+    )
+    for file, entry in entries.items():
+        meter.begin(entry)
         try:
-            if _is_complete(target, entry):
-                meter.set(entry.name, target.stat().st_size)
-                present.append(target)
-            else:
-                downloader.fetch(entry, target)
-                downloaded.append(target)
-        except FatalFetchError as error:
-            failed[entry.name] = _one_line(error)
-            break
-        except FetchError as error:
-            failed[entry.name] = _one_line(error)
-    kept = {path.name for path in (*downloaded, *present)}
-    unchecked = tuple(e.name for e in entries if e.sha256 is None and f"{e.name}_spec.bsdf" in kept)
-    result = FetchResult(tuple(downloaded), tuple(present), unchecked)
+            if entry.sha256 is None:
+                _remove_damaged(folder / file)
+            files.fetch(file, processor=note, downloader=downloader)
+            if entry.sha256 is None:
+                read_bsdf(folder / file)
+        except FileFormatError as error:
+            (folder / file).unlink()
+            failed[entry.name] = f"no checksum known, and the content is not a valid file: {error}"
+        except (OSError, ValueError) as error:
+            failed[entry.name] = " ".join(str(error).split())
+            if isinstance(error, requests.ConnectionError) and not downloaded:
+                break  # the server cannot be reached
+        meter.end()
+    there = [path for path in (*downloaded, *present) if path.stem.removesuffix("_spec") not in failed]
+    unchecked = tuple(e.name for file, e in entries.items() if e.sha256 is None and folder / file in there)
+    result = FetchResult(
+        tuple(p for p in downloaded if p in there), tuple(p for p in present if p in there), unchecked
+    )
     if failed:
         raise IncompleteFetchError(_summary(len(entries), result, failed, folder), result, failed)
     return result
 
 
+def _remove_damaged(path: Path) -> None:
+    """Remove a file whose checksum is not known and whose structure is damaged."""
+    try:
+        if path.exists():
+            read_bsdf(path)
+    except FileFormatError:
+        path.unlink()
+
+
 def _require_url(url: str) -> None:
-    """Raise UsageError for what is no plain web address; one with a password is not repeated."""
+    """Raise UsageError for what is no plain web address."""
     try:
         parts = urlsplit(url)
-        is_address = parts.scheme in ("http", "https") and bool(parts.hostname) and (parts.port or 1) > 0
     except ValueError:
-        is_address, parts = False, None
-    if "@" in (url if parts is None else parts.netloc):
-        raise UsageError("the base URL holds a user name; expected http://... or https://... without one")
-    if not is_address or not url.isascii() or not url.isprintable() or " " in url:
-        raise UsageError(f"{url}: not a web address; expected http://... or https://...")
-    if parts is not None and (parts.query or parts.fragment):
-        raise UsageError(f"{url}: a web address with a query; expected that of a folder")
+        parts = urlsplit("")
+    if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
+        raise UsageError(f"{url}: not the web address of a folder; expected http://... or https://...")
 
 
 class _Meter:
-    """Adds up the bytes of all files."""
+    """Counts the bytes of all files for pooch, which takes it for a progress bar of one file."""
 
     def __init__(self, entries: Sequence[Entry], on_progress: Progress | None) -> None:
-        self._done = {entry.name: 0 for entry in entries}
-        self._size = {entry.name: entry.size_bytes or 0 for entry in entries}
-        self._on_progress = on_progress
+        self._sizes = {entry.name: entry.size_bytes or 0 for entry in entries}
+        self._on_progress, self._before = on_progress, 0
+        self._done, self._total = 0, 0
 
-    def set(self, name: str, done: int, size: int | None = None) -> None:
-        self._done[name] = done
-        self._size[name] = max(size or 0, self._size[name], done)
+    def begin(self, entry: Entry) -> None:
+        self._entry = entry
+
+    def end(self) -> None:
+        self._before += self._sizes[self._entry.name]
+
+    @property
+    def total(self) -> int:
+        """Size of the file as the server says; pooch sets it when a try begins."""
+        return self._total
+
+    @total.setter
+    def total(self, size: int) -> None:
+        self._done, self._total = 0, size
+
+    def reset(self) -> None:
+        """Begin at 0 again; pooch then adds the whole size."""
+        self._done = 0
+
+    def update(self, count: int) -> None:
+        """Add bytes. Raises: FetchError, where the file is larger than it should be."""
+        self._done += count
+        most = self._entry.size_bytes or _MOST_BYTES
+        if self._done > most + _BLOCK_BYTES:
+            raise FetchError(f"the server sends more than the expected {most} bytes")
+        done = min(self._done, self._total or self._done)  # pooch counts whole blocks
+        self._sizes[self._entry.name] = max(self._sizes[self._entry.name], done)
         if self._on_progress:
-            self._on_progress(sum(self._done.values()), sum(self._size.values()), f"{name}_spec.bsdf")
+            self._on_progress(self._before + done, sum(self._sizes.values()), f"{self._entry.name}_spec.bsdf")
 
-
-def _is_complete(target: Path, entry: Entry) -> bool:
-    if not target.is_file():
-        return False
-    try:
-        verify(target, entry)
-    except FetchError:
-        return False
-    return True
-
-
-def _one_line(error: FetchError) -> str:
-    """An error in one line; the message of a server may have several."""
-    return " ".join(str(error).split())
+    def close(self) -> None:
+        """Nothing: the next file follows."""
 
 
 def _summary(count: int, result: FetchResult, failed: dict[str, str], folder: Path) -> str:
-    shown = [f"{name}_spec.bsdf: {reason}" for name, reason in list(failed.items())[:3]]
-    if len(failed) > 3:
-        shown.append(f"and {len(failed) - 3} more")
+    reasons = [f"{name}_spec.bsdf: {reason}" for name, reason in failed.items()]
     if count == 1:
-        return shown[0]
+        return reasons[0]
     done = len(result.downloaded) + len(result.present)
-    untried = count - done - len(failed)
-    tail = f", {untried} not tried" if untried else ""
     return (
-        f"{len(failed)} of {count} files failed{tail} ({'; '.join(shown)}); the other {done} are in {folder}"
+        f"{len(failed)} of {count} files failed ({first_few(reasons, 3, '; ')}); {done} are in {folder}: "
+        "run again for the others"
     )

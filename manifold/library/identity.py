@@ -14,20 +14,8 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import UsageError
+from manifold.library.schema import FIELDS
 from manifold.records import Array, BsdfFile
-
-ARRAY_FIELDS = (
-    "phi_i_rad",
-    "theta_i_rad",
-    "wavelengths_nm",
-    "sigma",
-    "ndf",
-    "vndf",
-    "luminance",
-    "spectra",
-    "valid",
-)
-"""The array fields of `BsdfFile`, in the order in which they are hashed."""
 
 _MOST_BYTES = 1 << 60  # of a material; more is damage
 
@@ -88,7 +76,7 @@ def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
 
 def present_arrays(file: BsdfFile) -> dict[str, Array]:
     """The array fields that a file has: an RGB file has no `wavelengths_nm`."""
-    return {name: getattr(file, name) for name in ARRAY_FIELDS if getattr(file, name) is not None}
+    return {name: getattr(file, name) for name in FIELDS if getattr(file, name) is not None}
 
 
 def file_sha256(path: Path) -> str:
@@ -136,11 +124,6 @@ def require_material_name(name: str) -> None:
         raise UsageError(
             f"{name!r} cannot be the name of a material on every system; name it with letters, digits, - and _"
         )
-
-
-def printable_name(name: str) -> str:
-    """The name on one line, what does not print as an escape."""
-    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else ascii(c)[1:-1] for c in name)
 
 
 def alike(name: str) -> str:

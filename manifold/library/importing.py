@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from manifold.errors import FileFormatError, LibraryError, ManifoldError, UsageError
+from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
-from manifold.library import location, staging
-from manifold.library.identity import alike, file_sha256, require_material_name
+from manifold.library import staging
+from manifold.library.identity import file_sha256, require_material_name
+from manifold.library.location import require_outside_libraries
 from manifold.library.store import Library
-from manifold.library.writing import make_store, read_bands, write_material
-from manifold.records import Bands, BsdfFile, Progress
-from manifold.system import interrupts
+from manifold.library.writing import make_store, write_material
+from manifold.records import Bands, Progress
 
 Outcome = Literal["imported", "skipped", "replaced"]
-
-_MOST_MAPPED = 4096
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -48,22 +44,12 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class _Source:
-    """A file to import. Of many, only some stay mapped: each one takes a file descriptor."""
+    """A file to import, checked and hashed."""
 
     path: Path
     sha256: str
     name: str
     bands: Bands
-    mapped: BsdfFile | None
-
-    def read(self) -> BsdfFile:
-        """The file, unchanged since it was hashed."""
-        if self.mapped is not None:
-            return self.mapped
-        file = read_bsdf(self.path)
-        if file_sha256(self.path) != self.sha256:
-            raise FileFormatError(f"{self.path}: changed while it was imported; import again")
-        return file
 
 
 def import_files(
@@ -90,22 +76,42 @@ def import_files(
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
     """
-    paths = _find([sources] if isinstance(sources, str | Path) else sources)
-    library = location.resolved(library_path)
-    location.require_outside_libraries(library)
-    expected = Library.open(library).bands if library.exists() else None
+    paths = find_files([sources] if isinstance(sources, str | Path) else sources)
+    library = Path(library_path).expanduser().resolve()  # staging beside the library, not beside a link
+    require_outside_libraries(library)
+    is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
+    expected = None if is_new else Library(library).bands
     report = _Report(2 * len(paths), on_progress)
     loaded = _load(paths, report)
     _require_one_grid(loaded, expected, library)
     if loaded:
-        _make_folder(library.parent)
         with staging.writing(library) as staged:
-            if not library.exists():
+            if is_new:
                 make_store(library, loaded[0].bands, staged)
-            opened = Library(library, read_bands(library, library))
-            _require_one_grid(loaded, opened.bands, library)  # Another process may have made it meanwhile.
-            _store_all(opened, loaded, staged, replace, report)
+            _store_all(Library(library), loaded, staged, replace, report)
     return report.result()
+
+
+def find_files(sources: Iterable[Path | str]) -> list[Path]:
+    """The files among sources, each once, in order; folders are searched at every depth for `*.bsdf`, and sorted.
+
+    Raises:
+        UsageError: a source is missing, or a folder holds none.
+    """
+    found: dict[Path, None] = {}
+    for source in map(Path, sources):
+        if source.is_dir():
+            inside = sorted(path for path in source.rglob("*.bsdf") if path.is_file())
+            if not inside:
+                raise UsageError(f"{source}: holds no .bsdf file; name a folder that does, or the files")
+            found.update(dict.fromkeys(inside))
+        elif source.exists():
+            found[source] = None
+        else:
+            raise MissingFileError(f"{source}: no such file or folder; name .bsdf files or folders of them")
+    if not found:
+        raise UsageError("found no file; name .bsdf files or folders that hold some")
+    return list(found)
 
 
 class _Report:
@@ -134,34 +140,14 @@ class _Report:
         return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
 
 
-def _find(sources: Iterable[Path | str]) -> list[Path]:
-    """All files named by sources, each once, in order."""
-    found: dict[Path, None] = {}
-    for source in map(Path, sources):
-        if source.is_dir():
-            inside = sorted(path for path in source.rglob("*.bsdf") if path.is_file())
-            if not inside:
-                raise UsageError(f"{source}: holds no .bsdf file; name a folder that does, or the files")
-            found.update(dict.fromkeys(inside))
-        elif source.exists():
-            found[source] = None
-        else:
-            raise UsageError(f"{source}: no such file or folder")
-    if not found:
-        raise UsageError("nothing to import; name .bsdf files or folders that hold some")
-    return list(found)
-
-
 def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
-    """Map, check and hash every file; the bad ones are reported and left out."""
-    mapped, most = count(), _most_mapped()
+    """Check and hash every file; the bad ones are reported and left out."""
 
     def load(path: Path) -> _Source | None:
         try:
             file = read_bsdf(path)
             require_material_name(file.name)
-            kept = file if next(mapped) < most else None
-            source = _Source(path, file_sha256(path), file.name, file.bands, kept)
+            source = _Source(path, file_sha256(path), file.name, file.bands)
             report.step(path)
             return source
         except ManifoldError as error:
@@ -174,16 +160,6 @@ def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
     return [source for source in _in_threads(load, paths) if source]
 
 
-def _most_mapped() -> int:
-    """Number of files that may stay mapped: half of the process's limit of open files."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 256
-    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return _MOST_MAPPED if soft == resource.RLIM_INFINITY else min(_MOST_MAPPED, soft // 2)
-
-
 def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library: Path) -> None:
     for source in loaded:
         expected = expected or source.bands
@@ -191,85 +167,46 @@ def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library
         expected.require_same(source.bands, source.path.name, remedy)
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LibraryError(f"{folder}: cannot make this folder ({error.strerror})") from error
-
-
 def _store_all(
     library: Library, loaded: Sequence[_Source], staged: Path, replace: bool, report: _Report
 ) -> None:
-    tasks = _one_per_name(loaded, report)
-    spellings = {alike(name): name for name in library.names}
-
-    def store(source: _Source) -> None:
-        def done(outcome: Outcome) -> None:
-            report.outcomes[source.name] = outcome
-            report.step(source.path)
-
-        try:
-            outcome = _outcome(library, source, replace, spellings)
-            if outcome == "skipped":
-                done(outcome)
-                return
-            folder = staged / source.name
-            write_material(folder, source.read(), source.path.name, source.sha256)
-            publisher.add(folder, library.path / "materials" / source.name, partial(done, outcome))
-        except ManifoldError as error:
-            report.fail(source.path, str(error))
-            report.step(source.path)
-
-    try:
-        with staging.Publisher(library.path) as publisher:
-            _in_threads(store, tasks)
-    except OSError as error:
-        raise LibraryError(
-            f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
-            f"{len(tasks)} materials done; those are whole: make room or check permissions, and import again"
-        ) from error
-
-
-def _one_per_name(loaded: Sequence[_Source], report: _Report) -> list[_Source]:
-    """Each material once; of two files with one name, but for case, and different content, the first."""
     chosen: dict[str, _Source] = {}
     for source in loaded:
-        first = chosen.setdefault(alike(source.name), source)
-        if first is source:
-            continue
-        if first.sha256 != source.sha256 or first.name != source.name:
+        first = chosen.setdefault(source.name.casefold(), source)  # on some file systems, case does not count
+        if (first.name, first.sha256) != (source.name, source.sha256):
             report.fail(
                 source.path, f"{source.path}: same name as {first.path}, other content; rename one of them"
             )
+        if first is not source:
+            report.step(source.path)
+
+    def store(source: _Source) -> None:
+        known = library.attributes(source.name) if source.name in library else None
+        if known is not None and known.sha256 == source.sha256:
+            report.outcomes[source.name] = "skipped"
+        elif known is not None and not replace:
+            report.fail(
+                source.path,
+                f"{source.path.name}: '{source.name}' is in the library with SHA-256 {known.sha256[:12]}..., "
+                f"this file has {source.sha256[:12]}...; replace it (replace=True), or rename the file",
+            )
+        else:
+            folder = staged / source.name
+            write_material(folder, read_bsdf(source.path), source.path.name, source.sha256)
+            staging.publish(folder, library.path / "materials" / source.name)
+            report.outcomes[source.name] = "imported" if known is None else "replaced"
         report.step(source.path)
-    return list(chosen.values())
 
-
-def _outcome(library: Library, source: _Source, replace: bool, spellings: Mapping[str, str]) -> Outcome:
-    """Whether a file is imported, replaced or skipped. Raises: UsageError: its name belongs to another material."""
-    name = source.name
-    if spellings.get(alike(name), name) != name:
-        raise UsageError(
-            f"{source.path.name}: the library has '{spellings[alike(name)]}', which some file systems do not "
-            f"distinguish from '{name}'; rename the file"
-        )
-    known = library.attributes(name) if name in library else None
-    if known and known.sha256 == source.sha256:
-        return "skipped"
-    if known and not replace:
-        raise UsageError(
-            f"{source.path.name}: '{name}' is in the library with SHA-256 {known.sha256[:12]}..., "
-            f"this file has {source.sha256[:12]}...; replace it (replace=True, --replace), or rename the file"
-        )
-    return "replaced" if known else "imported"
+    try:
+        _in_threads(store, list(chosen.values()))
+    except OSError as error:
+        raise LibraryError(
+            f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
+            f"{len(chosen)} materials done; those are whole: make room or check permissions, and import again"
+        ) from error
 
 
 def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Hashing, copying and writing release the interpreter's lock, so threads are enough."""
-    pool = ThreadPoolExecutor(min(8, os.cpu_count() or 1))
-    try:
-        return list(pool.map(function, items))  # which leaves out what has not begun when one fails
-    finally:
-        with interrupts.deferred():
-            pool.shutdown()
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        return list(pool.map(function, items))

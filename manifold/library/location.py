@@ -1,4 +1,4 @@
-"""Where a library may be: its path, and not inside another one."""
+"""Where files may be written: not inside a library."""
 
 from __future__ import annotations
 
@@ -6,18 +6,6 @@ import os
 from pathlib import Path
 
 from manifold.errors import UsageError
-
-
-def resolved(library: Path | str) -> Path:
-    """The library's real absolute path, so that staging lands on its file system and not beside a link.
-
-    Raises:
-        UsageError: it names an unknown user's home folder, or its links go in a circle.
-    """
-    try:
-        return Path(library).expanduser().resolve()
-    except (OSError, RuntimeError) as error:
-        raise UsageError(f"{library}: {str(error).rstrip('.')}; name another path") from error
 
 
 def require_outside_libraries(path: Path, *, into: bool = False) -> None:

@@ -13,7 +13,7 @@ from functools import cache
 from importlib import resources
 from types import MappingProxyType
 
-from manifold.errors import UsageError
+from manifold.errors import UnknownNameError
 from manifold.system.names import names_like
 
 
@@ -56,5 +56,5 @@ def select(names: Sequence[str] | None, table: Mapping[str, Entry], anisotropic:
         return [entry for entry in table.values() if entry.is_isotropic or anisotropic]
     for name in names:
         if name not in table:
-            raise UsageError(f"{name}: no such material in the RGL database; {names_like(table, name)}")
+            raise UnknownNameError(f"{name}: no such material in the RGL database; {names_like(table, name)}")
     return [table[name] for name in dict.fromkeys(names)]

@@ -12,19 +12,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from manifold.errors import LibraryError, ShapeError
 from manifold.records import RGB_NAMES, Array, Bands
 
 SCHEMA = "manifold-library"
 SCHEMA_VERSION = 1
 MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
 
-# Field of BsdfFile -> (array name and dimension names in the store, units).
+# Field of BsdfFile, in the order in which they are hashed -> (array name and dimension names in the store, units).
 FIELDS: dict[str, tuple[str, tuple[str, ...], str | None]] = {
     "phi_i_rad": ("phi_i", ("phi_i",), "rad"),
     "theta_i_rad": ("theta_i", ("theta_i",), "rad"),
@@ -83,27 +81,3 @@ def root_attributes(bands: Bands) -> dict[str, Any]:
     """Attributes of a new library."""
     wavelengths = "RGB" if bands.wavelengths_nm is None else list(bands.wavelengths_nm)
     return {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, "bands": wavelengths}
-
-
-def bands_of(attributes: dict[str, Any], shown: Path | str) -> Bands:
-    """The bands that a library's attributes tell.
-
-    Raises:
-        LibraryError: another schema or version, or damaged bands.
-    """
-    if attributes.get("schema") != SCHEMA:
-        raise LibraryError(f"{shown}: a zarr store, but not a library made by `manifold import`")
-    again = "import its files again into a new library"
-    if attributes.get("schema_version") != SCHEMA_VERSION:
-        raise LibraryError(
-            f"{shown}: schema version {attributes.get('schema_version')}, expected {SCHEMA_VERSION}; {again}"
-        )
-    found = attributes.get("bands")
-    if found == "RGB":
-        return Bands(None)
-    try:
-        if isinstance(found, list) and all(isinstance(w, int | float) for w in found):
-            return Bands.from_array(np.array(found, dtype=np.float64))
-    except (ShapeError, OverflowError) as error:
-        raise LibraryError(f"{shown}: attribute 'bands' is damaged ({error}); {again}") from error
-    raise LibraryError(f"{shown}: attribute 'bands' is damaged; {again}")

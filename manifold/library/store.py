@@ -8,53 +8,33 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from manifold.errors import LibraryError, ManifoldError, UsageError
-from manifold.library import cache, location, staging
+from manifold.errors import (
+    LibraryError,
+    ManifoldError,
+    MissingLibraryError,
+    ShapeError,
+    UnknownNameError,
+    UsageError,
+)
+from manifold.library import cache, staging
 from manifold.library.identity import MaterialInfo, content_sha256, info_of, is_material_name
-from manifold.library.schema import FIELDS, SCHEMA_VERSION
-from manifold.library.writing import first_line, make_store, read_bands
-from manifold.library.zarr_reading import attributes_of, open_group, read_array, read_extra, shape_of
+from manifold.library.location import require_outside_libraries
+from manifold.library.schema import FIELDS, SCHEMA, SCHEMA_VERSION
+from manifold.library.writing import make_store
+from manifold.library.zarr_arrays import open_group, read_array, read_extra
 from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.system.stages import with_progress
 
 if TYPE_CHECKING:
     import zarr
-
-T = TypeVar("T")
-
-_TRIES = 50  # of reads that a replacement came in between
-_PAUSE_S = 0.005
-
-
-@dataclass(frozen=True)
-class LibraryInfo:
-    """The contents of a library, as `manifold info` shows them.
-
-    Attributes:
-        path: the library's folder.
-        schema_version: of the store.
-        bands: the one band grid.
-        content_hash: see `Library.content_hash`.
-        bytes: of all materials' arrays together.
-        materials: one entry per material, sorted by name.
-    """
-
-    path: Path
-    schema_version: int
-    bands: Bands
-    content_hash: str
-    bytes: int
-    materials: tuple[MaterialInfo, ...]
 
 
 class Library:
@@ -63,10 +43,19 @@ class Library:
     Nothing is cached: materials imported by another process are visible immediately.
     """
 
-    def __init__(self, path: Path, bands: Bands) -> None:
-        """Use `open` or `create`."""
-        self.path = path
-        self.bands = bands
+    def __init__(self, path: Path | str) -> None:
+        """Open a library for reading; write permission is not needed.
+
+        Raises:
+            MissingLibraryError: nothing there.
+            LibraryError: no library of this package, another schema version, or damaged.
+        """
+        self.path = Path(path).expanduser().resolve()
+        if not self.path.exists():
+            raise MissingLibraryError(f"{path}: no such library; create one with `manifold import`")
+        if not self.path.is_dir():
+            raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
+        self.bands = _read_bands(self.path, path)
 
     def __repr__(self) -> str:
         try:
@@ -77,20 +66,8 @@ class Library:
 
     @classmethod
     def open(cls, path: Path | str) -> Library:
-        """Open a library for reading; write permission is not needed.
-
-        Raises:
-            LibraryError: nothing there, no library of this package, another schema version, or damaged.
-        """
-        folder = location.resolved(path)
-        if folder.exists() and not folder.is_dir():
-            raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
-        if not folder.is_dir():
-            raise LibraryError(
-                f"{path}: no such library; create it with `manifold import FILES --library {path}`"
-            )
-        staging.recover(folder)
-        return cls(folder, read_bands(folder, path))
+        """The same as `Library(path)`."""
+        return cls(path)
 
     @classmethod
     def create(cls, path: Path | str, bands: Bands) -> Library:
@@ -100,12 +77,11 @@ class Library:
             UsageError: the path lies in a library.
             LibraryError: something is there already, or the folder cannot be written.
         """
-        folder = location.resolved(path)
-        location.require_outside_libraries(folder)
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(path).expanduser().resolve()  # staging beside the library, not beside a link
+        require_outside_libraries(folder)
         with staging.writing(folder) as staged:
             make_store(folder, bands, staged)
-        return cls(folder, bands)
+        return cls(folder)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -135,10 +111,22 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
-        return self._settled(name, lambda: self._read_checked(name))
-
-    def _read_checked(self, name: str) -> BsdfFile:
-        info, file = self._attributes(name), self._read(name)
+        with self._material(name) as group:
+            info = info_of(name, group.attrs)
+            arrays = {
+                field: read_array(group, stored)
+                for field, (stored, _, _) in FIELDS.items()
+                if field != "wavelengths_nm" or not self.bands.is_rgb
+            }
+            arrays["spectra"] = np.moveaxis(arrays["spectra"], -1, 2)
+            file = BsdfFile(
+                name=name,
+                description=info.description,
+                version=info.pipeline_version,
+                jacobian=bool(group.attrs["jacobian"]),
+                extra=MappingProxyType(read_extra(group)),
+                **{"wavelengths_nm": None, **arrays},  # type: ignore[arg-type]
+            )
         found = content_sha256(file, info.source_file, info.sha256)
         if found != info.content_sha256:
             raise LibraryError(
@@ -151,53 +139,6 @@ class Library:
                 "import its files again into a new library"
             )
         return file
-
-    def _settled(self, name: str, read: Callable[[], T]) -> T:
-        """What `read` makes of a material, again where another process replaced it meanwhile.
-
-        Files are opened one by one, so that a reader may meet some of the old material and some of the new.
-        """
-        for _ in range(_TRIES):
-            before = self._folder_id(name)
-            try:
-                found = read()
-            except ManifoldError:
-                if not staging.is_replacing(self.path, name) and self._folder_id(name) == before:
-                    raise
-                time.sleep(_PAUSE_S)
-            else:
-                if self._folder_id(name) == before:
-                    return found
-        return read()
-
-    def _folder_id(self, name: str) -> tuple[int, int] | None:
-        """What tells a material's folder from the one that replaces it; None while there is none.
-
-        Its number alone would not do: a file system gives that of a deleted folder to the next one.
-        """
-        try:
-            status = os.stat(self.path / "materials" / name)
-        except (OSError, ValueError):
-            return None
-        return status.st_ino, status.st_mtime_ns
-
-    def _read(self, name: str) -> BsdfFile:
-        with self._material(name) as group:
-            attributes = attributes_of(group)
-            arrays = {
-                field: read_array(group, stored)
-                for field, (stored, _, _) in FIELDS.items()
-                if field != "wavelengths_nm" or not self.bands.is_rgb
-            }
-            arrays["spectra"] = np.moveaxis(arrays["spectra"], -1, 2)
-            return BsdfFile(
-                name=name,
-                description=str(attributes["description"]),
-                version=tuple(attributes["pipeline_version"]),
-                jacobian=bool(attributes["jacobian"]),
-                extra=MappingProxyType(read_extra(group)),
-                **{"wavelengths_nm": None, **arrays},  # type: ignore[arg-type]
-            )
 
     def read_spectra(
         self,
@@ -220,21 +161,18 @@ class Library:
             UsageError: no such material, index, or step.
             LibraryError: the material is damaged.
         """
-        return self._settled(name, lambda: self._read_part(name, theta_index, phi_index, bands))
 
-    def _read_part(
-        self, name: str, theta_index: int | None, phi_index: int | None, bands: slice | None
-    ) -> Array:
-        with self._material(name) as group:
-            shape = shape_of(group, "spectra")
-            selection = (
+        def select(shape: tuple[int, ...]) -> tuple[slice, ...]:
+            return (
                 _one(phi_index, shape[0], f"{name}: phi_index"),
                 _one(theta_index, shape[1], f"{name}: theta_index"),
                 slice(0, shape[2]),
                 slice(0, shape[3]),
                 _band_range(bands, shape[4], name),
             )
-            return np.moveaxis(read_array(group, "spectra", selection), -1, 2)
+
+        with self._material(name) as group:
+            return np.moveaxis(read_array(group, "spectra", select), -1, 2)
 
     def attributes(self, name: str) -> MaterialInfo:
         """Metadata of a material, without reading its arrays.
@@ -243,11 +181,8 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
-        return self._settled(name, lambda: self._attributes(name))
-
-    def _attributes(self, name: str) -> MaterialInfo:
         with self._material(name) as group:
-            return info_of(name, attributes_of(group))
+            return info_of(name, group.attrs)
 
     @property
     def content_hash(self) -> str:
@@ -256,13 +191,6 @@ class Library:
         for name in self.names:
             digest.update(f"\n{name}\t{self.attributes(name).sha256}".encode())
         return digest.hexdigest()
-
-    @property
-    def info(self) -> LibraryInfo:
-        """All metadata of the library."""
-        materials = tuple(self.attributes(name) for name in self.names)
-        total = sum(material.bytes for material in materials)
-        return LibraryInfo(self.path, SCHEMA_VERSION, self.bands, self.content_hash, total, materials)
 
     def verify(self, callback: Progress | None = None) -> list[str]:
         """Read and hash every material again.
@@ -292,7 +220,7 @@ class Library:
     def _material(self, name: str) -> Iterator[zarr.Group]:
         """The material's group; whatever goes wrong with it becomes one LibraryError that names it."""
         if name not in self:
-            raise UsageError(
+            raise UnknownNameError(
                 f"{name}: no such material in {self.path.name}, which holds {len(self)} materials"
             )
         try:
@@ -301,11 +229,46 @@ class Library:
             raise
         except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors
             raise LibraryError(
-                f"{name}: damaged in the library ({first_line(error)}); {self._repair(name)}"
+                f"{name}: damaged in the library ({_first_line(error)}); {self._repair(name)}"
             ) from error
 
     def _repair(self, name: str) -> str:
         return f"delete {self.path / 'materials' / name} and import its file again"
+
+
+def _read_bands(folder: Path, shown: Path | str) -> Bands:
+    """The bands of the library in a folder, which is `shown` in errors. Raises LibraryError where it is none."""
+    again = "import its files again into a new library"
+    try:
+        attributes: dict[str, Any] = dict(open_group(folder).attrs)
+    except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
+        is_there = (folder / "zarr.json").is_file()
+        found = (
+            f"its zarr.json cannot be used ({_first_line(error)})"
+            if is_there
+            else "a folder without zarr.json"
+        )
+        raise LibraryError(
+            f"{shown}: not a library: {found}, expected a folder made by `manifold import`; name another path"
+        ) from error
+    if attributes.get("schema") != SCHEMA:
+        raise LibraryError(f"{shown}: a zarr store, but not a library made by `manifold import`")
+    version, bands = attributes.get("schema_version"), attributes.get("bands")
+    if version != SCHEMA_VERSION:
+        raise LibraryError(f"{shown}: schema version {version}, expected {SCHEMA_VERSION}; {again}")
+    if bands == "RGB":
+        return Bands(None)
+    try:
+        if isinstance(bands, list) and all(isinstance(w, int | float) for w in bands):
+            return Bands.from_array(np.array(bands, dtype=np.float64))
+        raise ShapeError("no list of numbers")
+    except (ShapeError, OverflowError) as error:
+        raise LibraryError(f"{shown}: attribute 'bands' is damaged ({error}); {again}") from error
+
+
+def _first_line(error: Exception) -> str:
+    """The first line of an error of zarr; its type, if it has no message."""
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def _one(index: int | None, count: int, where: str) -> slice:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 
 from manifold.errors import LibraryError
 from manifold.library import staging
 from manifold.library.identity import describe, present_arrays
-from manifold.library.schema import FIELDS, StoredArray, bands_of, root_attributes, stored
-from manifold.library.zarr_reading import attributes_of, open_group
-from manifold.library.zarr_writing import write_array, write_group
+from manifold.library.schema import FIELDS, StoredArray, root_attributes, stored
+from manifold.library.zarr_arrays import write_array, write_group
 from manifold.records import Bands, BsdfFile
 
 
@@ -20,13 +20,17 @@ def make_store(folder: Path, bands: Bands, staged: Path) -> None:
     Raises:
         LibraryError: something is there already.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and (not folder.is_dir() or staging.contents(folder)):
         raise LibraryError(f"{folder}: exists already; choose a path where there is nothing yet")
     root = staged / "library"
     write_group(root, root_attributes(bands))
     write_group(root / "materials", {})
     write_group(root / "cache", {})
-    staging.publish(root, folder)
+    if os.path.ismount(folder):  # which cannot be replaced
+        for path in sorted(root.iterdir()):  # zarr.json, which makes it a library, comes last
+            os.rename(path, folder / path.name)
+    else:
+        staging.publish(root, folder)
 
 
 def write_material(folder: Path, file: BsdfFile, source_file: str, sha256: str) -> None:
@@ -46,29 +50,3 @@ def write_material(folder: Path, file: BsdfFile, source_file: str, sha256: str) 
         write_group(folder / "extra", {})
         for number, (name, array) in enumerate(file.extra.items()):
             write_array(folder / "extra" / str(number), StoredArray(array, attributes={"field": name}))
-
-
-def read_bands(folder: Path, shown: Path | str) -> Bands:
-    """The bands of the library in a folder.
-
-    Args:
-        folder: the library.
-        shown: its path as the user gave it, for errors.
-    Raises:
-        LibraryError: it is no library of this package and version.
-    """
-    try:
-        attributes = attributes_of(open_group(folder))
-    except Exception as error:  # No zarr.json, no JSON, zarr version 2, no permission, ...
-        found = f"its zarr.json cannot be used ({first_line(error)})"
-        if isinstance(error.__cause__, FileNotFoundError):
-            found = "a folder without zarr.json"
-        raise LibraryError(
-            f"{shown}: not a library: {found}, expected a folder made by `manifold import`; name another path"
-        ) from error
-    return bands_of(attributes, shown)
-
-
-def first_line(error: Exception) -> str:
-    """The first line of an error of zarr; its type, if it has no message."""
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

@@ -1,9 +1,9 @@
 from .colours import ColourChoice
 from .comparison import BRDFErrors, brdf_errors
 from .latent_space import Embedded
-from .located import Located, locate
+from .located import Located, Reconstruction, locate
 from .manifold import LibraryChangedWarning, Manifold
-from .predicted_file import Prediction, predict
+from .output_file import OutputOptions
 from .settings import Settings
 
 __all__ = [
@@ -13,9 +13,9 @@ __all__ = [
     "LibraryChangedWarning",
     "Located",
     "Manifold",
-    "Prediction",
+    "OutputOptions",
+    "Reconstruction",
     "Settings",
     "brdf_errors",
     "locate",
-    "predict",
 ]

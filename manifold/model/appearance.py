@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import BRDF
 from manifold.colour import ball_colours
-from manifold.models.decoder import EncodingPairs
+from manifold.latent.decoder import EncodingPairs
 from manifold.records import Array
 
 _BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
@@ -51,6 +51,6 @@ def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
     return AppearancePairs(pairs, len(grid.cosines), amplitude)
 
 
-def roots_at(materials: Sequence[MeasuredBRDF], pairs: EncodingPairs) -> Array:
+def roots_at(materials: Sequence[BRDF], pairs: EncodingPairs) -> Array:
     """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
     return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])

@@ -1,4 +1,4 @@
-"""Distances for the layout of blends: differences in appearance of materials and of their blends."""
+"""Maps of blends fitted to materials: a layout by differences in appearance, and colour paths."""
 
 from __future__ import annotations
 
@@ -8,25 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.valleys import profile_pairs, valley_depth, valley_excess
+from manifold.brdf.valleys import profile_pairs, squared_valleys, valley_depth
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
-from manifold.model.appearance import roots_at
+from manifold.latent.blending import Layout, blend_layout
+from manifold.latent.colour_paths import fit_paths
+from manifold.latent.decoder import EncodingPairs
+from manifold.latent.kernels import Kernel
+from manifold.model.appearance import AppearancePairs, appearance_pairs, roots_at
+from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import integrating_sphere
-from manifold.models.blending import Layout, blend_layout
-from manifold.models.decoder import EncodingPairs
-from manifold.records import Array, Progress, evenly_spaced
+from manifold.records import Array, Indices, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
 _UNIT = 20.0  # CIEDE2000 of the ball per unit of distance, before the layout is scaled
-# Depth allowed in all blends: hardly any measured material has a deeper valley; where one has, blends with it may.
+# Depth allowed in all blends: few measured materials have a deeper valley; where one has, blends with it may.
 _MEASURED_VALLEY = 0.08
 _VALLEY_APART = 300.0  # CIEDE2000 between two materials per depth of the valley in their blend, added
 _VALLEY_COST = 10.0  # of valleys in blends of two, against stress
-_SQUARED_VALLEY_COST = 20000.0  # of squared depths in blends of several, against stress
+_SQUARED_VALLEY_COST = 6000.0  # of squared depths in blends of several, against stress
 _PROFILE_BANDS, _PROFILE_STRIDE = 4, 2  # bands and stride of directions, of profiles of blends of several
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that are evaluated
@@ -50,7 +53,7 @@ class AppearanceDistances:
     allowed: Array
     profiles: Array
 
-    def subset(self, materials: Array) -> AppearanceDistances:
+    def subset(self, materials: Indices) -> AppearanceDistances:
         """The distances between some of the materials."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(
@@ -63,8 +66,8 @@ class AppearanceDistances:
         distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * self.valley) / _UNIT
 
         def cost(u: Array) -> tuple[Array, Array]:
-            deeper, slope = valley_excess(u, self.profiles, self.allowed)
-            return _SQUARED_VALLEY_COST * deeper**2, 2.0 * _SQUARED_VALLEY_COST * deeper[:, None] * slope
+            squared, slope = squared_valleys(u, self.profiles, self.allowed)
+            return _SQUARED_VALLEY_COST * squared, _SQUARED_VALLEY_COST * slope
 
         return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * self.valley, latent_dim, cost)
 
@@ -77,7 +80,7 @@ def appearance_distances(
     ball, pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
     wi, wo = profile_pairs()
     colours, logs, profiles = [], [], []
-    for material in with_progress(materials, on_progress, "looks"):
+    for material in with_progress(materials, on_progress, "appearance"):
         brdf = material.select_bands(bands)
         colours.append(ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands))
         f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
@@ -94,12 +97,10 @@ def appearance_distances(
     stacked = np.stack(profiles)
     some = evenly_spaced(stacked.shape[3], _PROFILE_BANDS)
     allowed = np.maximum(valley_depth((stacked**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
-    seen = (
+    return AppearanceDistances(
         0.5 * (difference + difference.T), shape, _valleys(stacked, allowed), allowed,
-        stacked[:, :, ::_PROFILE_STRIDE][..., some],
+        np.ascontiguousarray(stacked[:, :, ::_PROFILE_STRIDE][..., some]),
     )  # fmt: skip
-    # Rounded, so that layouts are reproducible: they magnify last bits, which depend on the compiler of the look-ups.
-    return AppearanceDistances(*(array.astype(np.float32).astype(np.float64) for array in seen))
 
 
 def _valleys(profiles: Array, allowed: Array) -> Array:
@@ -121,7 +122,64 @@ def _distances(rows: Array) -> Array:
     return np.sqrt(np.maximum(squared, 0.0))
 
 
-def albedo_samples(materials: Sequence[MeasuredBRDF]) -> list[tuple[Array, Array]]:
-    """Cube roots at the direction pairs of integrating spheres at several incidences, with their measures."""
-    spheres = [integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG]
-    return [(roots_at(materials, pairs), measure) for pairs, measure in spheres]
+@dataclass(frozen=True, eq=False)
+class BlendTables:
+    """Values of N materials, to some or all of which maps of blends are fitted.
+
+    Attributes:
+        distances: between the materials.
+        bands: which bands are samples, shape (B_s,).
+        roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
+        appearance: these pairs.
+        sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
+        reflectances: of the materials in all bands, shape (N, B).
+    """
+
+    distances: AppearanceDistances
+    bands: Indices
+    roots: Array
+    appearance: AppearancePairs
+    sphere: tuple[Array, Array]
+    albedo: list[tuple[Array, Array]]
+    reflectances: Array
+
+    @classmethod
+    def of(
+        cls, materials: Sequence[MeasuredBRDF], bands: Indices, on_progress: Progress | None = None
+    ) -> BlendTables:
+        """Evaluate materials; `bands` (B_s,) become samples."""
+        distances = appearance_distances(materials, on_progress)
+        samples = [material.select_bands(bands.tolist()) for material in materials]
+        appearance = appearance_pairs(all_isotropic(samples))
+        pairs, measure = integrating_sphere()
+        spheres = [integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG]
+        return cls(
+            distances, bands, roots_at(samples, appearance.pairs), appearance, (roots_at(samples, pairs), measure),
+            [(roots_at(samples, at), measure) for at, measure in spheres],
+            np.stack([measure @ material.eval(pairs.wi, pairs.wo) for material in materials]),
+        )  # fmt: skip
+
+    def rows(self, materials: Indices) -> Indices:
+        """Indices of the samples of materials (n,), shape (n B_s,)."""
+        return (materials[:, None] * len(self.bands) + np.arange(len(self.bands))).reshape(-1)
+
+    def subset(self, materials: Indices) -> BlendTables:
+        """The tables of some of the materials, (n,) indices."""
+        rows, (inside, measure) = self.rows(materials), self.sphere
+        return BlendTables(
+            self.distances.subset(materials), self.bands, self.roots[rows], self.appearance, (inside[rows], measure),
+            [(values[rows], measure) for values, measure in self.albedo], self.reflectances[materials],
+        )  # fmt: skip
+
+    def fit(self, latent_dim: int, kernel: Kernel) -> tuple[BlendSpace, Layout]:
+        """The map of the materials, and its layout."""
+        grid = slice(None, self.appearance.n_grid)
+        paths = fit_paths(
+            self.roots[:, grid],
+            self.appearance.pairs.cosines[grid],
+            len(self.bands),
+            self.sphere,
+            self.albedo,
+        )
+        layout = self.distances.layout(latent_dim)
+        return BlendSpace(layout.X, paths, self.bands, self.reflectances, kernel), layout

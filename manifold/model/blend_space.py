@@ -4,35 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
+from manifold.errors import UsageError
+from manifold.latent.blending import blend_weights, widest_gap
+from manifold.latent.colour_paths import ColourPaths
+from manifold.latent.decoder import Decoder, EncodingPairs
+from manifold.latent.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
 from manifold.model.appearance import appearance_pairs, roots_at
 from manifold.model.combination import Combination
-from manifold.model.latent_space import (
-    Embedded,
-    LatentSpace,
-    LeftOutSearch,
-    checked_colours,
-    require_bands,
-    require_shape,
-)
-from manifold.models.blending import blend_weights, widest_gap
-from manifold.models.colour_paths import ColourPaths
-from manifold.models.decoder import Decoder, EncodingPairs
-from manifold.models.encoder import Encoder
-from manifold.models.kernels import Kernel, first_equal_row
-from manifold.records import Array
-
-if TYPE_CHECKING:
-    from manifold.model.material_table import MaterialTable
-    from manifold.model.materials import MaterialCache
-    from manifold.model.settings import Settings
+from manifold.model.latent_space import Embedded, LatentSpace, LeftOutSearch, require_bands, require_shapes
+from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import Settings
+from manifold.records import AnyArray, Array, Indices
 
 _TRIED_PLACES, _REFINED_PLACES = 150, 3  # of the search for a new material's place
 _EVALUATIONS = 150  # of each refinement
@@ -55,16 +47,17 @@ class BlendSpace(LatentSpace):
 
     X: Array
     paths: ColourPaths
-    bands: Array
+    bands: Indices
     reflectances: Array
     kernel: Kernel
     sample_bands: None = None
     kind: ClassVar[str] = "blend"
     takes_colours: ClassVar[bool] = True
+    takes_gains: ClassVar[bool] = True
     is_nonnegative: ClassVar[bool] = True
 
     @property
-    def arrays(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, AnyArray]:
         """The arrays that a file stores, by name."""
         p = self.paths
         return {
@@ -75,38 +68,23 @@ class BlendSpace(LatentSpace):
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
-        """The space of a file's arrays.
-
-        Raises:
-            ValueError: the arrays do not fit each other, or the number of bands.
-        """
-        X, bands = stored["X"], require_bands("bands", stored["bands"], n_bands)
+        """The space of a file's arrays. Raises ValueError where they do not fit each other or the number of bands."""
+        X, bands = stored["X"], require_bands(stored, "bands", n_bands)
         N, n = len(X), len(X) * len(bands)
         shapes = {
             "reflectances": (N, n_bands), "dark": (N, n), "bright": (N, n), "dark_coordinate": (N,),
             "bright_coordinate": (N,), "sample_reflectances": (n,),
         }  # fmt: skip
-        for name, shape in shapes.items():
-            require_shape(name, stored[name], shape)
-        reflectances, *of_paths = (stored[name] for name in shapes)
+        reflectances, *of_paths = require_shapes(stored, shapes)
         return cls(X, ColourPaths(*of_paths), bands, reflectances, kernel)
 
     def printed(self, x: Array) -> tuple[str, ...]:
         """Coordinates of a place (Q,): predictions are continuous, so three decimals reproduce them."""
         return tuple(f"{v:.3f}" for v in x)
 
-    def numbers(self, n_bands: int) -> int:
-        """How many numbers describe a material: its place, and a coordinate and a gain per band."""
-        return self.X.shape[1] + 2 * n_bands
-
-    def join(self, X: Array, colours: Array | None) -> Array:
-        """X as it is, shape (M, Q): how far the data reach does not depend on colours."""
-        return X
-
     def weights(self, x: Array, colours: Array | None) -> Array:
         """Weights of the materials at x (Q,), shape (N,); in chosen colours those of samples, shape (B, N B_s)."""
-        u = blend_weights(x[None], self.X, self.kernel.length_scale)[0]
-        colours = self.require_colours(colours)
+        u = self.material_weights(x[None], None)[0]
         if colours is None:
             return u
         coordinates, gains = colours if colours.ndim == 2 else (colours, 1.0)
@@ -137,48 +115,30 @@ class BlendSpace(LatentSpace):
         self, x: Array, reflectance: Array, decoder: Decoder, measure: Array
     ) -> tuple[Array, Array]:
         """Coordinates (B,) at which a place x (Q,) has a reflectance (B,), and the reflectance reached, (B,)."""
-        u = blend_weights(x[None], self.X, self.kernel.length_scale)[0]
+        u = self.material_weights(x[None], None)[0]
         return self.paths.coordinates_of(u, reflectance, decoder.mapped, measure)
 
-    @property
-    def own_colours(self) -> Array:
+    @cached_property
+    def own_colours(self) -> Array:  # type: ignore[override]
         """Coordinates of the materials' own reflectances, shape (N, B)."""
         return np.cbrt(np.maximum(self.reflectances, 0.0))
 
-    def colour_table(self) -> tuple[Array, Array]:
-        """Coordinates and reflectances of the materials in all bands, shape (N, B) each."""
-        return self.own_colours, self.reflectances
-
-    def require_colours(self, colours: Array | None) -> Array | None:
-        """Coordinates (B,), or coordinates and gains (2, B), as float64.
-
-        Raises:
-            ShapeError: they are neither, or not finite.
-        """
-        n_bands = self.reflectances.shape[1]
-        return checked_colours(colours, (n_bands,), (2, n_bands))
-
-    def embedding_bands(self, n_bands: int) -> Array:
+    def embedding_bands(self, n_bands: int) -> Indices:
         """Bands whose values are compared to find a place: the samples of the paths."""
         return self.bands
-
-    def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Samples from mapped values (N, B_s, P): a row holds one band of a material."""
-        return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
         """Direction pairs of the encoding grid and of a ball's light."""
         return appearance_pairs(is_isotropic).pairs
 
-    def embed(self, encoder: Encoder, f: Array) -> Embedded:
+    def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
         """Place, coordinates and gains of a material with values f (B, P) in all bands, by the cube-root error."""
-        assert encoder.decoder is not None
-        samples, n_grid = encoder.decoder.mapped, appearance_pairs().n_grid
+        samples, n_grid = decoder.mapped, appearance_pairs().n_grid
         search = PlaceSearch(self, samples, appearance_pairs().weight(samples))
-        x, colours = search.find(np.cbrt(np.maximum(f, 0.0)), self.bands)
+        x, colours, residual = search.find(np.cbrt(np.maximum(f, 0.0)), self.bands)
         predicted = (self.weights(x, colours) @ samples[:, :n_grid]) ** 3
-        cosines = encoder.decoder.cosines[:n_grid]
-        return Embedded(x, colours, relative_error(f[:, :n_grid].T, predicted.T, cosines))
+        error = relative_error(f[:, :n_grid].T, predicted.T, decoder.cosines[:n_grid])
+        return Embedded(x, colours, error, residual)
 
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
@@ -190,20 +150,23 @@ class BlendSpace(LatentSpace):
         samples = roots[:, at].reshape(N * B, -1)
         search = PlaceSearch(self, samples, appearance_pairs().weight(samples), table.bands)
 
-        def find(i: int) -> tuple[Array, Combination]:
-            x, colours = search.find(roots[i], at, without=i)
+        def find(i: int) -> tuple[Array, Combination, float]:
+            x, colours, residual = search.find(roots[i], at, without=i)
             others = np.delete(np.arange(N), i)
             u = np.zeros(N)
             u[others] = blend_weights(x[None], self.X[others], self.kernel.length_scale)[0]
             every = np.zeros((self.reflectances.shape[1], N * B))
             every[table.bands] = self.paths.weights(u, colours[0]) * colours[1][:, None]
-            return x, Combination(CubeRoot(), every, self.bands)
+            return x, Combination(CubeRoot(), every, self.bands), residual
 
         return find
 
-    def require_blends(self) -> BlendSpace:
-        """This space."""
-        return self
+
+def require_blends(space: LatentSpace) -> BlendSpace:
+    """The space of a map of blends. Raises UsageError where the map is of another kind."""
+    if not isinstance(space, BlendSpace):
+        raise UsageError(f"a map of kind {space.kind}, expected blend: embed the library with that kind")
+    return space
 
 
 class PlaceSearch:
@@ -219,7 +182,7 @@ class PlaceSearch:
     """
 
     def __init__(
-        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Array | None = None
+        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Indices | None = None
     ) -> None:
         self._X, self._l, self._weight = space.X, space.kernel.length_scale, weight
         self._paths, self._samples = space.paths, samples
@@ -230,8 +193,8 @@ class PlaceSearch:
         self._decoded = vertices @ (samples * weight)  # [N, K, P]
         self._gram = np.einsum("nkp,mkp->knm", self._decoded, self._decoded, optimize=True)
 
-    def find(self, target: Array, bands: Array, without: int | None = None) -> tuple[Array, Array]:
-        """Place (Q,), and path coordinates and gains of all bands, (2, B).
+    def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
+        """Place (Q,), path coordinates and gains of all bands, (2, B), and the relative residual of cube roots.
 
         Args:
             target: cube roots of the material in all bands, shape (B, P).
@@ -249,12 +212,13 @@ class PlaceSearch:
         inner, squared = self._own_products(weighted[bands], used)
         own = norm - np.sum(inner**2 / squared, axis=1)
         nearest = int(np.argmin(own))
+        relative = float(np.sqrt(max(min(own[nearest], residual), 0.0) / max(norm, _LEAST_NORM)))
         if own[nearest] < residual:
-            return self._X[used[nearest]], self._in_own_colours(int(used[nearest]), weighted)
+            return self._X[used[nearest]], self._in_own_colours(int(used[nearest]), weighted), relative
         k, gains = found.coordinates(x)
-        return x, np.stack([self._grid[k], gains])
+        return x, np.stack([self._grid[k], gains]), relative
 
-    def _own_products(self, weighted: Array, used: Array) -> tuple[Array, Array]:
+    def _own_products(self, weighted: Array, used: Indices) -> tuple[Array, Array]:
         """Products of materials with a target in the bands of the samples, at least 0, and squared norms, (M, B_s)."""
         own = self._samples.reshape(len(self._X), *weighted.shape)[used] * self._weight
         inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted), 0.0)
@@ -283,7 +247,7 @@ class _BestPlace:
         self._X, self._l, self._cross = X, length_scale, cross
         self._rows = gram.reshape(-1, len(X))  # [K N, N]
 
-    def place(self, bands: Array, norm: float) -> tuple[Array, float]:
+    def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
         """The place (Q,) of least squared residual in some bands, and that; `norm`: the target's squared norm there."""
         X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
 
@@ -309,7 +273,7 @@ class _BestPlace:
         best = min(ends, key=lambda end: float(end.fun))
         return np.asarray(best.x), float(best.fun)
 
-    def coordinates(self, x: Array) -> tuple[Array, Array]:
+    def coordinates(self, x: Array) -> tuple[Indices, Array]:
         """Index of the best path coordinate of each band at a place x (Q,), and its gain, (B,) each."""
         inner, squared = (found[0] for found in self._products(x[None], self._cross))
         k = np.argmax(inner**2 / squared, axis=0)

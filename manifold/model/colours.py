@@ -11,7 +11,8 @@ import numpy as np
 
 from manifold.colour.reflectances import ReflectanceSpectrum, read_reflectance, srgb_reflectance
 from manifold.errors import UsageError
-from manifold.model.latents import Place
+from manifold.model.latent_space import fixed_colours
+from manifold.model.latents import PlaceLike
 from manifold.records import Array
 
 if TYPE_CHECKING:
@@ -35,9 +36,7 @@ class ColourChoice:
     def __post_init__(self) -> None:
         given = [name for name, value in vars(self).items() if value is not None]
         if len(given) > 1:
-            raise UsageError(
-                f"found --{' and --'.join(given)}, expected one of them; a material has one colour"
-            )
+            raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
 
 
 NEAREST = ColourChoice()
@@ -51,20 +50,20 @@ class ChosenColour:
     Attributes:
         colours: colour coordinate of every band, shape (B,); None where colours are fixed by latents.
         words: where it comes from.
-        missed: largest difference over bands between the requested reflectance and the one reached.
+        residual: largest difference over bands between the requested reflectance and the one reached.
     """
 
     colours: Array | None
     words: str | None
-    missed: float
+    residual: float
 
 
 UNCHOSEN = ChosenColour(None, None, 0.0)
 """No colour of its own: latents carry it, or it is interpolated with them."""
 
 
-def choose_colour(model: Manifold, place: Place, choice: ColourChoice) -> ChosenColour:
-    """Find the colours of the structure at a place.
+def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> ChosenColour:
+    """Find the colours of the structure at a place x.
 
     Raises:
         UsageError: no such material, file or sRGB colour; or a colour for a manifold of whole materials.
@@ -72,14 +71,12 @@ def choose_colour(model: Manifold, place: Place, choice: ColourChoice) -> Chosen
     """
     if not model.space.takes_colours:
         if choice != NEAREST:
-            raise UsageError(
-                "colours cannot be chosen on a manifold of kind material; leave the colour out, or embed with "
-                "--kind blend"
-            )
+            raise UsageError(fixed_colours(model.space.kind))
         return UNCHOSEN
-    x, path = model.require_latent(place), model.path(place)
-    if choice == NEAREST and path is not None:
-        return ChosenColour(None, f"between {path.start} and {path.end}", 0.0)
+    place = model.place(x)
+    x = place.latent
+    if choice == NEAREST and place.path is not None:
+        return ChosenColour(None, "between {} and {}".format(*place.path), 0.0)
     if choice == NEAREST and not model.space.needs_colours:
         return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:
@@ -121,6 +118,6 @@ def parse_srgb(text: str) -> Array:
             raise ValueError
     except ValueError:
         raise UsageError(
-            f"--srgb '{text}': expected #rrggbb, or three values from 0 to 1 like 0.8,0.5,0.2"
+            f"sRGB '{text}': expected #rrggbb, or three values from 0 to 1 like 0.8,0.5,0.2"
         ) from None
     return np.array(values)

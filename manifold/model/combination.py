@@ -15,11 +15,11 @@ import numpy as np
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.errors import ShapeError
+from manifold.latent.dictionary import Dictionary
+from manifold.latent.lobes import Lobes
 from manifold.mapping import Mapping
 from manifold.metrics import cosine_weight
-from manifold.models.dictionary import Dictionary
-from manifold.models.lobes import Lobes
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +36,14 @@ class Values:
     wo: Array
     _mapped: dict[str, Array] = field(default_factory=dict, repr=False, kw_only=True)
     _samples: dict[tuple[str, tuple[int, ...]], Array] = field(default_factory=dict, repr=False, kw_only=True)
-    _lobes: dict[Lobes, Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _lobes: dict[tuple[str, Lobes], Array] = field(default_factory=dict, repr=False, kw_only=True)
 
     @classmethod
     def at(cls, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> Values:
         """Those of N materials of the same bands at direction pairs."""
         f = np.empty((len(materials), len(pairs), materials[0].bands.count))
         for k, material in enumerate(materials):
-            material.eval_into(pairs, f[k])
+            f[k] = material.eval_at(pairs)
         return Values(f, pairs.wi, pairs.wo)
 
     @cached_property
@@ -52,7 +52,7 @@ class Values:
         return cosine_weight(self.wi, self.wo)
 
     def mapped(self, mapping: Mapping) -> Array:
-        """T(f) of all materials, shape (N, P, B); remembered."""
+        """T(f) of all materials, shape (N, P, B); cached."""
         key = repr(mapping)
         if key not in self._mapped:
             cosines = np.broadcast_to(self.cosines, self.f.shape[:2])
@@ -64,8 +64,8 @@ class Values:
         """`(w f)^(1/3)` of all materials, shape (N, P, B): where the cube-root error is measured."""
         return np.cbrt(self.cosines)[:, None] * np.cbrt(self.f)
 
-    def mapped_samples(self, mapping: Mapping, bands: Array) -> Array:
-        """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); remembered."""
+    def mapped_samples(self, mapping: Mapping, bands: Indices) -> Array:
+        """T(f) of bands (B_s,) as samples, material by material, shape (N * B_s, P); cached."""
         key = (repr(mapping), tuple(int(b) for b in bands))
         if key not in self._samples:
             f = np.ascontiguousarray(np.moveaxis(self.f[..., list(key[1])], 2, 1))  # [N, B_s, P]
@@ -74,11 +74,12 @@ class Values:
             self._samples[key] = mapping.forward(flat, cosines)[..., 0]
         return self._samples[key]
 
-    def lobe_roots(self, lobes: Lobes) -> Array:
-        """Cube roots of analytic lobes, shape (n_l, P); remembered."""
-        if lobes not in self._lobes:
-            self._lobes[lobes] = lobes.cube_roots(self.wi, self.wo)
-        return self._lobes[lobes]
+    def mapped_lobes(self, mapping: Mapping, lobes: Lobes) -> Array:
+        """T(f) of analytic lobes, shape (n_l, P); cached."""
+        key = repr(mapping), lobes
+        if key not in self._lobes:
+            self._lobes[key] = mapping.forward(lobes.values(self.wi, self.wo))
+        return self._lobes[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ class Combination:
 
     mapping: Mapping
     weights: Array
-    sample_bands: Array | None = None
+    sample_bands: Indices | None = None
     is_clipped: bool = True
     variance: float | Array | None = None
     dictionary: Dictionary | None = None
@@ -112,7 +113,7 @@ class Combination:
             return material if self.weights[material] == 1.0 else None
         return None
 
-    def in_bands(self, bands: Array) -> Combination:
+    def in_bands(self, bands: Indices) -> Combination:
         """The same prediction in some bands (B',), to meet values that are measured in these alone.
 
         Raises:
@@ -136,12 +137,13 @@ class Combination:
         samples = values.mapped_samples(self.mapping, self.sample_bands)
         if self.dictionary is None:
             return (self.weights @ samples).T
-        lobe_roots = values.lobe_roots(self.dictionary.lobes)
-        return self.dictionary.combine(self.weights, samples, lobe_roots).T
+        lobes = values.mapped_lobes(self.mapping, self.dictionary.lobes)
+        return self.dictionary.combine(self.weights, samples, lobes).T
 
     def evaluate(self, values: Values) -> Array:
         """The prediction f in 1/sr, shape (P, B); at a unit vector the measured values, bit for bit."""
-        return evaluate([self], values)[0]
+        (predicted,) = evaluate([self], values)
+        return predicted
 
 
 def evaluate(combinations: Sequence[Combination], values: Values, *, clip: bool = True) -> Array:

@@ -7,12 +7,11 @@ import numpy as np
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
+from manifold.latent.decoder import Decoder, EncodingPairs
 from manifold.mapping import mapping_named
 from manifold.model.latent_space import LatentSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.decoder import Decoder, EncodingPairs
-from manifold.models.encoder import Encoder
 from manifold.records import Array
 
 REFLECTANCE_INCIDENCE_DEG = 8.0  # of integrating spheres, specular included
@@ -36,21 +35,3 @@ def decoder_at(
         rows.append(mapping.forward(brdf.eval_at(located), cosines).T)  # [B_e, P]
     mapped, cosines = space.samples(np.stack(rows), cosines)
     return Decoder(space.gp, mapped, mapping, cosines)
-
-
-def encoder_at(
-    pairs: EncodingPairs,
-    space: LatentSpace,
-    materials: MaterialCache,
-    settings: Settings,
-    criterion: str | None = None,
-) -> Encoder:
-    """The encoder of a space at direction pairs: of all embedding bands, or band by band.
-
-    `criterion` is that of the settings by default.
-    """
-    decoder = decoder_at(pairs, space, materials, settings)
-    group = len(space.sample_rows(np.arange(1)))
-    return Encoder.of_decoder(
-        decoder, space.X.shape[1], group, settings.prior, criterion or settings.criterion
-    )

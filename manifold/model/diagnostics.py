@@ -3,140 +3,180 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, plausibility
-from manifold.model.colours import ChosenColour, ColourChoice, choose_colour
-from manifold.model.latents import Place
-from manifold.model.manifold import Manifold
-from manifold.model.prediction import PredictedBRDF
-from manifold.models.expected_error import COARSE_BELOW
+from manifold.latent.expected_error import COARSE_BELOW
+from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
 from manifold.records import Array
+
+if TYPE_CHECKING:
+    from manifold.model.latents import Place, PlaceLike
+    from manifold.model.left_out import ExpectedErrors
+    from manifold.model.manifold import Manifold
 
 MOST_NEGATIVE = 0.005  # share of values, above which a prediction is diagnosed; one in a hundred is seen
 MOST_ALBEDO = 1.05  # measured materials reach a little above 1 too
 MOST_NON_RECIPROCAL = 0.5  # relative; measured materials reach 0.3, mirrors more
 MOST_VALLEY = 0.1  # of the values beside it; measured materials reach 0.07
-MOST_MISSED = 0.02  # of a reflectance
+MOST_RESIDUAL = 0.02  # of a reflectance
 MOST_UNMEASURED = 0.01  # of the cells that should hold something
 MOST_EMBEDDING_ERROR = 0.5  # relative: half of the material is not reconstructed
 MOST_EMBEDDING_BALL = 5.0  # CIEDE2000: an observer sees two different colours (Mokrzycki & Tatol 2011)
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """Diagnostics and expected error of a prediction.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """A predicted material, with its expected error and diagnostics.
 
     Attributes:
-        expected_ball: expected error, mean CIEDE2000 of the ball; None where the model is not calibrated.
-        expected_cube_root: the same, relative error of cube roots.
-        materials: number of materials of the model, on whose left-out errors expected ones are based.
-        is_extrapolation: whether the data do not support the place.
+        brdf: the prediction.
+        latent: its latent, shape (Q,).
+        coordinates: the same, with the digits that reproduce the prediction.
+        colour: where the colour comes from, in words; None where the latent fixes it.
+        reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
+        weights: the materials with the largest weights, by magnitude, in this colour.
         nearest: the three nearest materials with their distances.
-        reflectance_missed: largest difference over bands between the requested reflectance and the one reached.
+        materials: number of materials of the model, on whose left-out errors expected ones are based.
+        expected: expected errors; None where the model is not calibrated.
+        is_extrapolation: whether the data do not support the place.
         plausibility: measured on the prediction, or on the file that was written.
         diagnostics: defects found, as sentences.
+        attributes: those asked for and those reached, plain values; None where none were asked for.
+        path: of the file that was written; None where none was.
+        is_physical: whether that was projected to be non-negative, reciprocal and energy-conserving.
+        clipped_share: share of the predicted values that were negative, and are zero in the file.
+        seconds: evaluating, checking and writing, without loading the library.
     """
 
-    expected_ball: float | None
-    expected_cube_root: float | None
+    brdf: BRDF
+    latent: Array
+    coordinates: tuple[str, ...]
+    colour: str | None
+    reflectance_residual: float
+    weights: list[tuple[str, float]]
+    nearest: list[tuple[str, float]]
     materials: int
+    expected: ExpectedErrors | None
     is_extrapolation: bool
-    nearest: tuple[tuple[str, float], ...]
-    reflectance_missed: float
     plausibility: Plausibility
     diagnostics: tuple[str, ...]
+    attributes: dict[str, Any] | None = None
+    path: Path | None = None
+    is_physical: bool = False
+    clipped_share: float = 0.0
+    seconds: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return vars(self) | {"plausibility": vars(self.plausibility)}
+        """Plain values; of a file that was written, also the program's version."""
+        content = vars(self) | {"latent": self.latent.tolist(), "plausibility": vars(self.plausibility)}
+        dropped = {"brdf", "expected"} | ({"attributes"} if self.attributes is None else set())
+        if self.path is None:
+            dropped |= {"path", "is_physical", "clipped_share", "seconds"}
+        else:
+            content |= {"program": f"manifold {__version__}", "path": str(self.path)}
+        return {key: value for key, value in content.items() if key not in dropped} | expected_json(
+            self.expected
+        )
 
     @property
     def rows(self) -> dict[str, object]:
         """Labels and values for a terminal."""
-        physical = self.plausibility
         rows: dict[str, object] = {
-            "expected error": in_words(self.expected_ball, self.expected_cube_root, self.materials),
+            "expected error": in_words(self.expected, self.materials),
             "nearest": [f"{name} ({distance:.2f})" for name, distance in self.nearest],
-            "reciprocity error": f"{physical.reciprocity_error:.2%}",
-            "largest albedo": f"{physical.max_albedo:.3f}",
+            "reciprocity error": f"{self.plausibility.reciprocity_error:.2%}",
+            "largest albedo": f"{self.plausibility.max_albedo:.3f}",
         }
         return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
 
 
+def predict(model: Manifold, x: PlaceLike, choice: ColourChoice = NEAREST) -> Prediction:
+    """The prediction at a place in a chosen colour, with its diagnostics."""
+    place = model.place(x)
+    chosen = choose_colour(model, place, choice)
+    return diagnose(model, place, model.predict(place, chosen.colours), chosen)
+
+
 def diagnose(
     model: Manifold,
-    x: Array,
-    found: Plausibility,
-    *,
-    colours: Array | None = None,
-    missed: float = 0.0,
+    place: Place,
+    brdf: BRDF,
+    chosen: ChosenColour = UNCHOSEN,
+    found: Plausibility | None = None,
     negative_share: float | None = None,
-) -> Diagnosis:
-    """Diagnostics and expected error of the prediction at a latent x (Q,).
+) -> Prediction:
+    """Diagnostics and expected error of a prediction.
 
     Args:
         model: that predicts.
-        x: the latent.
-        found: measurements on the prediction.
-        colours: of the prediction.
-        missed: largest difference over bands between the requested reflectance and the one reached.
+        place: where.
+        brdf: the prediction.
+        chosen: its colours.
+        found: measurements on the file that was written of it; None to measure the prediction itself.
         negative_share: share of negative values before they were cut to 0; None where `found` has it.
     """
-    expected, nearest = model.expected_error(x, colours), tuple(model.nearest(x, 3))
-    is_extrapolation = bool(model.is_extrapolation(x, colours))
-    ball, cube_root = (None, None) if expected is None else (float(expected.ball), float(expected.cube_root))
+    colours = chosen.colours
+    found = plausibility(brdf) if found is None else found
+    expected, nearest = model.expected_error(place, colours), model.nearest(place, 3)
+    is_extrapolation = bool(model.is_extrapolation(place, colours))
     why = f"the nearest material is {nearest[0][1]:.1f} length scales away"
-    if ball is not None:
-        why += f", expected error {ball:.0f} CIEDE2000 of the ball"
-    judged = found if negative_share is None else replace(found, negative_share=negative_share)
-    if model.space.training_index(x, colours) is not None:
-        sentences = of_measured(judged)
+    if expected is not None:
+        why += f", expected error {expected.ball:.0f} CIEDE2000 of the ball"
+    measured = found if negative_share is None else replace(found, negative_share=negative_share)
+    if model.space.training_index(place.latent, colours) is not None:
+        sentences = of_measured(measured)
     else:
-        sentences = of_prediction(is_extrapolation, judged, missed, why)
-    sentences += of_unmeasured(model.unmeasured_share(x)) + model.notes
-    return Diagnosis(ball, cube_root, len(model.names), is_extrapolation, nearest, missed, found, sentences)
+        sentences = of_prediction(is_extrapolation, measured, chosen.residual, why)
+    return Prediction(
+        brdf=brdf,
+        latent=place.latent,
+        coordinates=model.space.printed(place.latent),
+        colour=chosen.words,
+        reflectance_residual=chosen.residual,
+        weights=model.largest_weights(place, 5, colours),
+        nearest=nearest,
+        materials=len(model.names),
+        expected=expected,
+        is_extrapolation=is_extrapolation,
+        plausibility=found,
+        diagnostics=sentences + of_unmeasured(model.unmeasured_share(place)) + model.notes,
+    )
 
 
-def of_brdf(model: Manifold, x: Array, brdf: BRDF, chosen: ChosenColour) -> Diagnosis:
-    """As `diagnose`, of a prediction at a latent x (Q,) that is not written: measured on the BRDF itself."""
-    return diagnose(model, x, plausibility(brdf), colours=chosen.colours, missed=chosen.missed)
+def expected_json(expected: ExpectedErrors | None) -> dict[str, float | None]:
+    """Expected errors as plain values."""
+    ball, cube_root = (None, None) if expected is None else (float(expected.ball), float(expected.cube_root))
+    return {"expected_ball": ball, "expected_cube_root": cube_root}
 
 
-def predict_and_diagnose(
-    model: Manifold, place: Place, choice: ColourChoice
-) -> tuple[Array, PredictedBRDF, Diagnosis]:
-    """The latent (Q,) of a place, the prediction there in a chosen colour, and its diagnosis."""
-    x, chosen = model.require_latent(place), choose_colour(model, place, choice)
-    brdf = model.predict(place, chosen.colours)
-    return x, brdf, of_brdf(model, x, brdf, chosen)
-
-
-def in_words(ball: float | None, cube_root: float | None, materials: int) -> list[str]:
+def in_words(expected: ExpectedErrors | None, materials: int) -> list[str]:
     """An expected error for a terminal, of a model of `materials` materials."""
-    if ball is None or cube_root is None:
+    if expected is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
-    if ball == 0.0 and cube_root == 0.0:
+    if expected.ball == 0.0 and expected.cube_root == 0.0:
         return ["none: a measured material"]
     words = [
-        f"{ball:.1f} CIEDE2000 of the ball",
-        f"{cube_root:.0%} cube-root error",
+        f"{expected.ball:.1f} CIEDE2000 of the ball",
+        f"{expected.cube_root:.0%} cube-root error",
         "90 % of errors below twice these",
     ]
     return words + [f"coarse: known from {materials} materials"] * (materials < COARSE_BELOW)
 
 
 def of_prediction(
-    is_extrapolation: bool, found: Plausibility, missed: float = 0.0, why: str = "far from all materials"
+    is_extrapolation: bool, found: Plausibility, residual: float = 0.0, why: str = "far from all materials"
 ) -> tuple[str, ...]:
     """Of a prediction.
 
     Args:
         is_extrapolation: whether the data do not support it.
         found: measurements on it.
-        missed: largest difference over bands between the requested reflectance and the one reached.
+        residual: largest difference over bands between the requested reflectance and the one reached.
         why: the reason why the data do not support it.
     """
     diagnostics = []
@@ -148,21 +188,21 @@ def of_prediction(
         )
     if found.max_albedo > MOST_ALBEDO:
         diagnostics.append(
-            f"not energy-conserving: directional albedo {found.max_albedo:.2f}; --physical scales it to 1"
+            f"not energy-conserving: directional albedo {found.max_albedo:.2f}; a physical file scales it to 1"
         )
     if found.reciprocity_error > MOST_NON_RECIPROCAL:
         diagnostics.append(
             f"not reciprocal: f(wi, wo) and f(wo, wi) differ by {100.0 * found.reciprocity_error:.0f} %; "
-            "--physical takes their mean"
+            "a physical file takes their mean"
         )
     if found.highlight_valley > MOST_VALLEY:
         diagnostics.append(
             f"dark hole or ring near the mirror direction: {100.0 * found.highlight_valley:.0f} % below both "
             "sides (measured materials: at most 7 %)"
         )
-    if missed > MOST_MISSED:
+    if residual > MOST_RESIDUAL:
         diagnostics.append(
-            f"requested reflectance cannot be reached at this structure: error up to {missed:.2f}"
+            f"requested reflectance cannot be reached at this structure: error up to {residual:.2f}"
         )
     return tuple(diagnostics)
 
@@ -189,7 +229,7 @@ def of_projection(found: Plausibility) -> tuple[str, ...]:
         return ()
     return (
         f"not reciprocal: the file's f(wi, wo) and f(wo, wi) still differ by {100.0 * found.reciprocity_error:.0f} %, "
-        f"expected at most {100.0 * RECIPROCITY_ERROR:.0f} %; write more --resolution and --incidences",
+        f"expected at most {100.0 * RECIPROCITY_ERROR:.0f} %; write a finer grid and more incidences",
     )
 
 
@@ -200,13 +240,6 @@ def of_unmeasured(share: float) -> tuple[str, ...]:
     return (
         f"{100.0 * share:.0f} % of the cells were not measured, but filled from neighbours; see `manifold info`",
     )
-
-
-def of_anisotropy(is_isotropic: bool, is_found_isotropic: bool) -> tuple[str, ...]:
-    """Of a material that is reconstructed from others, and whether it and the reconstruction are isotropic."""
-    if is_isotropic or not is_found_isotropic:
-        return ()
-    return ("anisotropic, but reconstructed from isotropic materials: the same at all azimuths",)
 
 
 def of_embedding(relative_error: float, ball: float) -> tuple[str, ...]:

@@ -9,28 +9,25 @@ import numpy as np
 
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
+from manifold.latent.decoder import EncodingPairs
+from manifold.latent.per_band import MonochromeGPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
-from manifold.model.appearance import roots_at
-from manifold.model.blend_fitting import albedo_samples, appearance_distances
-from manifold.model.blend_space import BlendSpace
+from manifold.model.blend_fitting import BlendTables
 from manifold.model.curve_space import CurveSpace
-from manifold.model.decoding import encoder_at, integrating_sphere
+from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.colour_paths import fit_paths
-from manifold.models.decoder import EncodingPairs
-from manifold.models.per_band import MonochromeGPLVM
-from manifold.records import Array, Progress, evenly_spaced
+from manifold.records import Indices, Progress, evenly_spaced
+from manifold.system.names import counted
 from manifold.system.stages import with_progress
 
 _LIT_DEG = np.array([0.0, 45.0])
-_MOST_ALBEDO = (
-    1.5  # measured materials reach a little above 1; reflectance factors taken for f are pi times as large
-)
+# Measured materials reach a little above 1; reflectance factors taken for f are pi times as large.
+_MOST_ALBEDO = 1.5
 
 Statistics = dict[str, float]
 """Objective at start and end of a fit."""
@@ -48,13 +45,13 @@ def fit_space(
     count, most = len(materials.names), len(materials.names) - 1
     if count < 2:
         raise UsageError(
-            f"{materials.library.path.name}: found {count} material{'s' * (count != 1)}, "
+            f"{materials.library.path.name}: found {counted(count, 'material')}, "
             "expected at least 2; import more"
         )
     if not 1 <= settings.latent_dim <= most:
         raise UsageError(
             f"{settings.latent_dim} latent dimensions for {count} materials, "
-            f"expected {'1' if most == 1 else f'1 to {most}'}; lower --latent-dim or import more"
+            f"expected {'1' if most == 1 else f'1 to {most}'}; choose fewer or import more"
         )
     _warn_of_bright(materials)
     return _FITS[settings.kind](materials, settings, on_progress)
@@ -100,13 +97,11 @@ def _fit_curves(
     fitted = MonochromeGPLVM(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
     ).fit_gram(matrix.S, len(materials.names), matrix.n_outputs)  # fmt: skip
-    unknown = np.zeros(
-        (len(materials.names), 0)
-    )  # decoding needs the samples' colours only; those of all bands follow
+    unknown = np.zeros((len(materials.names), 0))  # decoding needs the samples' colours alone
     space = CurveSpace(fitted.structure_, fitted.colour_[:, :, 0], bands, unknown, unknown, s.covariance())
-    # The colours of all bands, those of the samples too, by the decoded error: what predictions are judged by.
+    # The colours of all bands, those of the samples too, by the decoded error, which is that of predictions.
     pairs = EncodingPairs.default(materials.is_isotropic)
-    encoder = encoder_at(pairs, space, materials, s, "decoded")
+    encoder = space.encoder(decoder_at(pairs, space, materials, s), replace(s, criterion="decoded"))
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)
@@ -115,24 +110,15 @@ def _fit_curves(
         colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
     statistics = {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
-    return replace(space, colours=colours, reflectances=reflectances), statistics
+    return replace(space, own_colours=colours, reflectances=reflectances), statistics
 
 
 def _fit_blends(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
     brdfs = materials.filled(on_progress=on_progress)
-    layout = appearance_distances(brdfs, on_progress).layout(s.latent_dim)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
-    samples = [brdf.select_bands(bands.tolist()) for brdf in brdfs]
-    pairs = EncodingPairs.default(materials.is_isotropic)
-    sphere, measure = integrating_sphere()
-    paths = fit_paths(
-        roots_at(samples, pairs), pairs.cosines, len(bands), (roots_at(samples, sphere), measure),
-        albedo_samples(samples),
-    )  # fmt: skip
-    reflectances = np.stack([measure @ brdf.eval(sphere.wi, sphere.wo) for brdf in brdfs])
-    space = BlendSpace(layout.X, paths, bands, reflectances, s.covariance())
+    space, layout = BlendTables.of(brdfs, bands, on_progress).fit(s.latent_dim, s.covariance())
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}
 
 
@@ -140,7 +126,7 @@ _FITS = {"blend": _fit_blends, "material": _fit_materials, "monochrome": _fit_cu
 
 
 def _gram(
-    materials: MaterialCache, s: Settings, bands: Array | None, on_progress: Progress | None
+    materials: MaterialCache, s: Settings, bands: Indices | None, on_progress: Progress | None
 ) -> gram.Gram:
     """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
     library, mapping = materials.library, mapping_named(s.mapping)

@@ -80,7 +80,7 @@ def cache_key(
     grid: RusinkiewiczGrid,
     sample_bands: Sequence[int] | None = None,
 ) -> str:
-    """Name under which a library remembers a Gram matrix of some materials: a hash of all that it depends on.
+    """Name under which a library caches a Gram matrix of some materials: a hash of all that it depends on.
 
     `sample_bands` are the bands that are samples of their own; None where whole materials are.
     """

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from manifold.errors import UsageError
+from manifold.errors import UnknownNameError
+from manifold.latent.gp_weights import GPWeights
 from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import (
-    OnPath,
     Place,
-    coordinates_of,
-    on_path,
+    PlaceLike,
+    parse_coordinates,
+    parse_path,
     require_between,
     require_latent,
     require_latents,
@@ -21,9 +23,10 @@ from manifold.model.latents import (
 from manifold.model.left_out import ExpectedErrors, LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.gp_weights import GPWeights
-from manifold.records import Array
+from manifold.records import Array, Mask
 from manifold.system.names import names_like
+
+S = TypeVar("S", bound=np.generic)
 
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
@@ -46,12 +49,13 @@ class LatentMap:
         self.materials = materials
         self.names = materials.names
         self.space = space
+        self.space.X.setflags(write=False)
         self.settings = settings
         self.left_out = left_out
 
     @property
     def X(self) -> Array:
-        """Latents of the materials, shape (N, Q); of a monochrome manifold their structure coordinates."""
+        """Latents of the materials, read-only, shape (N, Q); of a monochrome manifold their structure coordinates."""
         return self.space.X
 
     @property
@@ -59,63 +63,65 @@ class LatentMap:
         """The Gaussian process on the latents of the materials, or of the monochrome samples."""
         return self.space.gp
 
-    def weights(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
+    def weights(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
         """Weights of the materials at a place (Q,) or latents x (M, Q), shape (M, N) or (N,); they sum to 1.
 
         Of a monochrome manifold: summed over the samples of a material, averaged over bands, at the colours (B,)
         given, or in the colours of the surrounding materials.
         """
-        return self._at(x, lambda X: self.space.material_weights(X, colours))
+        return self._at(x, colours, self.space.material_weights)
 
-    def std(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
+    def std(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Array:
         """Posterior over prior standard deviation at a place (Q,) or latents x (M, Q), in [0, 1].
 
         Of a monochrome manifold: the root of the variance's mean over bands, at the colours (B,) given, or
         over the sample bands in the colours of the surrounding materials.
         """
-        return self._at(x, lambda X: np.sqrt(self.space.variance_fraction(X, colours)))
+        return np.sqrt(self._at(x, colours, self.space.variance_fraction))
 
-    def is_extrapolation(self, x: ArrayLike | Place, colours: Array | None = None) -> Array:
-        """Whether the data do not support predictions at a place (Q,) or latents x (M, Q).
-
-        See `LeftOut.is_unsupported`.
+    def is_extrapolation(self, x: ArrayLike | PlaceLike, colours: Array | None = None) -> Mask:
+        """Whether the data do not support predictions at a place (Q,) or latents x (M, Q): `LeftOut.is_unsupported`.
 
         For a model that is not calibrated: whether the posterior variance exceeds half of the prior's.
         """
+        left_out = self.left_out
+        if left_out is None:
+            return self._at(x, colours, self.space.variance_fraction) > EXTRAPOLATION
+        is_predicted = self._at(x, colours, self.space.training_indices) < 0
+        return is_predicted & self._at(x, None, lambda X, _: left_out.is_unsupported(X))
 
-        def is_unsupported(X: Array) -> Array:
-            if self.left_out is not None:
-                return self.left_out.is_unsupported(X) & (self.space.training_indices(X, colours) < 0)
-            return self.space.variance_fraction(X, colours) > EXTRAPOLATION
-
-        return self._at(x, is_unsupported)
-
-    def expected_error(self, x: ArrayLike | Place, colours: Array | None = None) -> ExpectedErrors | None:
+    def expected_error(
+        self, x: ArrayLike | PlaceLike, colours: Array | None = None, residual: float | None = None
+    ) -> ExpectedErrors | None:
         """Expected errors of predictions at a place (Q,) or latents x (M, Q); None if the model is not calibrated.
 
-        0 at a material's own latent, where the prediction is its file.
+        0 at a material's own latent, where the prediction is its file. `residual` is that of an `Embedded` material,
+        which tells more of its error than its place does.
         """
         if self.left_out is None:
             return None
-        X = self._latents(x)
-        found = self.left_out.expected(X)
-        is_predicted = self.space.training_indices(np.atleast_2d(X), colours).reshape(X.shape[:-1]) < 0
+        found = self.left_out.expected(self._latents(x), residual)
+        if residual is not None:
+            return found
+        is_predicted = self._at(x, colours, self.space.training_indices) < 0
         return ExpectedErrors(found.ball * is_predicted, found.cube_root * is_predicted)
 
-    def nearest(self, x: Place, count: int = 1) -> list[tuple[str, float]]:
+    def nearest(self, x: PlaceLike, count: int = 1) -> list[tuple[str, float]]:
         """The materials nearest to a latent x (Q,) with their distances, nearest first."""
-        distance = np.linalg.norm(self.X - self.require_latent(x), axis=1)
+        distance = np.linalg.norm(self.space.X - self.place(x).latent, axis=1)
         return [(self.names[k], float(distance[k])) for k in np.argsort(distance, kind="stable")[:count]]
 
-    def largest_weights(self, x: Place, count: int, colours: Array | None = None) -> list[tuple[str, float]]:
+    def largest_weights(
+        self, x: PlaceLike, count: int, colours: Array | None = None
+    ) -> list[tuple[str, float]]:
         """The materials with the largest weights at a latent x (Q,), by magnitude; none that is zero."""
-        weights = self.weights(self.require_latent(x), colours)
+        weights = self.weights(x, colours)
         order = np.argsort(-np.abs(weights), kind="stable")[:count]
         return [(self.names[k], float(weights[k])) for k in order if weights[k] != 0]
 
-    def unmeasured_share(self, x: Place) -> float:
+    def unmeasured_share(self, x: PlaceLike) -> float:
         """Share of unmeasured cells at a latent x (Q,): the materials' shares, averaged by magnitude of weight."""
-        weights = np.abs(self.weights(self.require_latent(x)))
+        weights = np.abs(self.weights(x))
         shares = [self.materials.unmeasured_share(self.names[k]) for k in np.flatnonzero(weights)]
         return float(weights[weights > 0] @ shares / weights.sum())
 
@@ -139,35 +145,41 @@ class LatentMap:
         # exact at both ends, and where they agree
         return start + t * way if t < 0.5 else end - (1.0 - t) * way
 
-    def require_latent(self, x: Place) -> Array:
-        """The latent of a place, as float64 (Q,).
+    def place(self, x: PlaceLike) -> Place:
+        """The place that a latent or a text means.
 
         Raises:
             LatentError: there are not Q finite coordinates.
             UsageError: a text is no material of the model, no path between two, and no coordinates.
         """
-        path = self.path(x)
+        if isinstance(x, Place):
+            return x
+        if not isinstance(x, str):
+            return Place(require_latent(x, self.settings.latent_dim))
+        path = parse_path(x, self.names)
         if path is not None:
-            return self.between(*path)
-        if isinstance(x, str):
-            if x in self.names:
-                return self.latent(x)
-            coordinates = coordinates_of(x)
-            if coordinates is None:
-                raise UsageError(
-                    f"no material '{x}' in this model ({names_like(self.names, x)}), expected one, or numbers "
-                    "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
-                )
-            x = coordinates
-        return require_latent(x, self.settings.latent_dim)
+            return Place(self.between(*path), path)
+        if x in self.names:
+            return Place(self.latent(x))
+        coordinates = parse_coordinates(x)
+        if coordinates is None:
+            raise UnknownNameError(
+                f"no material '{x}' in this model ({names_like(self.names, x)}), expected one, or numbers "
+                "separated by commas, like -0.3,1.2, or FROM:TO:T between two materials"
+            )
+        return Place(require_latent(coordinates, self.settings.latent_dim))
 
-    def path(self, x: Place) -> OnPath | None:
-        """The path that a place `FROM:TO:T` lies on; None for other places."""
-        return on_path(x, self.names) if isinstance(x, str) else None
+    def _latents(self, x: ArrayLike | PlaceLike) -> Array:
+        if isinstance(x, Place | str):
+            return self.place(x).latent
+        return require_latents(x, self.settings.latent_dim)
 
-    def _latents(self, x: ArrayLike | Place) -> Array:
-        return require_latents(self.require_latent(x) if isinstance(x, str) else x, self.settings.latent_dim)
-
-    def _at(self, x: ArrayLike | Place, function: Callable[[Array], Array]) -> Array:
-        X = self._latents(x)
-        return function(X[None])[0] if X.ndim == 1 else function(X)
+    def _at(
+        self,
+        x: ArrayLike | PlaceLike,
+        colours: Array | None,
+        function: Callable[[Array, Array | None], NDArray[S]],
+    ) -> NDArray[S]:
+        """A function of latents (M, Q) and colours at one latent or several."""
+        X, colours = self._latents(x), self.space.require_colours(colours)
+        return function(X[None], colours)[0] if X.ndim == 1 else function(X, colours)

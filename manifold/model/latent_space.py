@@ -1,11 +1,4 @@
-"""The interface of fitted latent spaces, arrays in and arrays out.
-
-- `BlendSpace` (kind `blend`): a material is one point, and weights are non-negative. Colours can be chosen.
-- `MaterialSpace` (kind `material`): a material is one point of a Gaussian process, with the same weights in all bands.
-- `CurveSpace` (kind `monochrome`): every band of a material is a point of a Gaussian process. Its structure coordinates
-  are the material's, its colour coordinate is its own, and so are its weights of the samples, a few bands of each
-  material.
-"""
+"""The interface of fitted latent spaces, arrays in and arrays out."""
 
 from __future__ import annotations
 
@@ -14,28 +7,25 @@ from collections.abc import Callable
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from manifold.errors import ShapeError, UsageError
+from manifold.latent.colour_table import ColourTable
+from manifold.latent.decoder import Decoder, EncodingPairs
+from manifold.latent.gp_weights import GPWeights
+from manifold.latent.kernels import Kernel, first_equal_row
 from manifold.mapping import Mapping
 from manifold.model.combination import Combination
-from manifold.models.colour_table import ColourTable
-from manifold.models.decoder import Decoder, EncodingPairs
-from manifold.models.encoder import Encoder
-from manifold.models.gp_weights import GPWeights
-from manifold.models.kernels import Kernel, first_equal_row
-from manifold.records import Array
+from manifold.model.material_table import MaterialTable
+from manifold.model.materials import MaterialCache
+from manifold.model.settings import Settings
+from manifold.records import AnyArray, Array, Indices
 
-if TYPE_CHECKING:
-    from manifold.model.blend_space import BlendSpace
-    from manifold.model.material_table import MaterialTable
-    from manifold.model.materials import MaterialCache
-    from manifold.model.settings import Settings
-
-LeftOutSearch = Callable[[int], tuple[Array, Combination]]
-"""From the index of a left-out material to its place (Q,) and its prediction there, with weights over all materials."""
+LeftOutSearch = Callable[[int], tuple[Array, Combination, float]]
+"""From the index of a left-out material to its place (Q,), its prediction there, with weights over all materials, and
+its residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,33 +37,48 @@ class Embedded:
         colours: what `Manifold.predict` takes: colour coordinate of every band, shape (B,); of blends also its gain,
             shape (2, B); None of kind `material`.
         relative_error: of the decoded material, `||w (f* - f)|| / ||w f||` on the pairs that it was embedded by.
+        residual: of the search, relative: of blends that of cube roots on grid and ball, else `relative_error`.
     """
 
     latent: Array
     colours: Array | None
     relative_error: float
+    residual: float
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{v:.3f}" for v in self.latent)
+        coloured = "" if self.colours is None else f", colours of {self.colours.shape[-1]} bands"
+        return f"<Embedded: latent ({at}){coloured}, relative error {self.relative_error:.3f}>"
 
 
 class LatentSpace(ABC):
     """A fitted latent space of N materials.
 
+    Colours that arguments take are checked already, by `require_colours`.
+
     Attributes:
-        X: latents of the materials, shape (N, Q); of a `CurveSpace` their structure coordinates.
+        X: latents of the materials, shape (N, Q); where bands have latents of their own, the coordinates they share.
         kernel: covariance function on the latents.
         sample_bands: bands of the materials that predictions combine, shape (B_s,); None is all of them.
+        own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be chosen.
+        reflectances: of the materials at 8 degrees, specular included, shape (N, B), if colours can be chosen.
         kind: its name.
         takes_colours: whether colours can be chosen.
+        takes_gains: whether colours can have a gain per band.
         needs_colours: whether a prediction needs them.
         is_nonnegative: whether negative measured values are taken for 0 where materials are combined.
     """
 
     kind: ClassVar[str]
-    takes_colours: ClassVar[bool]
+    takes_colours: ClassVar[bool] = False
+    takes_gains: ClassVar[bool] = False
     needs_colours: ClassVar[bool] = False
     is_nonnegative: ClassVar[bool] = False
     X: Array
     kernel: Kernel
-    sample_bands: Array | None
+    sample_bands: Indices | None
+    own_colours: Array
+    reflectances: Array
 
     def __repr__(self) -> str:
         N, Q = self.X.shape
@@ -86,7 +91,7 @@ class LatentSpace(ABC):
 
     @property
     @abstractmethod
-    def arrays(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, AnyArray]:
         """The arrays that a file stores, by name."""
 
     @classmethod
@@ -102,15 +107,15 @@ class LatentSpace(ABC):
         """Coordinates of a latent (Q,) with the digits that reproduce its prediction."""
         return tuple(repr(float(v)) for v in x)
 
-    @abstractmethod
     def numbers(self, n_bands: int) -> int:
-        """How many numbers describe a material of `n_bands` bands."""
+        """How many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
+        return self.X.shape[1] + n_bands * (self.takes_colours + self.takes_gains)
 
-    def sample_rows(self, materials: Array) -> Array:
+    def sample_rows(self, materials: Indices) -> Indices:
         """Indices of the training samples of some materials; by default a material is one sample."""
         return materials
 
-    def latents_of(self, materials: Array) -> Array:
+    def latents_of(self, materials: Indices) -> Array:
         """Latents of the training samples of some materials, shape (n, Q')."""
         return self.X[materials]
 
@@ -118,9 +123,9 @@ class LatentSpace(ABC):
         """Latents of one material: one, or one per band, shape (1 or B, Q')."""
         return self.X[material : material + 1]
 
-    @abstractmethod
     def join(self, X: Array, colours: Array | None) -> Array:
         """Latents (M R, Q') of the process at X (M, Q), in colours (B,) or those of surrounding materials."""
+        return X
 
     @abstractmethod
     def weights(self, x: Array, colours: Array | None) -> Array:
@@ -130,30 +135,35 @@ class LatentSpace(ABC):
     def material_weights(self, X: Array, colours: Array | None) -> Array:
         """Weights at latents X (M, Q) summed over the samples of a material, averaged over bands, shape (M, N)."""
 
-    @abstractmethod
-    def colour_table(self) -> tuple[Array, Array]:
-        """Colour coordinates and reflectances of the materials in all bands, shape (N, B) each.
-
-        Raises:
-            UsageError: whole materials have fixed colours.
-        """
-
-    @abstractmethod
     def require_colours(self, colours: Array | None) -> Array | None:
-        """Colours (B,) as float64.
+        """Colours as float64: (B,), or with gains (2, B).
 
         Raises:
             UsageError: colours are given, but fixed by the latents.
-            ShapeError: they are not (B,) or not finite.
+            ShapeError: they have another shape or are not finite.
         """
+        if colours is None:
+            return None
+        if not self.takes_colours:
+            raise UsageError(fixed_colours(self.kind))
+        colours = np.asarray(colours, dtype=np.float64)
+        n_bands = self.reflectances.shape[1]
+        expected = [(n_bands,), (2, n_bands)][: 1 + self.takes_gains]
+        if colours.shape not in expected or not np.all(np.isfinite(colours)):
+            shapes = " or ".join(map(str, expected))
+            raise ShapeError(f"colours have shape {colours.shape}, expected {shapes}, finite")
+        return colours
 
     @abstractmethod
-    def embedding_bands(self, n_bands: int) -> Array:
+    def embedding_bands(self, n_bands: int) -> Indices:
         """Bands whose values are compared to find a latent."""
 
-    @abstractmethod
     def samples(self, mapped: Array, cosines: Array) -> tuple[Array, Array]:
-        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, and cosines (P,) as (P',)."""
+        """Training samples (n, P') from mapped values (N, B_e, P) in the embedding bands, and cosines (P,) as (P',).
+
+        By default, a row holds one band of a material.
+        """
+        return mapped.reshape(-1, mapped.shape[2]), cosines
 
     def embedding_pairs(self, is_isotropic: bool = True) -> EncodingPairs:
         """Direction pairs at which a new material is compared with what the space predicts.
@@ -164,22 +174,14 @@ class LatentSpace(ABC):
         return EncodingPairs.default(is_isotropic)
 
     @abstractmethod
-    def embed(self, encoder: Encoder, f: Array) -> Embedded:
-        """The latent of a material with values f (B, P) in all bands."""
+    def embed(self, decoder: Decoder, f: Array, settings: Settings) -> Embedded:
+        """The latent of a material with values f (B, P) in all bands, by a decoder of all embedding bands."""
 
     @abstractmethod
     def left_out_search(
         self, table: MaterialTable, materials: MaterialCache, settings: Settings
     ) -> LeftOutSearch:
         """A search for the place of each material among the others, whose places are kept."""
-
-    def require_blends(self) -> BlendSpace:
-        """The space of a map of blends.
-
-        Raises:
-            UsageError: the map is of another kind.
-        """
-        raise UsageError(f"a map of kind {self.kind}, expected blend: embed with --kind blend")
 
     def combination(self, x: Array, colours: Array | None, mapping: Mapping) -> Combination:
         """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
@@ -203,7 +205,7 @@ class LatentSpace(ABC):
         k = int(first_equal_row(x[None], self.X)[0])
         return k if k >= 0 else None
 
-    def training_indices(self, X: Array, colours: Array | None) -> Array:
+    def training_indices(self, X: Array, colours: Array | None) -> Indices:
         """The material that each of the latents X (M, Q) with these colours (B,) is, or -1, shape (M,)."""
         found = first_equal_row(X, self.X)
         for m in np.flatnonzero(found >= 0):
@@ -217,26 +219,22 @@ class LatentSpace(ABC):
         return np.where(self.training_indices(X, colours) < 0, found, 0.0)
 
 
-def require_shape(name: str, found: Any, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless an array of a file has a shape."""
-    if np.shape(found) != shape:
-        raise ValueError(f"dataset '{name}' has shape {np.shape(found)}, expected {shape}")
+def fixed_colours(kind: str) -> str:
+    """Why no colour can be chosen, and what to do."""
+    return f"colours cannot be chosen on a manifold of kind {kind}; leave the colour out, or embed with kind blend"
 
 
-def require_bands(name: str, found: Array, n_bands: int) -> Array:
+def require_shapes(stored: Fields[str, Array], shapes: Fields[str, tuple[int, ...]]) -> list[Array]:
+    """The arrays of a file that have these names. Raises ValueError unless they have these shapes."""
+    for name, shape in shapes.items():
+        if stored[name].shape != shape:
+            raise ValueError(f"dataset '{name}' has shape {stored[name].shape}, expected {shape}")
+    return [stored[name] for name in shapes]
+
+
+def require_bands(stored: Fields[str, Array], name: str, n_bands: int) -> Indices:
     """Band indices of a file, as integers. Raises ValueError unless they increase and there are such bands."""
-    bands = found.astype(np.int64)
+    bands = stored[name].astype(np.int64)
     if not np.all(np.diff(bands) > 0) or bands.min() < 0 or bands.max() >= n_bands:
         raise ValueError(f"dataset '{name}' holds {bands.tolist()}, expected increasing bands")
     return bands
-
-
-def checked_colours(colours: Array | None, *shapes: tuple[int, ...]) -> Array | None:
-    """Colours as float64. Raises ShapeError unless they have one of the shapes and are finite."""
-    if colours is None:
-        return None
-    colours = np.asarray(colours, dtype=np.float64)
-    if colours.shape not in shapes or not np.all(np.isfinite(colours)):
-        expected = " or ".join(map(str, shapes))
-        raise ShapeError(f"colours have shape {colours.shape}, expected {expected}, finite")
-    return colours

@@ -1,9 +1,9 @@
-"""Validation of latent coordinates given by users."""
+"""Places on a map of materials: latents, names of materials, and steps of walks between two."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,23 +11,29 @@ from numpy.typing import ArrayLike
 from manifold.errors import LatentError, UsageError
 from manifold.records import Array
 
-Place = Array | Sequence[float] | str
-"""A latent (Q,); or as text: the name of a material that lies there, `FROM:TO:T` on the path between two materials, or
-coordinates with commas between. A name is what it is: a material called `0,0` comes before the coordinates."""
-
 LARGEST_COORDINATE = 1e9  # latents are of order one; far larger ones overflow when squared
 
 
-class OnPath(NamedTuple):
-    """A place on the path from one material (t = 0) to another (t = 1)."""
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A place on a map of materials.
 
-    start: str
-    end: str
-    t: float
+    Attributes:
+        latent: shape (Q,).
+        path: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
+    """
+
+    latent: Array
+    path: tuple[str, str, float] | None = None
 
 
-def on_path(text: str, names: Collection[str]) -> OnPath | None:
-    """What `FROM:TO:T` says; None where the text is a name itself, or no such thing.
+PlaceLike = Place | Array | Sequence[float] | str
+"""A place; a latent (Q,); or as text: the name of a material that lies there, `FROM:TO:T` on the walk between two
+materials, or coordinates with commas between. A material called `0,0` comes before these coordinates."""
+
+
+def parse_path(text: str, names: Collection[str]) -> tuple[str, str, float] | None:
+    """The two materials and t of `FROM:TO:T`; None where the text is a name itself, or of another form.
 
     Names may hold colons: of the ways to split the text, it is the one that gives two materials.
 
@@ -50,16 +56,16 @@ def on_path(text: str, names: Collection[str]) -> OnPath | None:
         raise UsageError(
             f"'{text}' is {pairs}; use `Manifold.interpolate` in Python, or names without colons"
         )
-    return OnPath(*(known or ways[-1:])[0], t)
+    return *(known or ways[-1:])[0], t
 
 
 def require_between(t: float) -> None:
-    """Raise UsageError where t is no place between two materials: from 0 to 1."""
+    """Raise UsageError unless 0 <= t <= 1: between two materials."""
     if not 0.0 <= t <= 1.0:
         raise UsageError(f"t = {t:g}, expected a number from 0 (the first material) to 1 (the second)")
 
 
-def coordinates_of(text: str) -> list[float] | None:
+def parse_coordinates(text: str) -> list[float] | None:
     """The numbers of `-0.3,1.2`; None where the text is something else."""
     try:
         return [float(part) for part in text.split(",")]
@@ -67,29 +73,20 @@ def coordinates_of(text: str) -> list[float] | None:
         return None
 
 
-def require_latent(x: Array | Sequence[float], latent_dim: int) -> Array:
+def require_latent(x: ArrayLike, latent_dim: int) -> Array:
     """One latent as float64 (Q,).
 
     Raises:
-        LatentError: it has not so many finite coordinates, or far larger ones than materials have.
+        LatentError: it does not have Q finite coordinates, or has far larger ones than materials have.
     """
     x = _numbers(x)
     if x.ndim > 1:
-        raise LatentError(
-            f"latents of shape {x.shape}, expected one, ({latent_dim},); call once for each of several"
-        )
+        raise LatentError(f"latents of shape {x.shape}, expected one, ({latent_dim},)")
+    shown = f"latent {np.array2string(x, separator=', ')}"
     if x.shape != (latent_dim,):
-        raise LatentError(
-            f"latent {np.array2string(x, separator=', ')}: found {x.size} coordinates, expected {latent_dim}; "
-            "give as many as the model has dimensions"
-        )
-    if not np.all(np.isfinite(x)):
-        raise LatentError(f"latent {np.array2string(x, separator=', ')}: expected finite coordinates")
-    if np.any(np.abs(x) > LARGEST_COORDINATE):
-        raise LatentError(
-            f"latent {np.array2string(x, separator=', ')}: expected coordinates up to {LARGEST_COORDINATE:g}; "
-            "the materials lie within a few units of zero"
-        )
+        raise LatentError(f"{shown}: found {x.size} coordinates, expected {latent_dim}")
+    if not np.all(np.abs(x) <= LARGEST_COORDINATE):
+        raise LatentError(f"{shown}: expected finite coordinates, of at most {LARGEST_COORDINATE:g}")
     return x
 
 

@@ -9,18 +9,18 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from manifold.model.latent_space import LatentSpace, require_shape
+from manifold.latent.blending import widest_gap
+from manifold.latent.expected_error import ExpectedError
+from manifold.model.latent_space import LatentSpace, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.blending import widest_gap
-from manifold.models.expected_error import ExpectedError
-from manifold.records import Array, Progress, evenly_spaced
+from manifold.records import Array, Mask, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
-_PREFIX = "left_out_"
-_MOST_BALL = 10.0  # CIEDE2000: the look of another material
+_PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual")
+_MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
 
 
@@ -35,6 +35,11 @@ class ExpectedErrors:
 
     ball: Array
     cube_root: Array
+
+    def __repr__(self) -> str:
+        ball, cube_root = np.mean(self.ball), np.mean(self.cube_root)
+        at = f"{np.size(self.ball)} latents, means: " if np.ndim(self.ball) else ""
+        return f"<ExpectedErrors: {at}{ball:.1f} CIEDE2000 of the ball, {cube_root:.0%} cube root>"
 
 
 @dataclass(frozen=True)
@@ -62,17 +67,19 @@ class LeftOut:
         places: shape (N, Q).
         ball: mean CIEDE2000 of the ball, shape (N,).
         cube_root: error of cube roots on the encoding grid, relative, shape (N,).
+        residual: of the search, see `Embedded`, shape (N,).
     """
 
     space: LatentSpace
     places: Array
     ball: Array
     cube_root: Array
+    residual: Array
 
     @property
     def arrays(self) -> dict[str, Array]:
         """The arrays that a file stores, by name."""
-        return {_PREFIX + name: getattr(self, name) for name in ("places", "ball", "cube_root")}
+        return {_PREFIX + name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], space: LatentSpace) -> LeftOut | None:
@@ -81,19 +88,18 @@ class LeftOut:
         Raises:
             ValueError: they do not fit the space.
         """
-        if _PREFIX + "places" not in stored:
+        if _PREFIX + "residual" not in stored:  # nor those of older files, which do not have it
             return None
-        shapes = {"places": space.X.shape, "ball": (len(space.X),), "cube_root": (len(space.X),)}
-        for name, shape in shapes.items():
-            require_shape(_PREFIX + name, stored[_PREFIX + name], shape)
-        return cls(space, *(stored[_PREFIX + name] for name in shapes))
+        shapes = {_PREFIX + name: space.X.shape if name == "places" else (len(space.X),) for name in _ARRAYS}
+        return cls(space, *require_shapes(stored, shapes))
 
-    def expected(self, x: Array) -> ExpectedErrors:
-        """Expected errors at latents x (M, Q) or (Q,)."""
-        found = [each.at(np.atleast_2d(x)).reshape(x.shape[:-1]) for each in self._calibrated]
+    def expected(self, x: Array, residual: float | None = None) -> ExpectedErrors:
+        """Expected errors at latents x (M, Q) or (Q,), of a material of a residual if that is known."""
+        calibrated = self._of_places if residual is None else self._of_residuals
+        found = [each.at(np.atleast_2d(x), residual).reshape(x.shape[:-1]) for each in calibrated]
         return ExpectedErrors(*found)
 
-    def is_unsupported(self, x: Array) -> Array:
+    def is_unsupported(self, x: Array) -> Mask:
         """Whether predictions at latents x (M, Q) are not supported by the data, shape (M,).
 
         They are not where the ball's expected error is above 10 CIEDE2000 and above the 90th percentile of the left-out
@@ -124,11 +130,18 @@ class LeftOut:
         return CalibrationResult((true, true_90), (median, p90), float(rank), float(below))
 
     @cached_property
-    def _calibrated(self) -> list[ExpectedError]:
+    def _of_places(self) -> list[ExpectedError]:
+        return self._calibrate(None)
+
+    @cached_property
+    def _of_residuals(self) -> list[ExpectedError]:
+        return self._calibrate(self.residual)
+
+    def _calibrate(self, residuals: Array | None) -> list[ExpectedError]:
         X, scale = self.space.X, self.space.kernel.length_scale
         return [
-            ExpectedError.calibrate(X, self.places, self.ball, scale, _LEAST_BALL),
-            ExpectedError.calibrate(X, self.places, self.cube_root, scale, _LEAST_CUBE_ROOT),
+            ExpectedError.calibrate(X, self.places, errors, scale, least, residuals)
+            for errors, least in ((self.ball, _LEAST_BALL), (self.cube_root, _LEAST_CUBE_ROOT))
         ]
 
 
@@ -143,8 +156,8 @@ def leave_out(
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
     table = MaterialTable(materials.with_negative_values(on_progress), bands)
     find = space.left_out_search(table, materials, settings)
-    places, ball, cube_root = np.empty_like(space.X), np.empty(len(space.X)), np.empty(len(space.X))
+    places, (ball, cube_root, residual) = np.empty_like(space.X), np.empty((3, len(space.X)))
     for i in with_progress(range(len(space.X)), on_progress, "left-out materials"):
-        places[i], combination = find(i)
+        places[i], combination, residual[i] = find(i)
         ball[i], cube_root[i] = table.errors(i, combination)
-    return LeftOut(space, places, ball, cube_root)
+    return LeftOut(space, places, ball, cube_root, residual)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.brdf.synthetic.analytic import choose_lobe, cosine_hemisphere
+from manifold.brdf.analytic.base import choose_lobe, cosine_hemisphere
 from manifold.directions import half_vector
-from manifold.models.lobes import Lobes, normal_distribution
+from manifold.latent.lobes import Lobes, normal_distribution
 from manifold.records import Array
 
 

@@ -1,97 +1,188 @@
-"""Embedding of measured files that are not in the library."""
+"""Measured files described by a manifold or by the materials of a library, with the errors of that."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any
 
-from manifold import __version__
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.plausibility import Plausibility
+from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
+from manifold.errors import UsageError
+from manifold.library.store import Library
 from manifold.model import diagnostics
-from manifold.model.checked_file import require_bsdf_output
+from manifold.model.comparison import BRDFErrors, brdf_errors
+from manifold.model.left_out import ExpectedErrors
 from manifold.model.manifold import Manifold
-from manifold.model.reconstructed import Reconstruction, judge, read_filled
-from manifold.records import Progress
+from manifold.model.materials import MaterialCache, names_without
+from manifold.model.prediction import PredictedBRDF
+from manifold.model.reconstruction import reconstruct
+from manifold.model.settings import Settings
+from manifold.records import Array, BsdfFile, Progress, evenly_spaced
+
+_SHOWN_PARTS = 5
 
 
-@dataclass(frozen=True)
-class Located:
-    """Where a file belongs on a manifold.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reconstruction:
+    """A measured material as others describe it.
 
     Attributes:
-        path: the file.
+        brdf: the description.
+        materials: how many others there are.
+        errors: of the description.
+        plausibility: of the file that it was written to; None where it was not written.
+        diagnostics: defects found, as sentences.
+    """
+
+    brdf: PredictedBRDF
+    materials: int
+    errors: BRDFErrors
+    plausibility: Plausibility | None = None
+    diagnostics: tuple[str, ...]
+
+    @property
+    def rows(self) -> dict[str, object]:
+        """Labels and values for a terminal."""
+        errors = [
+            f"{self.errors.ball:.1f} CIEDE2000 of the ball",
+            f"{self.errors.cube_root:.0%} cube-root error",
+            f"{self.errors.linear:.0%} linear",
+        ]
+        rows: dict[str, object] = {"reconstruction error": errors}
+        if self.plausibility is not None:
+            rows["largest albedo"] = f"{self.plausibility.max_albedo:.3f}"
+        return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
+
+    @property
+    def largest_parts(self) -> list[tuple[str, float]]:
+        """Materials and analytic lobes with the largest shares of the weights."""
+        return self.brdf.parts[:_SHOWN_PARTS]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "materials": self.materials,
+            "parts": self.largest_parts,
+            "relative_error": self.errors.linear,
+            "cube_root_error": self.errors.cube_root,
+            "ball": self.errors.ball,
+            "plausibility": self.plausibility and vars(self.plausibility),
+            "diagnostics": self.diagnostics,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Located(Reconstruction):
+    """A measured material at its place on a manifold: the prediction there, in the colours found.
+
+    Attributes: those of `Reconstruction`, and
         latent: shape (Q,).
         coordinates: the same, with the digits that reproduce the prediction there.
         colours: colour coordinate of every band (B,), of a blend also its gain (2, B); None where latents fix them.
-        expected_ball: expected CIEDE2000 of the ball there; None where the model is not calibrated.
-        expected_cube_root: expected cube-root error.
-        materials: number of materials of the model, on whose left-out errors expected ones are based.
+        expected: expected errors there; None where the model is not calibrated.
         nearest: the three nearest materials with their distances.
-        reconstruction: errors of the prediction there, in these colours, and where it was written.
     """
 
-    path: Path
-    latent: tuple[float, ...]
+    latent: Array
     coordinates: tuple[str, ...]
-    colours: list[Any] | None
-    expected_ball: float | None
-    expected_cube_root: float | None
-    materials: int
-    nearest: tuple[tuple[str, float], ...]
-    reconstruction: Reconstruction
+    colours: Array | None
+    expected: ExpectedErrors | None
+    nearest: list[tuple[str, float]]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, with the program's version."""
-        content = {"program": f"manifold {__version__}"} | vars(self) | {"path": str(self.path)}
-        del content["reconstruction"]
-        return content | self.reconstruction.to_json()
+        """Plain values."""
+        return super().to_json() | {
+            "latent": self.latent.tolist(),
+            "coordinates": self.coordinates,
+            "colours": None if self.colours is None else self.colours.tolist(),
+            **diagnostics.expected_json(self.expected),
+            "nearest": self.nearest,
+        }
 
 
-def locate(
-    model: Manifold | Path | str,
-    path: Path | str,
-    output: Path | str | None = None,
-    *,
-    library: Path | str | None = None,
-    physical: bool = False,
-    force: bool = False,
-    on_progress: Progress | None = None,
-) -> Located:
+def locate(model: Manifold, file: BsdfFile) -> Located:
     """Embed a measured file, with its unmeasured cells filled, in a fitted manifold.
 
-    Args:
-        model: a fitted manifold, or the path of one.
-        path: the measured file.
-        output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
-        library: where the model's library is now, if not where the model remembers it.
-        physical, force: of the output, see `judge`.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
-        FileFormatError: it is no RGL file.
         BandMismatchError: its bands are not the library's.
-        UsageError: the output cannot be written, or its albedo would exceed 1.05.
     """
-    path, output = Path(path), None if output is None else Path(output)
-    if output is not None:
-        require_bsdf_output(output, "reconstructions")
-    brdf, notes = read_filled(path)
-    loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
-    loaded.prepare(on_progress)
-    found = loaded.embed(brdf)
-    coordinates = loaded.space.printed(found.latent)
-    predicted = loaded.predict(found.latent, found.colours)
-    expected = loaded.expected_error(found.latent, found.colours)
-    how = f"at latent ({', '.join(coordinates)})"
-    made = judge(brdf, predicted, output, how, physical=physical, force=force)
-    sentences = diagnostics.of_embedding(made.relative_error, made.ball) + notes + made.diagnostics
+    brdf, notes = _filled(file)
+    found = model.embed(brdf)
+    predicted = model.predict(found.latent, found.colours)
+    errors = brdf_errors(brdf, predicted)
     return Located(
-        path=path,
-        latent=tuple(float(v) for v in found.latent),
-        coordinates=coordinates,
-        colours=None if found.colours is None else found.colours.tolist(),
-        expected_ball=None if expected is None else float(expected.ball),
-        expected_cube_root=None if expected is None else float(expected.cube_root),
-        materials=len(loaded.names),
-        nearest=tuple(loaded.nearest(found.latent, 3)),
-        reconstruction=replace(made, diagnostics=sentences + loaded.notes),
+        brdf=predicted,
+        materials=len(model.names),
+        errors=errors,
+        diagnostics=(
+            *diagnostics.of_embedding(errors.linear, errors.ball),
+            *notes,
+            *_of_anisotropy(brdf, predicted),
+            *model.notes,
+        ),
+        latent=found.latent,
+        coordinates=model.space.printed(found.latent),
+        colours=found.colours,
+        expected=model.expected_error(found.latent, found.colours, found.residual),
+        nearest=model.nearest(found.latent, 3),
     )
+
+
+def reconstruct_file(
+    library: Library,
+    file: BsdfFile,
+    without: Collection[str] = (),
+    on_progress: Progress | None = None,
+    *,
+    numbers: int | None = None,
+) -> Reconstruction:
+    """Describe a measured file by non-negative least squares over the materials of a library, see `reconstruct`.
+
+    Args:
+        library: of measured materials in the same bands.
+        file: the measured file.
+        without: names of materials that take no part.
+        on_progress: called with (done, total, what) while materials are read.
+        numbers: that may describe the file; by default as many as it takes.
+    Raises:
+        BandMismatchError: the file's bands are not the library's.
+        UsageError: it is black, no material is left, or there is none of a name in `without`.
+    """
+    names = names_without(library, without)
+    if not names:
+        raise UsageError(
+            f"{library.path}: no material is left to reconstruct from; import others, or leave out fewer"
+        )
+    brdf, notes = _filled(file)
+    library.bands.require_same(brdf.bands, file.name, "resample it, or use its own library")
+    materials = MaterialCache(library, names, is_nonnegative=True)
+    bands = evenly_spaced(library.bands.count, Settings().sample_bands)
+    materials.in_bands(bands.tolist(), on_progress)
+    found = reconstruct(materials, bands, brdf, numbers)
+    if brdf.name in names:
+        notes += (
+            f"{brdf.name} is in the library and reconstructed from itself, too; leave it out to see the errors of a "
+            "new material",
+        )
+    return Reconstruction(
+        brdf=found,
+        materials=len(names),
+        errors=brdf_errors(brdf, found),
+        diagnostics=notes + _of_anisotropy(brdf, found),
+    )
+
+
+def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
+    """A measured file with its unmeasured cells filled, and diagnostics of these."""
+    cells = unmeasured_cells(file)
+    brdf, share = MeasuredBRDF(fill_unmeasured(file, cells)), unmeasured_share(file, cells)
+    return brdf, diagnostics.of_unmeasured(share)
+
+
+def _of_anisotropy(brdf: BRDF, found: BRDF) -> tuple[str, ...]:
+    """Diagnostics of an anisotropic material whose description is isotropic."""
+    if brdf.is_isotropic or not found.is_isotropic:
+        return ()
+    return ("anisotropic, but reconstructed from isotropic materials: the same at all azimuths",)

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.latent.expected_error import LEAST_MATERIALS
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
-from manifold.model.decoding import encoder_at
+from manifold.model.decoding import decoder_at
 from manifold.model.fitting import fit_space
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
-from manifold.model.latents import Place, require_between
+from manifold.model.latents import PlaceLike, require_between
 from manifold.model.left_out import LeftOut, leave_out
+from manifold.model.map_picture import map_svg
 from manifold.model.materials import MaterialCache, names_among
 from manifold.model.model_file import ModelRecord, read_model, write_model
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.reflectance import ReflectanceColours
-from manifold.model.restoring import open_library, restore
+from manifold.model.restoring import SPACES, open_library, restore
 from manifold.model.settings import Settings
-from manifold.model.spaces import SPACES
-from manifold.models.expected_error import LEAST_MATERIALS
+from manifold.model.walks import PATH_NODES, Walked, step_of, walk_path
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
 _ONE = np.ones(1)
@@ -59,6 +62,7 @@ class Manifold(LatentMap):
         super().__init__(materials, space, settings, left_out)
         self.statistics = statistics
         self.notes: tuple[str, ...] = ()
+        self._walked: dict[str, Walked] = {}
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -66,6 +70,9 @@ class Manifold(LatentMap):
             f"<Manifold: {n} materials, {self.bands}, {s.latent_dim} dimensions, kind {s.kind}, "
             f"mapping {s.mapping}, kernel {self.space.kernel.name}, library {self.library.path.name}>"
         )
+
+    def _repr_html_(self) -> str:
+        return f"<div>{escape(repr(self))}</div>{map_svg(self.X, self.names)}"
 
     @classmethod
     def fit(
@@ -75,14 +82,17 @@ class Manifold(LatentMap):
         on_progress: Progress | None = None,
         *,
         names: Collection[str] | None = None,
+        calibrate: bool = True,
     ) -> Manifold:
-        """Embed the materials of a library.
+        """Embed the materials of a library, and leave each of them out once, which calibrates the expected errors.
 
         Args:
             library: at least two materials, or the path of a library.
             settings: see `Settings`.
             on_progress: called with (done, total, what) while materials are read and evaluated.
             names: of the materials to embed, such as all but those that are held out; None for all of them.
+            calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
+                with fewer than four materials.
         Raises:
             UsageError: fewer than two materials, more dimensions than materials less one, or no such material.
             LibraryError: there is no such library, or a material cannot be read.
@@ -93,7 +103,10 @@ class Manifold(LatentMap):
         is_nonnegative = SPACES[settings.kind].is_nonnegative
         materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
         space, statistics = fit_space(materials, settings, on_progress)
-        return cls(materials, space, settings, statistics)
+        left_out = None
+        if calibrate and len(chosen) >= LEAST_MATERIALS:
+            left_out = leave_out(space, materials, settings, on_progress)
+        return cls(materials, space, settings, statistics, left_out)
 
     # -- materials -----------------------------------------------------------------------------------------
 
@@ -121,30 +134,18 @@ class Manifold(LatentMap):
         """
         return self.materials.measured(name)
 
-    def prepare(self, on_progress: Progress | None = None, x: Array | None = None) -> None:
-        """Load what predictions need: the materials, or, for a monochrome manifold, some of their bands.
+    def prepare(self, on_progress: Progress | None = None) -> None:
+        """Load what all predictions need: the materials, or, for a monochrome manifold, some of their bands.
 
         Args:
             on_progress: called with (done, total, what) while they are read.
-            x: a latent (Q,): then, where materials have fixed colours, only those with a weight there are read.
         """
         if self.space.sample_bands is not None:
             self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
-        elif x is None:
-            self.materials.filled(on_progress=on_progress)
         else:
-            used = np.flatnonzero(self.combination(x, None).weights)
-            self.materials.filled([self.names[k] for k in used], on_progress)
+            self.materials.filled(on_progress=on_progress)
 
-    # -- expected errors ----------------------------------------------------------------------------------
-
-    def calibrate(self, on_progress: Progress | None = None) -> None:
-        """Calibrate the expected errors by leaving every material out once; takes seconds to minutes.
-
-        Models of fewer than four materials are not changed.
-        """
-        if len(self.names) >= LEAST_MATERIALS:
-            self.left_out = leave_out(self.space, self.materials, self.settings, on_progress)
+    # -- predicting ----------------------------------------------------------------------------------------
 
     @cached_property
     def colours(self) -> ReflectanceColours:
@@ -155,26 +156,39 @@ class Manifold(LatentMap):
         """
         return ReflectanceColours(self.space, self.materials, self.settings)
 
-    # -- predicting ----------------------------------------------------------------------------------------
-
-    def predict(self, x: Place, colours: Array | None = None) -> PredictedBRDF:
-        """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit.
+    @overload
+    def predict(
+        self, x: PlaceLike, colours: Array | None = None, on_progress: Progress | None = None
+    ) -> PredictedBRDF: ...
+    @overload
+    def predict(
+        self, x: Sequence[Array] | Sequence[Sequence[float]], colours: Array | None = None,
+        on_progress: Progress | None = None,
+    ) -> list[PredictedBRDF]: ...  # fmt: skip
+    def predict(
+        self, x: Any, colours: Array | None = None, on_progress: Progress | None = None
+    ) -> PredictedBRDF | list[PredictedBRDF]:
+        """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit. A list at latents (M, Q).
 
         Args:
-            x: latent, the name of a material, or `FROM:TO:T` on the path between two, which `interpolate` predicts
+            x: latent, the name of a material, or `FROM:TO:T` on the walk between two, which `interpolate` makes
                 unless colours are given; of a monochrome manifold, the structure.
             colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
                 also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials,
                 and gives x on a monochrome manifold the reflectance of the nearest one.
+            on_progress: called with (done, total, what) while materials with a weight are read.
         Raises:
             LatentError: x is not (Q,) or not finite.
             UsageError: colours for a manifold of kind `material`, or no such material.
             ShapeError: colours have another shape, are not finite, or are black in all bands.
         """
-        path = self.path(x)
-        if path is not None and colours is None:
-            return self.interpolate(*path)
-        x = self.require_latent(x)
+        # As objects, rows of different lengths are no error here; `place` reports them.
+        if np.asarray(x, dtype=object).ndim == 2:
+            return [self.predict(row, colours, on_progress) for row in x]
+        place = self.place(x)
+        if place.path is not None and colours is None:
+            return self.interpolate(*place.path)
+        x = place.latent
         if colours is None and self.space.needs_colours:
             colours = self.colours.like(x, self.nearest(x)[0][0])
         combination = self.combination(x, colours)
@@ -187,7 +201,7 @@ class Manifold(LatentMap):
                 self.materials.in_bands(combination.sample_bands.tolist()), combination, self.bands
             )
         used = np.flatnonzero(combination.weights)
-        materials = self.materials.filled([self.names[k] for k in used])
+        materials = self.materials.filled([self.names[k] for k in used], on_progress)
         return PredictedBRDF(materials, replace(combination, weights=combination.weights[used]))
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
@@ -195,42 +209,40 @@ class Manifold(LatentMap):
         return self.space.combination(x, self.space.require_colours(colours), self.mapping)
 
     def interpolate(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The prediction between materials a (t = 0) and b (t = 1), at interpolated latents and reflectances.
+        """The step of a walk from material a (t = 0) to b (t = 1), which the two alone make; see `model.walks`.
 
-        In a blend, a and b keep their colours; the other materials take on the reflectance between theirs. Where
-        colours are fixed by latents, it is the prediction at the latent.
+        Steps of equal size in t look equally large, and roughness goes from one to the other. The map has no part in
+        it: `predict(between(a, b, t))` is what lies between the two on the map.
 
         Raises:
             UsageError: the model has no such material, or t is not from 0 to 1.
         """
-        x = self.between(a, b, t)
-        if not self.space.takes_colours:
-            return self.predict(x)
-        if a == b or t in (0.0, 1.0):
-            name = b if t else a
-            return self.predict(name, self.colours.like(x, name))
-        reflectance = (1.0 - t) * self.colours.reflectance(a) + t * self.colours.reflectance(b)
-        coloured = self.predict(x, self.colours.of_reflectance(x, reflectance)[0])
-        if self.space.needs_colours:
-            return coloured
-        ends = [self.materials.index(a), self.materials.index(b)]
-        shares = self.space.material_weights(x[None], None)[0, ends]
-        weights = np.append(shares, max(1.0 - shares.sum(), 0.0))
-        return PredictedBRDF([*self.materials.filled([a, b]), coloured], Combination(self.mapping, weights))
-
-    def blend(self, a: str, b: str, t: float) -> PredictedBRDF:
-        """The linear interpolation of measured values, the baseline of Hikichi & Iwasaki, eq. 23; as `interpolate`."""
         require_between(t)
-        ends = self.materials.filled([a, b]) if 0 < t < 1 else [self.material(a), self.material(b)]
-        return PredictedBRDF(ends, Combination(mapping_named("identity"), np.array([1.0 - t, t])))
+        if a == b or t in (0.0, 1.0):
+            return PredictedBRDF([self.material(b if t else a)], Combination(self.mapping, _ONE))
+        return step_of(
+            self.materials.filled([a, b]), [self.walked(a), self.walked(b)], self.walk_share(a, b, t)
+        )
+
+    def walked(self, name: str) -> Walked:
+        """A material as an end of walks; kept once it is made."""
+        if name not in self._walked:
+            self._walked[name] = Walked.of(self.materials.filled([name])[0])
+        return self._walked[name]
+
+    def walk_share(self, a: str, b: str, t: float) -> float:
+        """Share of material b at t of the walk from a."""
+        return float(
+            np.interp(t, np.linspace(0.0, 1.0, PATH_NODES), walk_path(self.walked(a), self.walked(b)))
+        )
 
     def embed(self, brdf: BRDF, criterion: str | None = None) -> Embedded:
         """Find the latent, and colours, whose decoded prediction is nearest to a material's data.
 
         Args:
             brdf: a material in the bands of the library.
-            criterion: the objective, see `manifold.models.criteria`; by default that of the settings. Blends
-                are always found by cube roots.
+            criterion: the objective, see `manifold.latent.criteria`; by default that of the settings. Blends
+                are found by cube roots only.
         Raises:
             BandMismatchError: it has other bands.
             UsageError: there is no such criterion.
@@ -238,20 +250,28 @@ class Manifold(LatentMap):
         require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         pairs = self.space.embedding_pairs(self.materials.is_isotropic and brdf.is_isotropic)
-        encoder = encoder_at(pairs, self.space, self.materials, self.settings, criterion)
-        return self.space.embed(encoder, brdf.eval(pairs.wi, pairs.wo).T)
+        settings = self.settings if criterion is None else replace(self.settings, criterion=criterion)
+        decoder = decoder_at(pairs, self.space, self.materials, self.settings)
+        return self.space.embed(decoder, brdf.eval(pairs.wi, pairs.wo).T, settings)
 
-    def reconstruct(self, brdf: BRDF) -> PredictedBRDF:
+    def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
         """Non-negative least squares of a material over all samples and analytic lobes, in every band.
 
-        It has no latent; see docs/design/nonnegative.md. Arguments and errors as of `embed`.
+        It has no latent; see docs/design/nonnegative.md.
+
+        Args:
+            brdf: the material, in the bands of the model.
+            numbers: that may describe it, e.g. 12; by default as many as it takes.
+        Raises:
+            UsageError: it is black, or `numbers` is below 1.
+            BandMismatchError: its bands are not the model's.
         """
         require_brdf(brdf, "the material to reconstruct")
         self.bands.require_same(
             brdf.bands, "the material to reconstruct", "resample it, or use its own library"
         )
         bands = evenly_spaced(self.bands.count, self.settings.sample_bands)
-        return reconstruct(self.materials, bands, brdf)
+        return reconstruct(self.materials, bands, brdf, numbers)
 
     # -- files ---------------------------------------------------------------------------------------------
 

@@ -7,10 +7,10 @@ from functools import cached_property
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
 from manifold.colour import ball_colours
+from manifold.latent.decoder import EncodingPairs
 from manifold.metrics import cube_root_error
 from manifold.model.combination import Combination, Values, evaluate
-from manifold.models.decoder import EncodingPairs
-from manifold.records import Array
+from manifold.records import Indices
 
 
 class MaterialTable:
@@ -21,7 +21,7 @@ class MaterialTable:
         materials: in these bands.
     """
 
-    def __init__(self, materials: list[MeasuredBRDF], bands: Array) -> None:
+    def __init__(self, materials: list[MeasuredBRDF], bands: Indices) -> None:
         """Select the bands of all materials."""
         self.bands = bands
         self.materials = [material.select_bands(bands.tolist()) for material in materials]

@@ -12,7 +12,7 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
-from manifold.errors import UsageError
+from manifold.errors import UnknownNameError
 from manifold.library.store import Library
 from manifold.records import BsdfFile, Progress
 from manifold.system.names import names_like
@@ -34,7 +34,8 @@ class MaterialCache:
         self._filled: dict[str, MeasuredBRDF] = {}
         self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
         self._unmeasured_shares: dict[str, float] = {}
-        self._cut: set[str] = set()  # names of materials whose negative values were taken for 0
+        self._changed: set[str] = set()  # names of materials with cells that were filled or cut
+        self._cut: set[str] = set()  # those of which negative values were taken for 0
 
     def __repr__(self) -> str:
         return f"<MaterialCache: {len(self.names)} materials of {self.library.path.name}>"
@@ -51,7 +52,7 @@ class MaterialCache:
             UsageError: there is none of that name.
         """
         if name not in self.names:
-            raise UsageError(f"no material '{name}' in this model; {names_like(self.names, name)}")
+            raise UnknownNameError(f"no material '{name}' in this model; {names_like(self.names, name)}")
         return self.names.index(name)
 
     def measured(self, name: str) -> MeasuredBRDF:
@@ -63,7 +64,8 @@ class MaterialCache:
         """
         self.index(name)
         if name not in self._measured:
-            self._measured[name] = MeasuredBRDF(self.library.read(name))
+            is_same = name in self._filled and name not in self._changed
+            self._measured[name] = self._filled[name] if is_same else MeasuredBRDF(self.library.read(name))
         return self._measured[name]
 
     def filled(
@@ -73,7 +75,7 @@ class MaterialCache:
         return self._read(self._fill, self.names if names is None else tuple(names), on_progress)
 
     def with_negative_values(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All materials, unmeasured cells filled, negative values kept: what predictions are judged by."""
+        """All materials, unmeasured cells filled, negative values kept: the reference for errors of predictions."""
         filled = self.filled(on_progress=on_progress)
         return [
             MeasuredBRDF(fill_unmeasured(self.library.read(name))) if name in self._cut else material
@@ -95,31 +97,27 @@ class MaterialCache:
 
     def filled_file(self, name: str) -> BsdfFile:
         """A material's file as predictions combine it."""
-        return self._with_unmeasured_filled(self.library.read(name))
+        file = self.library.read(name)
+        cells = unmeasured_cells(file)
+        self._unmeasured_shares[name] = unmeasured_share(file, cells)
+        filled = fill_unmeasured(file, cells)
+        if self.is_nonnegative and np.any(filled.spectra < 0):
+            filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
+            self._cut.add(name)
+        if filled is not file:
+            self._changed.add(name)
+        return filled
 
     def unmeasured_share(self, name: str) -> float:
         """Share of the cells above the horizon that a file has no measurement for."""
         if name not in self._unmeasured_shares:
-            self._with_unmeasured_filled(self.library.read(name))
+            self.filled_file(name)
         return self._unmeasured_shares[name]
 
     def _fill(self, name: str) -> MeasuredBRDF:
         if name not in self._filled:
-            file = self.library.read(name)
-            filled = self._with_unmeasured_filled(file)
-            self._filled[name] = MeasuredBRDF(filled)
-            if filled is file:
-                self._measured[name] = self._filled[name]
+            self._filled[name] = MeasuredBRDF(self.filled_file(name))
         return self._filled[name]
-
-    def _with_unmeasured_filled(self, file: BsdfFile) -> BsdfFile:
-        cells = unmeasured_cells(file)
-        self._unmeasured_shares[file.name] = unmeasured_share(file, cells)
-        filled = fill_unmeasured(file, cells)
-        if self.is_nonnegative and np.any(filled.spectra < 0):
-            filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
-            self._cut.add(file.name)
-        return filled
 
     def _read(
         self,
@@ -142,7 +140,7 @@ def names_among(library: Library, names: Collection[str]) -> tuple[str, ...]:
     unknown = sorted(set(names) - set(library.names))
     if unknown:
         near = names_like(library.names, unknown[0])
-        raise UsageError(f"no material '{unknown[0]}' in {library.path.name}; {near}")
+        raise UnknownNameError(f"no material '{unknown[0]}' in {library.path.name}; {near}")
     return tuple(name for name in library.names if name in names)
 
 

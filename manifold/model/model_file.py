@@ -1,11 +1,10 @@
-"""Model files: HDF5 read without the HDF5 library, after their hash was verified.
+"""Model files: HDF5, read after their hash was verified.
 
-    bytes 0 to 511      the user block: magic, format version, place of the record, SHA-256 of all other bytes
-    the rest            HDF5, for other programs: the arrays in `space`, and `record`
+    bytes 0 to 511      the user block: magic, format version, SHA-256 of all other bytes
+    the rest            HDF5: the arrays in `space`, and `record`
 
-`record` is JSON in UTF-8: names, settings, statistics, the library, and dtype, shape and place of each array, which are
-little-endian and contiguous. The measured data stay in the library, which is named by its place relative to the model
-and by the hash of its content.
+`record` is JSON in UTF-8: names, settings, statistics, the library. The measured data stay in the library, which is
+named by its place relative to the model and by the hash of its content.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import os
 import struct
 from dataclasses import dataclass
@@ -23,15 +21,15 @@ from typing import Any
 import h5py
 import numpy as np
 
-from manifold.errors import ModelError, UsageError
+from manifold.errors import MissingModelError, ModelError, UsageError
 from manifold.records import Array
-from manifold.system import atomic, small_files
+from manifold.system import atomic, reading
 
 FORMAT = "manifold-model"
 FORMAT_VERSION = 3
 
 MAGIC = b"manifold model\r\n"
-_HEADER = struct.Struct("<16sIQQ")  # magic, version, offset and length of the record
+_HEADER = struct.Struct("<16sI16x")  # magic, version
 _DIGEST = slice(_HEADER.size, _HEADER.size + 32)
 _USER_BLOCK = 512  # the least that HDF5 takes
 _MOST_BYTES = 1 << 30
@@ -71,12 +69,30 @@ def write_model(path: Path, record: ModelRecord) -> None:
         UsageError: the file cannot be written.
         ModelError: a value is not finite.
     """
-    content = _sealed(record, path)  # in memory, since HDF5 ends the process where a disk is full
+    values = {
+        # Relative to the model, so that a folder with both can be moved.
+        "library": os.path.relpath(record.library.resolve(), path.resolve().parent),
+        "library_hash": record.library_hash,
+        "names": record.names,
+        "settings": record.settings,
+        "statistics": record.statistics,
+    }
+    memory = io.BytesIO()  # since HDF5 ends the process where a disk is full
     try:
-        _opened(content, path)
+        with h5py.File(memory, "w", userblock_size=_USER_BLOCK) as file:
+            file.attrs["format"] = FORMAT
+            file.attrs["format_version"] = FORMAT_VERSION
+            space = file.create_group("space")
+            for name, array in record.arrays.items():
+                space.create_dataset(name, data=_finite(np.asarray(array, dtype="<f8"), name))
+            text = json.dumps(values, default=_plain, allow_nan=False)
+            file.create_dataset("record", data=np.frombuffer(text.encode(), np.uint8))
     except ValueError as error:
         raise ModelError(f"{path}: cannot be written ({error}); fit again with other settings") from error
-    atomic.write_bytes(path, content)
+    content = bytearray(memory.getvalue())
+    _HEADER.pack_into(content, 0, MAGIC, FORMAT_VERSION)
+    content[_DIGEST] = _digest(content)
+    atomic.write_bytes(path, bytes(content))
 
 
 def read_model(path: Path) -> ModelRecord:
@@ -86,11 +102,11 @@ def read_model(path: Path) -> ModelRecord:
         ModelError: no such file, no model of this package, another version, or damaged.
     """
     if not path.exists():
-        raise ModelError(f"{path}: no such model; create it with `manifold embed --model {path}`")
+        raise MissingModelError(f"{path}: no such model; create one with `manifold embed`")
     if path.is_dir():
         raise ModelError(f"{path}: a folder, expected a model; create one with `manifold embed`")
     try:
-        content = small_files.read_bytes(path, advice="name a model", most=_MOST_BYTES)
+        content = reading.read_bytes(path, advice="name a model", most=_MOST_BYTES)
     except UsageError as error:
         raise ModelError(str(error)) from error
     if not content.startswith(MAGIC):
@@ -99,9 +115,14 @@ def read_model(path: Path) -> ModelRecord:
         raise ModelError(
             f"{path}: {what}, expected a manifold model of format {FORMAT_VERSION}; name another, or embed again"
         )
+    _, *version = _HEADER.unpack_from(content.ljust(_HEADER.size))
+    if version != [FORMAT_VERSION]:
+        raise ModelError(
+            f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; embed again with this version"
+        )
     try:
         return _opened(content, path)
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, struct.error) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OSError, RuntimeError) as error:
         raise damaged(path, error) from error
 
 
@@ -111,49 +132,16 @@ def damaged(path: Path, error: Exception) -> ModelError:
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
 
 
-def _sealed(record: ModelRecord, path: Path) -> bytes:
-    """The bytes of a model file."""
-    memory = io.BytesIO()
-    with h5py.File(memory, "w", userblock_size=_USER_BLOCK) as file:
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = FORMAT_VERSION
-        space = file.create_group("space")
-        arrays = [
-            _placed(name, space.create_dataset(name, data=np.asarray(array, dtype="<f8", order="C")))
-            for name, array in record.arrays.items()
-        ]
-        values = {
-            # Relative to the model, so that a folder with both can be moved.
-            "library": os.path.relpath(record.library.resolve(), path.resolve().parent),
-            "library_hash": record.library_hash,
-            "names": record.names,
-            "settings": record.settings,
-            "statistics": record.statistics,
-            "arrays": arrays,
-        }
-        text = json.dumps(values, default=_plain).encode()
-        place = _placed("record", file.create_dataset("record", data=np.frombuffer(text, np.uint8)))
-    content = bytearray(memory.getvalue())
-    _HEADER.pack_into(content, 0, MAGIC, FORMAT_VERSION, place["offset"], len(text))
-    content[_DIGEST] = _digest(content)
-    return bytes(content)
-
-
-def _placed(name: str, dataset: h5py.Dataset) -> dict[str, Any]:
-    """Where in the file an array begins, and how it is read."""
-    offset = dataset.id.get_offset() if dataset.size else 0
-    return {"name": name, "shape": dataset.shape, "offset": offset}
-
-
 def _opened(content: bytes, path: Path) -> ModelRecord:
-    _, version, offset, length = _HEADER.unpack_from(content)
-    if version != FORMAT_VERSION:
-        raise ModelError(
-            f"{path}: model format {version}, expected {FORMAT_VERSION}; embed again with this version"
-        )
     if content[_DIGEST] != _digest(content):
         raise ValueError("its hash does not match its content")
-    values = json.loads(content[offset : offset + length], parse_constant=small_files.refuse_constant)
+    with h5py.File(io.BytesIO(content)) as file:
+        values = json.loads(file["record"][()].tobytes(), parse_constant=reading.refuse_constant)
+        arrays: dict[str, Array] = {}
+        for name, dataset in file["space"].items():
+            if dataset.nbytes > len(content):
+                raise ValueError(f"array '{name}' has shape {dataset.shape}, more than the file holds")
+            arrays[name] = _finite(np.asarray(dataset[()], dtype=np.float64), name)
     names = [str(name) for name in values["names"]]
     if len(set(names)) < len(names):
         raise ValueError("a material is named twice")
@@ -163,17 +151,8 @@ def _opened(content: bytes, path: Path) -> ModelRecord:
         names=tuple(names),
         settings=dict(values["settings"]),
         statistics={name: _finite(float(value), name) for name, value in values["statistics"].items()},
-        arrays={str(entry["name"]): _array(content, entry) for entry in values["arrays"]},
+        arrays=arrays,
     )
-
-
-def _array(content: bytes, entry: dict[str, Any]) -> Array:
-    shape = tuple(int(size) for size in entry["shape"])
-    count = math.prod(shape)
-    if min(shape, default=0) < 0 or 8 * count > len(content):
-        raise ValueError(f"array '{entry['name']}' has shape {shape}, more than the file holds")
-    values = np.frombuffer(content, "<f8", count, int(entry["offset"])).reshape(shape)
-    return _finite(values.astype(np.float64), str(entry["name"]))
 
 
 def _digest(content: bytes | bytearray) -> bytes:

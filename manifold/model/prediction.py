@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from typing import cast
 
 import numba as nb
 import numpy as np
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.analytic.base import choose_lobe
+from manifold.brdf.measured import BRDF, MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.picture import NotebookPicture
 from manifold.brdf.plausibility import quadrature_albedo
-from manifold.brdf.synthetic.analytic import choose_lobe
 from manifold.brdf.weighted_sums import WeightedSum
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.directions import require_directions
 from manifold.errors import ShapeError
-from manifold.mapping import CubeRoot, Identity
+from manifold.mapping import CubeRoot, Identity, Mapping
 from manifold.metrics import cosine_weight
 from manifold.model.combination import Combination
 from manifold.model.lobe_sampling import LobeSampling
@@ -29,17 +31,16 @@ BLOCK_PAIRS = 2048
 _SHOWN_PARTS = 3
 
 
-def _block_size(n_pairs: int) -> int:
-    """Pairs per block: few pairs are shared out too, but not so finely that calls take longer than values."""
-    return int(np.clip(-(-n_pairs // (2 * nb.get_num_threads())), 64, BLOCK_PAIRS))
-
-
-class PredictedBRDF:
+class PredictedBRDF(NotebookPicture):
     """A weighted sum of measured BRDFs in a mapped domain, `T^-1(sum_i v_i T(f_i))`, evaluated only where asked.
 
     Weights are those of whole materials, alike in all bands, or of single bands of materials and of analytic lobes,
     each predicted band with weights of its own (`Combination`). With a unit vector as weights of whole materials it
     *is* the measured one, bit for bit, whatever the mapping.
+
+    Attributes:
+        bands: the spectral axis.
+        is_isotropic: whether all materials with a weight are.
 
     Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/design/held-out.md.
     """
@@ -57,7 +58,7 @@ class PredictedBRDF:
         """
         for material in materials[1:]:
             materials[0].bands.require_same(material.bands, "materials of a prediction", "use one library")
-        self._bands = materials[0].bands if bands is None else bands
+        self.bands = materials[0].bands if bands is None else bands
         self._mapping = combination.mapping
         self._dictionary = combination.dictionary
         self._is_per_band = combination.sample_bands is not None
@@ -66,7 +67,7 @@ class PredictedBRDF:
         if self._is_per_band:
             n_samples = len(materials) * materials[0].bands.count
             n_atoms = n_samples if self._dictionary is None else self._dictionary.size(n_samples)
-            expected = (self._bands.count, n_atoms)
+            expected = (self.bands.count, n_atoms)
         if weights.shape != expected or not np.all(np.isfinite(weights)):
             raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, all finite")
         if not np.any(weights):
@@ -79,6 +80,9 @@ class PredictedBRDF:
             self._materials = [materials[int(k)] for k in used]
             self._weights = weights[used]
             shares, lobes = np.abs(self._weights), []
+        self.is_isotropic = all_isotropic(self._materials)
+        is_one = not self._is_per_band and len(self._materials) == 1 and self._weights[0] == 1.0
+        self._measured = self._materials[0] if is_one else None
         # Sampling needs a density that covers every part with a weight, not the exact shape of the sum.
         self._sampling_weights = shares / shares.sum()
         self._samplers: list[BRDF | LobeSampling] = [*self._materials, *lobes]
@@ -112,16 +116,6 @@ class PredictedBRDF:
             return shares, []
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
 
-    @property
-    def bands(self) -> Bands:
-        """The spectral axis."""
-        return self._bands
-
-    @property
-    def is_isotropic(self) -> bool:
-        """Whether all materials with a weight are."""
-        return all(material.is_isotropic for material in self._materials)
-
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B); may be negative where weights are.
 
@@ -130,12 +124,13 @@ class PredictedBRDF:
         Raises:
             ShapeError: a direction array is not (..., 3), not finite, or not of unit length.
         """
-        measured = self._measured()
-        if measured is not None:
-            return measured.eval(wi, wo)
+        if self._measured is not None:
+            return self._measured.eval(wi, wo)
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
-        blocks = [(block, out[rows]) for rows, block in pairs.blocks(_block_size(len(pairs)))]
+        # Few pairs are shared out too, but not so finely that calls take longer than values.
+        size = int(np.clip(-(-len(pairs) // (2 * nb.get_num_threads())), 64, BLOCK_PAIRS))
+        blocks = [(block, out[rows]) for rows, block in pairs.blocks(size)]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
             # Every thread multiplies matrices of its own: a second level of threads costs more than it does.
             with one_blas_thread, ThreadPoolExecutor(nb.get_num_threads()) as pool:
@@ -147,9 +142,8 @@ class PredictedBRDF:
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B); arguments and errors as in `eval`."""
-        measured = self._measured()
-        if measured is not None:
-            return measured.eval_cos(wi, wo)
+        if self._measured is not None:
+            return self._measured.eval_cos(wi, wo)
         return self.eval(wi, wo) * np.maximum(np.asarray(wo)[..., 2], 0.0)[..., None]
 
     def pdf(self, wi: Array, wo: Array) -> Array:
@@ -193,11 +187,6 @@ class PredictedBRDF:
         """
         return quadrature_albedo(self, wi, resolution)
 
-    def _measured(self) -> BRDF | None:
-        """The material that this is, if it is one."""
-        is_one = not self._is_per_band and len(self._materials) == 1 and self._weights[0] == 1.0
-        return self._materials[0] if is_one else None
-
     def _combine(self, pairs: DirectionPairs, out: Array) -> None:
         """Values of K direction pairs into out (K, B)."""
         cosines = cosine_weight(pairs.wi, pairs.wo)
@@ -205,52 +194,47 @@ class PredictedBRDF:
             mapped = np.zeros((len(self._materials), len(pairs), self._materials[0].bands.count))
             for k, share in enumerate(self._sampling_weights[: len(self._materials)]):
                 if share > 0.0:
-                    self._add_mapped(k, pairs, cosines, mapped[k])
+                    self._sums[k].add_to(mapped[k], pairs)
             samples = np.moveaxis(mapped, 1, 2).reshape(-1, len(pairs))  # [N B_s, K]
             if self._dictionary is None:
                 np.matmul(samples.T, self._weights.T, out=out)
             else:
-                lobe_roots = self._dictionary.lobes.cube_roots(pairs.wi, pairs.wo, self._lobes)
-                out[...] = self._dictionary.combine(self._weights, samples, lobe_roots).T
+                lobes = self._mapping.forward(self._dictionary.lobes.values(pairs.wi, pairs.wo, self._lobes))
+                out[...] = self._dictionary.combine(self._weights, samples, lobes).T
         else:
             out[...] = 0.0
-            self._add_mapped(0, pairs, cosines, out)
+            self._sums[0].add_to(out, pairs)
         out[...] = self._mapping.inverse(out, cosines)
         out[cosines <= 0] = 0.0
 
     @cached_property
-    def _parts(self) -> list[tuple[Sequence[BRDF], Array]]:
-        """Materials added up together, and their weights: all, or each by itself where bands have weights."""
+    def _sums(self) -> list[WeightedSum | _MappedSum]:
+        """Mapped materials added up: all together, or each by itself where bands have weights."""
+        parts: list[tuple[Sequence[BRDF], Array]] = [(self._materials, self._weights)]
         if self._is_per_band:
-            return [([material], np.ones(1)) for material in self._materials]
-        return [(self._materials, self._weights)]
-
-    @cached_property
-    def _sums(self) -> list[WeightedSum] | None:
-        """The parts as sums in one pass, if they can be."""
-        if not isinstance(self._mapping, CubeRoot | Identity):
-            return None
+            parts = [([material], np.ones(1)) for material in self._materials]
         is_root = isinstance(self._mapping, CubeRoot)
-        sums = []
-        for materials, weights in self._parts:
-            measured = [material for material in materials if isinstance(material, MeasuredBRDF)]
-            if len(measured) < len(materials):
-                return None
-            sums.append(WeightedSum(measured, weights, cube_root=is_root))
-        return sums
+        is_quick = is_root or isinstance(self._mapping, Identity)
+        return [
+            WeightedSum(cast(Sequence[MeasuredBRDF], materials), weights, cube_root=is_root)
+            if is_quick and all(isinstance(material, MeasuredBRDF) for material in self._materials)
+            else _MappedSum(materials, weights, self._mapping)
+            for materials, weights in parts
+        ]
 
-    def _add_mapped(self, k: int, pairs: DirectionPairs, cosines: Array, out: Array) -> None:
-        """Add the sum of weights * T(f) of the k-th part at K pairs to out (K, B)."""
-        if self._sums is not None:
-            self._sums[k].add_to(out, pairs)
-            return
-        for material, weight in zip(*self._parts[k], strict=True):
-            f = (
-                material.eval_at(pairs)
-                if isinstance(material, MeasuredBRDF)
-                else material.eval(pairs.wi, pairs.wo)
-            )
-            out += weight * self._mapping.forward(f, cosines)
+
+class _MappedSum:
+    """The sum of weights * T(f) of any BRDFs and any mapping, one BRDF after the other."""
+
+    def __init__(self, brdfs: Sequence[BRDF], weights: Array, mapping: Mapping):
+        self._terms, self._mapping = list(zip(brdfs, weights, strict=True)), mapping
+
+    def add_to(self, total: Array, pairs: DirectionPairs) -> None:
+        """Add the sum at K direction pairs to total (K, B)."""
+        cosines = cosine_weight(pairs.wi, pairs.wo)
+        for brdf, weight in self._terms:
+            f = brdf.eval_at(pairs) if isinstance(brdf, MeasuredBRDF) else brdf.eval(pairs.wi, pairs.wo)
+            total += weight * self._mapping.forward(f, cosines)
 
 
 class ClippedBRDF(WrappedBRDF):

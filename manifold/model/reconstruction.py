@@ -2,43 +2,113 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
+
 import numpy as np
 
 from manifold.brdf.measured import BRDF, all_isotropic
+from manifold.colour import ball_colours
 from manifold.errors import UsageError
-from manifold.mapping import CubeRoot
-from manifold.model.combination import Combination, Values
+from manifold.latent.decoder import EncodingPairs
+from manifold.latent.dictionary import Dictionary
+from manifold.latent.few_atoms import few_atoms
+from manifold.latent.reconstruction_weights import reconstruction_weights
+from manifold.mapping import Identity
+from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.models.decoder import EncodingPairs
-from manifold.models.dictionary import Dictionary
-from manifold.models.picture_terms import picture_rows
-from manifold.models.reconstruction_weights import reconstruction_weights
-from manifold.records import Array
+from manifold.records import Array, Indices, evenly_spaced
+
+DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
+"""Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
+
+MAX_BANDS = 20
+"""In which weights of few atoms are found."""
+
+_STUDIOS_DEG = (60.0, 180.0, 300.0)  # reports show the ball at 0: in a light that no reconstruction saw
 
 
-def reconstruct(materials: MaterialCache, sample_bands: Array, brdf: BRDF) -> PredictedBRDF:
+class ComparedValues:
+    """What a reconstruction compares: values at direction pairs, and the pixels of the ball in three lights.
+
+    Attributes:
+        n_pixels: how many of the values are pixels.
+    """
+
+    def __init__(self, pairs: EncodingPairs) -> None:
+        """Compare BRDFs at direction pairs (P, 3)."""
+        self._balls = [ball_colours.ball(turned_deg=degrees) for degrees in _STUDIOS_DEG]
+        ball = self._balls[0]  # in all lights pixels are lit from the same directions
+        self._wi, self._wo = np.concatenate([pairs.wi, ball.wi]), np.concatenate([pairs.wo, ball.wo])
+        self._cosines = pairs.cosines
+        self.n_pixels = len(ball.starts) * len(self._balls)
+        self._lobes = self._of_values(DICTIONARY.lobes.values(self._wi, self._wo))
+
+    @classmethod
+    @cache
+    def default(cls, is_isotropic: bool) -> ComparedValues:
+        """At the pairs of `EncodingPairs.default`."""
+        return cls(EncodingPairs.default(is_isotropic))
+
+    def weights(self, atoms: Array, brdf: BRDF, numbers: int | None = None) -> Array:
+        """Weights (B, n) of n atoms, the last of which are the lobes of `DICTIONARY`, for a BRDF of B bands.
+
+        Args:
+            atoms: rows of `of_atoms`.
+            brdf: what they describe.
+            numbers: at most so many, see `few_atoms`, of `MAX_BANDS` bands, between which weights are linear; by
+                default as many weights as it takes.
+        """
+        material = self.of(brdf)
+        if numbers is None:
+            return reconstruction_weights(atoms, material, self.n_pixels)
+        bands = evenly_spaced(len(material), MAX_BANDS)
+        lambertian = len(atoms) - len(DICTIONARY.lobes)
+        found = few_atoms(atoms, material[bands], self.n_pixels, numbers, lambertian)
+        weights = np.zeros((len(material), len(atoms)))
+        for k in np.flatnonzero(found.any(axis=0)):
+            weights[:, k] = np.interp(np.arange(len(material)), bands, found[:, k])
+        return weights
+
+    def of(self, brdf: BRDF) -> Array:
+        """Those of a BRDF of B bands, shape (B, R)."""
+        return self._of_values(brdf.eval(self._wi, self._wo).T)
+
+    def of_atoms(self, materials: Sequence[BRDF]) -> Array:
+        """Those of the atoms of `DICTIONARY`, of N materials in the sample bands (B_s,): shape (n', R)."""
+        samples = [np.maximum(brdf.eval(self._wi, self._wo).T, 0.0) for brdf in materials]
+        powers = [self._of_values(f**exponent) for exponent in DICTIONARY.exponents for f in samples]
+        return np.vstack([*powers, self._lobes])
+
+    def _of_values(self, f: Array) -> Array:
+        """From f in 1/sr, shape (n, P + P_ball)."""
+        P = len(self._cosines)
+        pixels = [np.add.reduceat(f[:, P:] * ball.light, ball.starts, axis=1) for ball in self._balls]
+        return np.hstack([f[:, :P] * self._cosines, *pixels])
+
+
+def reconstruct(
+    materials: MaterialCache, sample_bands: Indices, brdf: BRDF, numbers: int | None = None
+) -> PredictedBRDF:
     """Combine bands of all materials, and lobes, with weights that may only add: see `reconstruction_weights`.
 
     Args:
         materials: of the library.
         sample_bands: which of their bands are samples, increasing, shape (B_s,).
         brdf: the material, in the bands of the library.
+        numbers: that may describe it, see `ComparedValues.weights`; by default as many as it takes.
     Raises:
-        UsageError: it is black.
+        UsageError: it is black, or numbers is below 1.
     """
-    dictionary, mapping = Dictionary(), CubeRoot()
+    if numbers is not None and numbers < 1:
+        raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")
     sampled = materials.in_bands(sample_bands.tolist())
-    pairs = EncodingPairs.default(all_isotropic([brdf, *sampled]))
-    wi, wo = pairs.wi, pairs.wo
-    values = Values(np.stack([material.eval(wi, wo) for material in sampled]), wi, wo)
-    roots = values.mapped_samples(mapping, np.arange(len(sample_bands)))
-    atoms = dictionary.atoms(roots, values.lobe_roots(dictionary.lobes))
-    targets = np.ascontiguousarray(mapping.forward(brdf.eval(wi, wo)).T)
-    weights = reconstruction_weights(atoms, targets, values.cosines, picture_rows(wi, wo))
+    compared = ComparedValues.default(all_isotropic([brdf, *sampled]))
+    weights = compared.weights(compared.of_atoms(sampled), brdf, numbers)
     if not np.any(weights):
         raise UsageError(
             "the material to reconstruct is black: found no value above 0 at any direction pair, expected some light"
         )
-    combination = Combination(mapping, weights, sample_bands, dictionary=dictionary)
+    combination = Combination(Identity(), weights, sample_bands, dictionary=DICTIONARY)
     return PredictedBRDF(sampled, combination, brdf.bands)

@@ -10,13 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from manifold.errors import ShapeError
+from manifold.errors import ShapeError, UsageError
+from manifold.latent.decoder import Decoder
 from manifold.model.decoding import decoder_at, integrating_sphere
-from manifold.model.latent_space import LatentSpace
+from manifold.model.latent_space import LatentSpace, fixed_colours
 from manifold.model.latents import require_latent
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.models.decoder import Decoder
 from manifold.records import Array
 
 
@@ -29,7 +29,9 @@ class ReflectanceColours:
         Raises:
             UsageError: its materials have fixed colours.
         """
-        self._own, self._reflectances = space.colour_table()
+        if not space.takes_colours:
+            raise UsageError(fixed_colours(space.kind))
+        self._own, self._reflectances = space.own_colours, space.reflectances
         self._space, self._materials, self._settings = space, materials, settings
 
     def __repr__(self) -> str:

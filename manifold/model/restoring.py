@@ -5,13 +5,20 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from manifold.errors import LibraryError, UsageError
+from manifold.errors import LibraryError
 from manifold.library.store import Library
+from manifold.model.blend_space import BlendSpace
+from manifold.model.curve_space import CurveSpace
 from manifold.model.latent_space import LatentSpace
 from manifold.model.left_out import LeftOut
+from manifold.model.material_space import MaterialSpace
 from manifold.model.model_file import ModelRecord, damaged
 from manifold.model.settings import Settings
-from manifold.model.spaces import SPACES
+
+SPACES: dict[str, type[LatentSpace]] = {
+    space.kind: space for space in (BlendSpace, CurveSpace, MaterialSpace)
+}
+"""The kinds of latent space, by name."""
 
 
 def open_library(path: Path, stored: ModelRecord, library: Library | Path | str | None) -> Library:
@@ -27,20 +34,20 @@ def open_library(path: Path, stored: ModelRecord, library: Library | Path | str 
     if library is None:
         library = stored.library
         if not library.exists():
-            raise LibraryError(f"{path}: its library is not at {library}; say where with --library")
+            raise LibraryError(f"{path}: its library is not at {library}; say where it is now")
     if not isinstance(library, Library):
-        library = Library.open(library)
+        library = Library(library)
     missing = sorted(set(stored.names) - set(library.names))
     if missing:
         shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
         raise LibraryError(
             f"{library.path.name} lacks {len(missing)} of the {len(stored.names)} materials of {path.name} "
-            f"({shown}); import them again, name the right library with --library, or embed again"
+            f"({shown}); import them again, name the right library, or embed again"
         )
     if stored.n_bands not in (None, library.bands.count):
         raise LibraryError(
             f"{library.path.name} has {library.bands}, {path.name} was fitted to {stored.n_bands} bands; "
-            "name the right library with --library, or embed again"
+            "name the right library, or embed again"
         )
     return library
 
@@ -59,6 +66,6 @@ def restore(path: Path, stored: ModelRecord) -> tuple[Settings, LatentSpace, Lef
         if space.X.shape != expected:
             raise ValueError(f"dataset 'X' has shape {space.X.shape}, expected {expected}")
         left_out = LeftOut.from_arrays(stored.arrays, space)
-    except (KeyError, TypeError, ValueError, IndexError, UsageError) as error:
+    except (KeyError, TypeError, ValueError, IndexError) as error:
         raise damaged(path, error) from error
     return settings, space, left_out

@@ -7,11 +7,11 @@ from numbers import Integral
 from typing import Any, cast
 
 from manifold.errors import UsageError
+from manifold.latent.criteria import CRITERIA
+from manifold.latent.kernels import Kernel, kernel_named, require_mu
+from manifold.latent.search import OPTIMIZERS
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
-from manifold.models.criteria import CRITERIA
-from manifold.models.kernels import Kernel, kernel_named, require_mu
-from manifold.models.search import OPTIMIZERS
 
 _KIND_DEFAULTS: dict[str, dict[str, Any]] = {
     "blend": {"optimizer": "l-bfgs", "mu": 1e-4, "prior": 0.0},
@@ -67,15 +67,11 @@ class Settings:
                 f"optimizer '{self.optimizer}' for kind {self.kind}, expected {' or '.join(optimizers)}"
             )
         if self.kind == "blend" and self.mapping != "cube-root":
-            raise UsageError(
-                f"mapping '{self.mapping}' for kind blend, expected cube-root: leave --mapping out"
-            )
+            raise UsageError(f"mapping '{self.mapping}' for kind blend, expected cube-root")
         if self.criterion not in CRITERIA:
             raise UsageError(f"criterion '{self.criterion}', expected one of {', '.join(CRITERIA)}")
         if self.kind == "blend" and self.criterion != "cube-root":
-            raise UsageError(
-                f"criterion '{self.criterion}' for kind blend, expected cube-root: leave --criterion out"
-            )
+            raise UsageError(f"criterion '{self.criterion}' for kind blend, expected cube-root")
         for name, least in (("latent_dim", 0), ("sample_bands", 2)):  # 0: colours alone, as the report tries
             value = getattr(self, name)
             if not isinstance(value, Integral) or isinstance(value, bool) or value < least:

@@ -2,62 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from functools import cache
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.mathtext import MathTextParser
-from matplotlib.text import Text
+from matplotlib.font_manager import fontManager
+from matplotlib.text import Annotation
 
 from manifold.errors import UsageError
-from manifold.plots.glyphs import drawable
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.names import without_controls
 
-Box = tuple[float, float, float, float]
-"""Left, bottom, right, top."""
-
 _SUFFIXES = (".png", ".pdf", ".svg")
-
-
-def overlap(a: Box, b: Box) -> float:
-    """Common area of two boxes."""
-    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)
-
-
-def cheapest_place(
-    point: Array, width: float, height: float, gaps: Iterable[float], n_angles: int,
-    cost: Callable[[float, Box], float],
-) -> tuple[tuple[float, float], Box]:  # fmt: skip
-    """The position of a label around its point of least cost: offset of its centre, and its box, in pixels.
-
-    Args:
-        point: (2,).
-        width, height: of the label.
-        gaps: between the point and the label, one ring of places each.
-        n_angles: places on a ring.
-        cost: of a gap and the label's box.
-    """
-    best: tuple[float, tuple[float, float], Box] | None = None
-    for gap in gaps:
-        for angle in np.linspace(0.0, 2.0 * np.pi, n_angles, endpoint=False):
-            dx, dy = np.cos(angle) * (gap + 0.5 * width), np.sin(angle) * (gap + 0.5 * height)
-            x, y = point[0] + dx, point[1] + dy
-            box = (x - 0.5 * width, y - 0.5 * height, x + 0.5 * width, y + 0.5 * height)
-            total = cost(gap, box)
-            if best is None or total < best[0]:
-                best = (total, (dx, dy), box)
-    assert best is not None
-    return best[1], best[2]
-
-
-def outside(box: Box, frame: Box) -> float:
-    """Distance by which a box exceeds a frame."""
-    return max(frame[0] - box[0], box[2] - frame[2], frame[1] - box[1], box[3] - frame[3], 0.0)
+# Installed ones draw the characters that the default font lacks.
+_FALLBACK_FONTS = (
+    "Noto Sans CJK JP", "Noto Sans CJK SC", "WenQuanYi Zen Hei", "Hiragino Sans", "PingFang SC", "Yu Gothic",
+    "Microsoft YaHei", "Malgun Gothic", "Noto Emoji", "Segoe UI Symbol", "Arial Unicode MS", "Unifont",
+)  # fmt: skip
+_GAPS, _ANGLES = np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]), 24  # rings of places around a point, in dots
+_DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
+rcParams["font.family"] += [name for name in _FALLBACK_FONTS if name in fontManager.get_font_names()]
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -67,13 +36,56 @@ def new_figure(width: float, height: float) -> Figure:
     return figure
 
 
+def place_names(
+    figure: Figure, axes: Axes, names: Sequence[Annotation], dot: float, points: Array, zorder: float
+) -> None:
+    """Move names to where they cover least of points and of names before them, nearest to their own point.
+
+    A line leads to a point whose name is far.
+
+    Args:
+        figure: whose layout is fixed.
+        axes: of the names.
+        names: centred, with offsets in pixels.
+        dot: half the width of a point in pixels.
+        points: not to be covered, in pixels, shape (K, 2).
+        zorder: of the lines.
+    """
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    frame = axes.get_window_extent(renderer).padded(-0.5 * dot).extents
+    own = axes.transData.transform([name.xy for name in names])
+    taken = np.hstack([points - dot, points + dot])  # left, bottom, right, top
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    around = np.tile(np.stack([np.cos(angles), np.sin(angles)], axis=1), (len(_GAPS), 1))
+    gaps = np.repeat(dot * _GAPS, _ANGLES)
+    for k, name in enumerate(names):
+        extent = name.get_window_extent(renderer)
+        half = 0.5 * np.array([_DRAWN * extent.width, extent.height])
+        offsets = around * (gaps[:, None] + half)
+        boxes = np.hstack([own[k] + offsets - half, own[k] + offsets + half])
+        common = np.minimum(boxes[:, None, 2:], taken[:, 2:]) - np.maximum(boxes[:, None, :2], taken[:, :2])
+        covered = np.prod(np.maximum(common, 0.0), axis=2).sum(axis=1)
+        outside = np.maximum(np.hstack([frame[:2] - boxes[:, :2], boxes[:, 2:] - frame[2:]]).max(axis=1), 0.0)
+        nearest = np.clip(own[:, None], boxes[:, :2], boxes[:, 2:])  # points of the boxes, [K, places, 2]
+        apart = np.linalg.norm(own[:, None] - nearest, axis=2)
+        too_far = np.maximum(apart[k] - apart.min(axis=0), 0.0)  # nearer to other points than to its own
+        cost = extent.height * (gaps + 4.0 * too_far) + 4.0 * covered + 1e4 * outside
+        best = int(np.argmin(cost))
+        name.set_position(tuple(offsets[best]))
+        taken = np.vstack([taken, boxes[best]])
+        if apart[k, best] > 2.0 * dot:
+            end = axes.transData.inverted().transform(nearest[k, best])
+            axes.plot(*zip(name.xy, end, strict=True), color="0.4", linewidth=0.7, zorder=zorder)
+
+
 def shortened(name: str, most: int = 40) -> str:
-    """A name of at most so many letters; a longer one loses its end."""
-    return name if len(name) <= most else name[: most - 1] + "…"
+    """A name as a label: without its end where it is longer than `most`, and never read as a formula."""
+    text = without_controls(name if len(name) <= most else name[: most - 1] + "…")
+    return text.replace("$", r"\$")
 
 
 def require_writable(path: Path) -> None:
-    """Raise what `save` would, as far as it can be known before the work.
+    """Check, before a figure is drawn, that `save` can write it.
 
     Raises:
         UsageError: the suffix is unknown, or the folder cannot be written.
@@ -83,32 +95,6 @@ def require_writable(path: Path) -> None:
     atomic.require_writable(path)
 
 
-def _is_formula(text: str) -> bool:
-    """Whether matplotlib can read a label with dollars in it: names of materials may hold some too."""
-    try:
-        _formulas().parse(text)
-    except ValueError:
-        return False
-    return True
-
-
-@cache
-def _formulas() -> MathTextParser:
-    return MathTextParser("agg")
-
-
-def make_drawable(text: Text) -> None:
-    """Let a text be drawn as it is: names may hold dollars, control characters, and others that the font lacks."""
-    words = without_controls(text.get_text())
-    if "$" in words and not _is_formula(words):
-        text.set_parse_math(False)
-    text.set_text(words)
-    if not words.isascii():
-        words, families = drawable(words, text.get_fontfamily())
-        text.set_text(words)
-        text.set_fontfamily(families)
-
-
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG (or what the suffix says), atomically.
 
@@ -116,7 +102,5 @@ def save(figure: Figure, path: Path) -> None:
         UsageError: the file cannot be written, or the suffix is unknown.
     """
     require_writable(path)
-    for text in figure.findobj(Text):
-        make_drawable(text)
     with atomic.replacing(path) as partial:
         figure.savefig(partial)

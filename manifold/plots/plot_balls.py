@@ -13,14 +13,14 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import make_drawable, new_figure, shortened
+from manifold.plots.figures import new_figure, shortened
 from manifold.plots.plot_latents import MARK, draw_expected_error, latent_axes, two_dimensions
 from manifold.records import Array
 
 _BALL_POINTS = 30.0  # diameter of a ball on the map
 _LINE = 13  # letters of a name before it is broken
-_PUSHES = 400
-_PULL = 0.02  # towards the true place, per push; less and less, so that the last pushes only part
+_STEPS = 400
+_ATTRACTION = 0.02  # towards the true place, per step; falling to 0, so that the last steps only separate
 _GAP = 1.06  # of boxes, in their sizes
 
 
@@ -64,8 +64,6 @@ def ball_map(
         )
         for k, name in enumerate(names)
     ]  # fmt: skip
-    for label in labels:
-        make_drawable(label)
     ball_pixels = _BALL_POINTS * point
     text = np.array([[box.width, box.height] for box in (label.get_window_extent() for label in labels)])
     room = np.column_stack([np.maximum(text[:, 0], 0.8 * ball_pixels), ball_pixels + text[:, 1]])
@@ -90,7 +88,7 @@ def _in_lines(name: str) -> str:
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:
-    """Points (N, 2) pushed apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were.
+    """Points (N, 2) moved apart until boxes of size `room` (N, 2) around them hardly overlap, near where they were.
 
     All end up within a frame (left, bottom, right, top), a box's half away from its edge.
     """
@@ -98,14 +96,14 @@ def spread(points: Array, room: Array, frame: Array) -> Array:
     room = np.broadcast_to(room, points.shape)
     between = 0.5 * _GAP * (room[:, None] + room[None])
     places = points + rng.normal(scale=1e-3, size=points.shape)
-    for k in range(_PUSHES):
+    for k in range(_STEPS):
         apart = (places[:, None] - places[None]) / between
         distance = np.max(np.abs(apart), axis=2)
         np.fill_diagonal(distance, np.inf)
         overlap = np.maximum(1.0 - distance, 0.0)
         length = np.maximum(np.linalg.norm(apart, axis=2), 1e-9)
         push = np.sum(0.5 * overlap[..., None] * apart / length[..., None], axis=1) * room
-        places += push + _PULL * (1.0 - k / _PUSHES) * (points - places)
+        places += push + _ATTRACTION * (1.0 - k / _STEPS) * (points - places)
         places = np.clip(places, frame[:2] + 0.5 * room, frame[2:] - 0.5 * room)
     return places
 

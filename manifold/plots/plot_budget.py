@@ -15,7 +15,7 @@ from manifold.plots.figures import new_figure, shortened
 from manifold.records import Array
 
 _LEAST, _MOST_DELTA_E = 0.02, 40.0  # ends of the axis of differences
-_BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#7f7f7f"  # told apart by the colour-blind too
+_BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#7f7f7f"  # distinguishable for colour-blind readers
 _UNITS = ((1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 
 

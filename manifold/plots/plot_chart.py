@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,10 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator
 
-from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, ChartRow, cost_of
+from manifold.experiments.chart.experiment import COSTS, ERRORS, Chart, conclusion, cost_of
 from manifold.experiments.chart.fits import FAMILY
-from manifold.experiments.chart.registry import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
-from manifold.plots.figures import Box, cheapest_place, new_figure, outside, overlap
+from manifold.experiments.chart.instruments import ChartRow
+from manifold.experiments.evaluation.methods import AS_PUBLISHED, BLENDS, NONNEGATIVE, PUBLISHED
+from manifold.plots.figures import new_figure, place_names
 from manifold.records import Array
 
 _ERRORS = ("delta_e", "cube_root_error", "relative_error")
@@ -29,27 +30,26 @@ _COSTS = {
 
 
 @dataclass(frozen=True)
-class _Look:
+class _Style:
     """Colour and marker of a family: colours of Okabe and Ito, distinguishable with any colour vision."""
 
     marker: str
     colour: str
 
 
-LOOKS = {
-    "one or two materials": _Look("D", "#cc79a7"),
-    "PCA": _Look("o", "#0072b2"),
-    "GPLVM, whole materials": _Look("s", "#e69f00"),
-    "GPLVM, monochrome samples": _Look("^", "#009e73"),
-    BLENDS: _Look("P", "#000000"),
-    NONNEGATIVE: _Look("v", "#56b4e9"),
-    AS_PUBLISHED: _Look("*", "#d55e00"),
-    FAMILY: _Look("x", "#555555"),
+STYLES = {
+    "one or two materials": _Style("D", "#cc79a7"),
+    "PCA": _Style("o", "#0072b2"),
+    "GPLVM, whole materials": _Style("s", "#e69f00"),
+    "GPLVM, monochrome samples": _Style("^", "#009e73"),
+    BLENDS: _Style("P", "#000000"),
+    NONNEGATIVE: _Style("v", "#56b4e9"),
+    AS_PUBLISHED: _Style("*", "#d55e00"),
+    FAMILY: _Style("x", "#555555"),
 }
 _FRONT_POINTS, _OTHER_POINTS, _PUBLISHED_POINTS = 8.5, 5.0, 15.0
 _LABEL = 8.8
 _LEAST_ERROR = 1e-4  # smaller ones are drawn here
-_DRAWN = 1.07  # text with an outline is drawn without hints, wider than measured
 
 
 def chart(made: Chart) -> Figure:
@@ -57,7 +57,8 @@ def chart(made: Chart) -> Figure:
     figure = new_figure(15.0, 12.4)
     kind = "RGB" if made.n_bands == 3 else f"{made.n_bands} bands"
     figure.suptitle(
-        f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
+        "\n".join([*textwrap.wrap(conclusion(made), 140), ""])
+        + f"Speed against accuracy: {made.n_materials} materials, {kind}, each left out once; below and left is better",
         fontsize=12.5,
     )
     grid = figure.subplots(len(COSTS), len(_ERRORS), sharex="row", sharey="col", squeeze=False)
@@ -93,22 +94,22 @@ def _points(axes: Axes, made: Chart, error: str, cost: str) -> None:
         x, y = _stairs([(cost_of(row, cost), _error_of(row, error)) for row in front])
         axes.plot(x, y, color="0.25", linewidth=1.3, zorder=2, label="front")
     for row in _with(made, cost):
-        look = LOOKS[row.family]
+        style = STYLES[row.family]
         size = (
             _PUBLISHED_POINTS if row.key == PUBLISHED else _FRONT_POINTS if row.key in on else _OTHER_POINTS
         )
         is_plain = row.key in on or row.key == PUBLISHED
-        is_cross = look.marker == "x"
+        is_cross = style.marker == "x"
         axes.plot(
-            cost_of(row, cost), _error_of(row, error), look.marker, markersize=size, color=look.colour,
-            markerfacecolor=look.colour if is_plain else "white",
-            markeredgecolor="black" if is_plain and not is_cross else look.colour,
+            cost_of(row, cost), _error_of(row, error), style.marker, markersize=size, color=style.colour,
+            markerfacecolor=style.colour if is_plain else "white",
+            markeredgecolor="black" if is_plain and not is_cross else style.colour,
             alpha=1.0 if is_plain or is_cross else 0.6, zorder=4 if is_plain else 3, gid=row.key,
         )  # fmt: skip
 
 
 def _error_of(row: ChartRow, error: str) -> float:
-    """An error as it is drawn: copies of a material are found without one, and logarithms have no zero."""
+    """An error, at least the smallest that the logarithmic axis shows: copies of a material have none."""
     return max(float(getattr(row, error)), _LEAST_ERROR)
 
 
@@ -118,7 +119,7 @@ def _with(made: Chart, cost: str) -> list[ChartRow]:
 
 
 def _stairs(corners: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-    """The edge of what a front dominates, from the cheapest to the dearest corner; within tolerance it may rise."""
+    """The boundary of the region that a front dominates, from the cheapest to the dearest corner."""
     x, y = np.array(corners).T
     return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
 
@@ -150,8 +151,8 @@ def _number_ticks(axis: Axis, values: Sequence[float]) -> None:
 def _legend(made: Chart) -> list[Line2D]:
     present = {row.family for row in made.rows}
     handles = [
-        Line2D([], [], linestyle="", marker=look.marker, color=look.colour, markersize=8, label=family)
-        for family, look in LOOKS.items()
+        Line2D([], [], linestyle="", marker=style.marker, color=style.colour, markersize=8, label=family)
+        for family, style in STYLES.items()
         if family in present
     ]
     return [
@@ -169,13 +170,7 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
 
     on = made.fronts[error][cost]
     dot = 0.55 * _FRONT_POINTS * figure.dpi / 72.0
-    taken = [
-        (x - dot, y - dot, x + dot, y + dot)
-        for x, y in axes.transData.transform([*map(at, _with(made, cost))])
-    ]
-    taken += _along(axes, [at(row) for row in made.front(error, cost)], 0.3 * dot)
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    frame = axes.get_window_extent(renderer).padded(-0.5 * dot)
+    pixels = axes.transData.transform([*map(at, _with(made, cost))])
     named = [row for row in _with(made, cost) if row.key in on or row.key == PUBLISHED or not row.is_held_out]
     groups: list[list[ChartRow]] = []
     for row in named:  # those that are drawn on each other share a name
@@ -190,35 +185,21 @@ def _name(figure: Figure, axes: Axes, made: Chart, error: str, cost: str) -> Non
             near[0].append(row)
         else:
             groups.append([row])
-    for group in groups:
-        place = at(group[0])
-        pixel = axes.transData.transform(place)
-        text = axes.annotate(
-            _title(group), place, xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center",
+    names = [
+        axes.annotate(
+            _title(group), at(group[0]), xytext=(0, 0), textcoords="offset pixels", fontsize=_LABEL, ha="center",
             va="center", style="normal" if group[0].is_held_out else "italic",
             color="black" if group[0].is_held_out else "0.35",
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)], zorder=6,
-        )  # fmt: skip
-        extent = text.get_window_extent(renderer)
-        rivals = axes.transData.transform([at(row) for row in named if row not in group] or [place])
-        offset, box = _place(pixel, rivals, _DRAWN * extent.width, extent.height, dot, taken, frame.extents)
-        text.set_position(offset)
-        taken.append(box)
-        edge = np.clip(pixel, box[:2], box[2:])
-        if np.hypot(*(edge - pixel)) > 2.0 * dot:
-            end = axes.transData.inverted().transform(edge)
-            axes.plot(*zip(place, end, strict=True), color="0.4", linewidth=0.7, zorder=2.5)
-
-
-def _along(axes: Axes, corners: Sequence[tuple[float, float]], half: float) -> list[Box]:
-    """Small boxes along the line of a front, in pixels."""
-    if not corners:
-        return []
-    ends = axes.transData.transform(np.column_stack(_stairs(corners)))
-    steps = [
-        np.linspace(a, b, max(int(np.hypot(*(b - a)) / (2.0 * half)), 2)) for a, b in itertools.pairwise(ends)
-    ]
-    return [(x - half, y - half, x + half, y + half) for step in steps for x, y in step]
+        )
+        for group in groups
+    ]  # fmt: skip
+    if front := made.front(error, cost):  # its line is not to be covered either
+        ends = axes.transData.transform(np.column_stack(_stairs([at(row) for row in front])))
+        lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+        along = zip(ends[:-1], ends[1:], lengths, strict=True)
+        pixels = np.vstack([pixels, *(np.linspace(a, b, int(n / dot) + 2) for a, b, n in along)])
+    place_names(figure, axes, names, dot, pixels, zorder=2.5)
 
 
 def _title(group: Sequence[ChartRow]) -> str:
@@ -227,25 +208,3 @@ def _title(group: Sequence[ChartRow]) -> str:
     if not first.is_held_out:
         return "fit: " + ", ".join(row.title.split(", ")[-1] for row in group)
     return first.title + (f" (+{len(group) - 1})" if len(group) > 1 else "")
-
-
-def _place(
-    point: Array, rivals: Array, width: float, height: float, dot: float, taken: Sequence[Box], frame: Box
-) -> tuple[tuple[float, float], Box]:
-    """Offset in pixels of the centre of a name, and its box: near its point, inside the frame, over little.
-
-    It should be no nearer to other points that have names, `rivals` (K, 2), than to its own.
-    """
-
-    def cost(gap: float, box: Box) -> float:
-        covered = sum(overlap(box, other) for other in taken)
-        own, theirs = _distances(box, point[None])[0], _distances(box, rivals).min()
-        near = 4.0 * height * max(own - theirs, 0.0)
-        return gap * height + 4.0 * covered + 1e4 * outside(box, frame) + near
-
-    return cheapest_place(point, width, height, dot * np.array([1.3, 2.5, 4.0, 6.0, 8.5, 12.0]), 24, cost)
-
-
-def _distances(box: Box, points: Array) -> Array:
-    """From a box to points (K, 2), shape (K,)."""
-    return np.linalg.norm(points - np.clip(points, box[:2], box[2:]), axis=1)

@@ -6,15 +6,23 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from manifold.plots.figures import new_figure, shortened
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 _LARGEST_DELTA_E = 10.0  # of the colour scale: far above what anybody takes for the same colour
 
 
 def comparison(
-    display_a: Array, display_b: Array, delta_e: Array, flip: Array, titles: tuple[str, str]
+    display_a: Array,
+    display_b: Array,
+    delta_e: Array,
+    flip: Array,
+    titles: tuple[str, str],
+    within: Mask | None = None,
 ) -> Figure:
-    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W)."""
+    """A figure of two display pictures (H, W, 3) above their CIEDE2000 and FLIP maps (H, W).
+
+    Means are over the pixels `within`, those of a ball: the difference of the materials, whatever surrounds them.
+    """
     height, width = delta_e.shape
     figure = new_figure(8.6, 0.6 + 8.0 * height / width)
     axes = figure.subplots(2, 2)
@@ -22,9 +30,11 @@ def comparison(
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
         axis.set_title(shortened(title), fontsize=10)
     scale = min(_LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
+    where = "picture" if within is None else "ball"
+    means = [float(np.mean(values if within is None else values[within])) for values in (delta_e, flip)]
     maps = (
-        (delta_e, scale, f"CIEDE2000, mean over the picture {delta_e.mean():.2f}"),
-        (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean over the picture {flip.mean():.3f}"),
+        (delta_e, scale, f"CIEDE2000, mean over the {where} {means[0]:.2f}"),
+        (flip, max(0.05, min(1.0, float(flip.max()))), f"FLIP, mean over the {where} {means[1]:.3f}"),
     )
     for axis, (values, largest, title) in zip(axes[1], maps, strict=True):
         shown = axis.imshow(values, cmap="magma", vmin=0.0, vmax=largest, interpolation="nearest")

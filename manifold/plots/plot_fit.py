@@ -10,17 +10,17 @@ from matplotlib.figure import Figure
 
 from manifold.plots.figures import new_figure, shortened
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, draw_slices
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 _LARGEST_DELTA_E = 10.0
 
 
 def fit_picture(
     title: str,
-    balls: tuple[Array, Array],
+    balls: Sequence[Array],
     delta_e: Array,
     flip: Array,
-    inside: Array,
+    inside: Mask,
     sources: Sequence[Source],
 ) -> Figure:
     """The check of a fit.

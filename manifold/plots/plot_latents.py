@@ -12,13 +12,16 @@ from matplotlib.patheffects import withStroke
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import Box, cheapest_place, make_drawable, new_figure, outside, overlap, shortened
+from manifold.plots.figures import new_figure, place_names, shortened
 from manifold.records import Array
 
 _DOT_POINTS = 10.5  # diameter of a material
 MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
-_BALL_RANGE, _BALL_TICKS = (0.5, 16.0), (0.5, 1, 2, 4, 8, 16)  # CIEDE2000; 1 is about the least that is seen
+_BALL_RANGE, _BALL_TICKS = (
+    (0.5, 16.0),
+    (0.5, 1, 2, 4, 8, 16),
+)  # CIEDE2000; 1 is about a just noticeable difference
 _GRID = 120  # background samples per axis
 _MARGIN = 0.18  # of the range of the latents, around them
 
@@ -48,7 +51,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 
 
 def latent_axes(axes: Axes, model: Manifold) -> None:
-    """Title and labels of a map of latents; it says what a map of two dimensions cannot show."""
+    """Title and labels of a map of latents; with the number of dimensions that are not drawn."""
     dims = model.settings.latent_dim
     count = len(model.names)
     synthetic = sum(model.library.attributes(name).is_synthetic for name in model.names)
@@ -119,41 +122,15 @@ def _material_colours(model: Manifold) -> Array:
 
 
 def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:
-    """Names near their points: each where it covers least of points and of names placed before it.
-
-    Names are set from the rim of the map inwards, and a line leads to a point whose name is far.
-    """
+    """Names near their points, set from the rim of the map inwards."""
     figure.draw_without_rendering()  # fixes the layout, so that points have their final pixels
     axes.autoscale(enable=False)
-    frame = axes.get_window_extent()
     pixels = axes.transData.transform(X)
-    dot = 0.7 * _DOT_POINTS * figure.dpi / 72.0
-    taken = [(x - dot, y - dot, x + dot, y + dot) for x, y in pixels]
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    for k in np.argsort(-np.linalg.norm(pixels - pixels.mean(axis=0), axis=1)):
-        text = axes.annotate(
+    labels = [
+        axes.annotate(
             names[k], X[k], xytext=(0, 0), textcoords="offset pixels", fontsize=8, ha="center", va="center",
             path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.8)], zorder=4,
-        )  # fmt: skip
-        make_drawable(text)
-        extent = text.get_window_extent(renderer)
-        offset, box = _best_place(pixels[k], extent.width, extent.height, dot, taken, frame.extents)
-        text.set_position(offset)
-        taken.append(box)
-        near = np.clip(pixels[k], box[:2], box[2:])  # where the leading line meets the name
-        if np.linalg.norm(near - pixels[k]) > 2.0 * dot:
-            end = axes.transData.inverted().transform(near)
-            axes.plot(*np.stack([X[k], end], axis=-1), color="black", linewidth=0.6, zorder=2)
-
-
-def _best_place(
-    point: Array, width: float, height: float, dot: float, taken: list[Box], frame: Box
-) -> tuple[tuple[float, float], Box]:
-    """Offset of a label's centre from its point in pixels, and the box it fills: the cheapest of a few rings."""
-
-    def cost(gap: float, box: Box) -> float:
-        covered = sum(overlap(box, other) for other in taken)
-        return covered + 0.4 * height * gap + 1e3 * outside(box, frame)
-
-    gaps = [dot * (1.2 + 1.5 * ring) for ring in range(6)]
-    return cheapest_place(point, width, height, gaps, 16, cost)
+        )
+        for k in np.argsort(-np.linalg.norm(pixels - pixels.mean(axis=0), axis=1))
+    ]  # fmt: skip
+    place_names(figure, axes, labels, 0.7 * _DOT_POINTS * figure.dpi / 72.0, pixels, zorder=2)

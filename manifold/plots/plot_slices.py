@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
+from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
-from manifold.fitting.fit_samples import EvaluableBRDF
-from manifold.model.diagnostics import Diagnosis
+from manifold.model.diagnostics import Prediction
 from manifold.plots.figures import new_figure, shortened
 from manifold.records import Array
 
@@ -26,7 +26,7 @@ _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
 _DECADES = 5.0  # that a logarithmic axis shows at most
 _BRIGHTEST = 3.0  # white of a Rusinkiewicz image, in times the median cube root
 _IMAGE = 180  # pixels of a Rusinkiewicz image per side
-# Okabe & Ito: told apart by people who see colours differently; line styles tell them apart without colour.
+# Okabe & Ito: distinct for colour-blind readers; line styles distinguish them without colour.
 _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
@@ -38,12 +38,12 @@ class Source:
     Attributes:
         label: in the legend.
         brdf: what is drawn.
-        diagnosis: of a prediction; None of what was measured or fitted.
+        prediction: what is drawn; None for what was measured or fitted.
     """
 
     label: str
     brdf: EvaluableBRDF
-    diagnosis: Diagnosis | None = None
+    prediction: Prediction | None = None
 
 
 def angle_slices(sources: Sequence[Source], wavelengths_nm: Sequence[float] = ()) -> Figure:
@@ -77,6 +77,8 @@ def draw_slices(
                 axes.plot(_ELEVATIONS_DEG, values[:, row], color=colour, linestyle=style, linewidth=1.6)
         grid[0, column].set_title(f"incidence {incidence:g}°", fontsize=11)
         grid[-1, column].set_xlabel("outgoing angle (°)" + ", mirror side positive" * (column == 1))
+    if any(np.isnan(line.get_ydata()).any() for each in grid for axes in each for line in axes.lines):
+        grid[-1, 2].set_xlabel("outgoing angle (°); gaps: not measured")
     for row, name in enumerate(rows):
         _logarithmic(grid[row])
         grid[row, 0].set_ylabel(f"{name}: $f$ (1/sr)")
@@ -91,11 +93,11 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
     """Colour over theta_d (down) and theta_h (right) at phi_d = 90 degrees, the cube root of f, one image each.
 
     All images share one exposure: white is what one in two hundred values below theta_d = 75 degrees exceeds, or thrice
-    their median, so that colours beside highlights are seen.
+    their median, so that colours beside highlights are visible. What was not measured (NaN) is white.
     """
     _require_sources(sources)
     figure = new_figure(3.1 * len(sources) + 0.6, 3.7)
-    # theta_h by squares: highlights fill a strip that can be seen.
+    # theta_h by squares: highlights fill a visible strip.
     across = (np.arange(_IMAGE) + 0.5) / _IMAGE
     theta_h, theta_d = np.meshgrid(0.5 * np.pi * across**2, 0.5 * np.pi * across)
     wi, wo = from_rusinkiewicz(theta_h.ravel(), theta_d.ravel(), np.full(_IMAGE**2, 0.5 * np.pi))
@@ -105,15 +107,19 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
         rgb = np.zeros((_IMAGE**2, 3))
         rgb[above] = np.maximum(to_srgb(source.brdf.eval(wi[above], wo[above]), source.brdf.bands), 0.0)
         images.append(np.cbrt(rgb))
-    seen = above & (theta_d.ravel() < np.deg2rad(75.0))
+    assessed = above & (theta_d.ravel() < np.deg2rad(75.0))
     white = max(
-        min(float(np.percentile(image[seen], 99.5)), _BRIGHTEST * float(np.median(image[seen].max(axis=1))))
+        min(
+            float(np.nanpercentile(image[assessed], 99.5)),
+            _BRIGHTEST * float(np.nanmedian(image[assessed].max(axis=1))),
+        )
         for image in images
     )
     grid = figure.subplots(1, len(sources), sharey=True, squeeze=False)[0]
     ticks = np.array([0.0, 5.0, 20.0, 45.0, 90.0])
     for axes, image, source in zip(grid, images, sources, strict=True):
-        shown = np.where(above[:, None], np.clip(image / max(white, 1e-12), 0.0, 1.0), 1.0)
+        is_known = above & ~np.isnan(image).any(axis=1)
+        shown = np.where(is_known[:, None], np.clip(image / max(white, 1e-12), 0.0, 1.0), 1.0)
         axes.imshow(
             shown.reshape(_IMAGE, _IMAGE, 3), extent=(0, 1, 90, 0), aspect="auto", interpolation="nearest"
         )
@@ -168,7 +174,7 @@ def _channels(brdf: EvaluableBRDF, f: Array, wavelengths_nm: Sequence[float]) ->
     if not wavelengths_nm:
         return to_srgb(f, brdf.bands)
     if brdf.bands.wavelengths_nm is None:
-        raise UsageError("wavelengths of an RGB material, expected none; leave --bands out")
+        raise UsageError("wavelengths of an RGB material, expected none")
     known = np.asarray(brdf.bands.wavelengths_nm)
     outside = [w for w in wavelengths_nm if not known[0] <= w <= known[-1]]
     if outside:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from manifold.experiments.stability.advice_page import FALSE_ALARM, short
+from manifold.experiments.stability.advice_page import FALSE_ALARM, conclusion, short
 from manifold.experiments.stability.trials import FINE, REFUSED, WARNED, WRONG, Mode, Row, Stability
 from manifold.plots.figures import new_figure
 
@@ -29,15 +30,16 @@ def panels(made: Stability, modes: Sequence[Mode]) -> Figure:
     shown = [mode for mode in modes if any(row.mode == mode.key for row in made.rows)]
     columns = min(_COLUMNS, len(shown))
     n_rows = -(-len(shown) // columns)
-    figure = new_figure(max(_PANEL[0] * columns, 7.0), _PANEL[1] * n_rows + 0.9)
+    figure = new_figure(max(_PANEL[0] * columns, 7.0), _PANEL[1] * n_rows + 1.3)
     grid = figure.subplots(n_rows, columns, squeeze=False)
     for axes, mode in zip(grid.flat, shown, strict=False):
         _panel(axes, mode, [row for row in made.rows if row.mode == mode.key])
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
+    figure.suptitle("\n".join(textwrap.wrap(conclusion(made), 28 * max(columns, 2))), fontsize=10.5)
     figure.supylabel("error over its limit", fontsize=11)
     ncols = 6 if columns > 1 else 3
-    figure.legend(handles=_key(made), loc="outside upper center", ncols=ncols, fontsize=10, frameon=False)
+    figure.legend(handles=_key(made), loc="outside lower center", ncols=ncols, fontsize=10, frameon=False)
     return figure
 
 

@@ -1,7 +1,8 @@
 from .backend import Backend, RendererWarning
+from .ball import render_ball, render_material
 from .image_metrics import ciede2000_map, flip_map
 from .images import read_image, tone_map, write_image
-from .render import RenderSettings, render_bsdf, render_material
+from .render import RenderSettings, render_bsdf
 
 __all__ = [
     "Backend",
@@ -10,6 +11,7 @@ __all__ = [
     "ciede2000_map",
     "flip_map",
     "read_image",
+    "render_ball",
     "render_bsdf",
     "render_material",
     "tone_map",

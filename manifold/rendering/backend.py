@@ -1,6 +1,7 @@
-"""Choice of the Mitsuba backend: a working LLVM library, or the scalar variants.
+"""Choice of the Mitsuba backend: the newest libLLVM, or the scalar variants.
 
-Mitsuba's fast variants compile with a libLLVM that Dr.Jit finds on the machine; `libllvm` finds one that works.
+Mitsuba's fast variants compile with a libLLVM, which Dr.Jit loads. Versions 15 and 16 end the process on some
+processors, so the newest of version 17 or later is taken.
 This module (and nothing else) imports Mitsuba and Dr.Jit; others ask `mitsuba()` and `drjit()` for them, and get a
 `RendererError` where Mitsuba is missing.
 
@@ -12,23 +13,31 @@ nothing in another. Neither survives a fork: use spawned processes.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from manifold.errors import RendererError, UsageError
-from manifold.rendering import libllvm
-from manifold.rendering.libllvm import INSTALL, LIBRARY_VARIABLE, WORKS, Probe, mitsuba_version
-from manifold.system import interrupts
 
 RENDERER_VARIABLE = "MANIFOLD_RENDERER"
 """Environment variable that forces a backend: `llvm`, `scalar`, or `auto` (as if it were not set)."""
 
+LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+"""Dr.Jit's environment variable for the libLLVM to use; where it is set, that one is taken."""
+
+_LEAST_VERSION = 17
+INSTALL = f"install libLLVM {_LEAST_VERSION} or newer (Debian: apt install libllvm19)"
+_FOLDERS = (
+    f"{sys.prefix}/lib", "/usr/lib/*-linux-gnu", "/usr/lib64", "/usr/lib", "/usr/lib/llvm*/lib", "/usr/local/lib",
+    "/usr/local/opt/llvm*/lib", "/opt/homebrew/opt/llvm*/lib",
+)  # fmt: skip
 _COLOURS = ("spectral", "rgb", "mono")
 
 
@@ -44,13 +53,11 @@ class Backend:
         kind: `llvm` (vectorised, compiled) or `scalar`.
         library: the libLLVM of an LLVM backend.
         advice: one line on what to install for faster renders, where there is something to say.
-        probes: the libraries that were tried, in that order.
     """
 
     kind: str
     library: Path | None = None
     advice: str | None = None
-    probes: tuple[Probe, ...] = ()
 
     @property
     def is_llvm(self) -> bool:
@@ -64,35 +71,92 @@ class Backend:
             "library": None if self.library is None else str(self.library),
             "advice": self.advice,
             "mitsuba": mitsuba_version(),
-            "probes": [asdict(probe) | {"library": str(probe.library)} for probe in self.probes],
         }
 
 
+def mitsuba_version() -> str:
+    """The version of Mitsuba that is installed, without importing it."""
+    return metadata.version("mitsuba")
+
+
+def find_library() -> Path | None:
+    """The newest libLLVM of version 17 or later, by file names; the one that `DRJIT_LIBLLVM_PATH` names where set."""
+    if named := os.environ.get(LIBRARY_VARIABLE):
+        return Path(named)
+    found = {path: _version(path) for folder in _FOLDERS for path in Path("/").glob(f"{folder[1:]}/libLLVM*")}
+    return max(
+        (path for path in found if found[path] >= _LEAST_VERSION), key=lambda p: found[p], default=None
+    )
+
+
+def _version(path: Path) -> int:
+    """Main version in the name of a library or the place its links lead to; 0 for parts of LLVM and other files."""
+    if not re.fullmatch(r"libLLVM(-\d[\d.]*)?(\.so[\d.]*|\.dylib)", path.name) or not path.is_file():
+        return 0
+    texts = (path.name, str(path.resolve()))
+    return max((int(n) for text in texts for n in re.findall(r"(?i)llvm[^\d/]*/?(\d+)", text)), default=0)
+
+
+@cache
+def choose() -> Backend:
+    """The backend of this process: the newest libLLVM, or the scalar variants.
+
+    Raises:
+        UsageError: `MANIFOLD_RENDERER` is none of its values, or asks for an LLVM that is not there.
+    """
+    wanted = os.environ.get(RENDERER_VARIABLE, "auto")
+    if wanted not in ("auto", "llvm", "scalar"):
+        raise UsageError(f"{RENDERER_VARIABLE} is '{wanted}', expected auto, llvm or scalar")
+    if wanted == "scalar":
+        return Backend("scalar")
+    library = find_library()
+    if library is not None:
+        os.environ[LIBRARY_VARIABLE] = str(library)  # for Dr.Jit, which reads it once, as it is imported
+        return Backend("llvm", library)
+    if wanted == "llvm":
+        raise UsageError(f"{RENDERER_VARIABLE} is llvm, but there is no libLLVM; {INSTALL}")
+    return Backend("scalar", advice=f"rendering slowly, without LLVM; {INSTALL}")
+
+
 def is_available() -> bool:
-    """Whether Mitsuba can be imported; rendering and fitting need it, and nothing else does."""
+    """Whether Mitsuba can be imported; rendering and fitting need it, and nothing else does.
+
+    Raises:
+        UsageError: as `choose`.
+    """
     try:
-        _import_mitsuba()
+        imported()
     except RendererError:
         return False
     return True
 
 
-def _import_mitsuba() -> Any:
-    """Mitsuba, in whatever variant is set. Raises: as `choose`."""
-    choose()
-    return sys.modules["mitsuba"]
-
-
 @cache
-def _require_own_plugins_first(mi: Any) -> None:
-    """Before the current folder, where `plugins/diffuse.so` would be loaded in place of Mitsuba's own."""
+def imported() -> Any:
+    """Mitsuba, in whatever variant is set.
+
+    Raises:
+        UsageError: as `choose`.
+        RendererError: Mitsuba is not installed, or does not load on this machine.
+    """
+    choose()
+    try:
+        import mitsuba
+    except ImportError as error:
+        raise RendererError(
+            f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
+            "it has a wheel for"
+        ) from error
+    # Before the current folder, where `plugins/diffuse.so` would be loaded in place of Mitsuba's own.
+    mi: Any = mitsuba
     mi.file_resolver().prepend(str(Path(mi.__file__).parent))
+    return mi
 
 
 @cache
 def own_plugins() -> frozenset[str]:
     """The names of Mitsuba's own plugins. Raises: RendererError, where Mitsuba is missing."""
-    folder = Path(_import_mitsuba().__file__).parent / "plugins"
+    folder = Path(imported().__file__).parent / "plugins"
     return frozenset(path.name.partition(".")[0] for path in folder.iterdir())
 
 
@@ -115,63 +179,11 @@ def is_registered(name: str) -> bool:
 
 def search_folders() -> list[Path]:
     """The folders in which Mitsuba looks for files: its own, and the current one of its import."""
-    return [Path(str(folder)) for folder in _import_mitsuba().file_resolver()]
+    return [Path(str(folder)) for folder in imported().file_resolver()]
 
 
-_chosen: Backend | None = None
 _process: int | None = None
 _is_advised = False
-
-
-def choose(*, refresh: bool = False) -> Backend:
-    """The backend of this process: the first libLLVM that works, newest first, or the scalar variants.
-
-    Args:
-        refresh: try the libraries again, whatever is remembered of them.
-    Raises:
-        UsageError: `MANIFOLD_RENDERER` is none of its values, or asks for an LLVM that is not there.
-        RendererError: Mitsuba is not installed, or does not load on this machine.
-    """
-    global _chosen
-    try:
-        if _chosen is None or refresh:
-            _chosen = choose_among(libllvm.find_libraries(), libllvm.probe, refresh=refresh)
-            if _chosen.library is not None:  # for Dr.Jit, which reads it once, as it is imported
-                os.environ[LIBRARY_VARIABLE] = str(_chosen.library)
-        import mitsuba
-    except ImportError as error:
-        if interrupts.is_interruption(error):
-            raise KeyboardInterrupt from error
-        raise RendererError(
-            f"rendering and fitting need Mitsuba, which is missing ({error}); pip install mitsuba, on a platform that "
-            "it has a wheel for"
-        ) from error
-    _require_own_plugins_first(mitsuba)
-    return _chosen
-
-
-def choose_among(
-    libraries: Sequence[Path], attempt: Callable[[Path], str], *, refresh: bool = False
-) -> Backend:
-    """The backend for given libraries; `attempt` tries one and returns `WORKS` or what happened.
-
-    Raises: as `choose`.
-    """
-    wanted = os.environ.get(RENDERER_VARIABLE, "auto") or "auto"
-    if wanted not in ("auto", "llvm", "scalar"):
-        raise UsageError(f"{RENDERER_VARIABLE} is '{wanted}', expected auto, llvm or scalar")
-    if wanted == "scalar":
-        return Backend("scalar", advice=None)
-    probes: list[Probe] = []
-    for library in libraries:
-        probes.append(libllvm.cached_probe(library, attempt, refresh=refresh))
-        if probes[-1].outcome == WORKS:
-            return Backend("llvm", library, probes=tuple(probes))
-    found = "; ".join(f"{p.library.name} {p.outcome}" for p in probes) or "no libLLVM"
-    if wanted == "llvm":
-        raise UsageError(f"{RENDERER_VARIABLE} is llvm, but found {found}; {INSTALL}")
-    advice = f"rendering slowly, without LLVM (found {found}); {INSTALL}"
-    return Backend("scalar", advice=advice, probes=tuple(probes))
 
 
 def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
@@ -191,7 +203,7 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
     if backend.advice is not None and not _is_advised:
         _is_advised = True
         warnings.warn(backend.advice, RendererWarning, stacklevel=2)
-    mi = _import_mitsuba()
+    mi = imported()
     variant = f"{'llvm_ad' if backend.is_llvm else 'scalar'}_{colour}"
     if variant not in mi.variants():
         raise UsageError(f"this Mitsuba has no variant {variant}, expected one of {', '.join(mi.variants())}")
@@ -200,9 +212,11 @@ def mitsuba(colour: str = "spectral", backend: Backend | None = None) -> Any:
         try:
             mi.set_variant(variant)
         except ImportError as error:
+            if not backend.is_llvm:
+                raise
             raise RendererError(
-                f"Dr.Jit was imported while {LIBRARY_VARIABLE} named no libLLVM that works; set it to "
-                f"{backend.library} before, or leave it unset"
+                f"Dr.Jit cannot use {backend.library} ({str(error).strip().splitlines()[-1]}); name another libLLVM by "
+                f"{LIBRARY_VARIABLE}, or set {RENDERER_VARIABLE}=scalar"
             ) from error
     return mi
 
@@ -232,7 +246,7 @@ def variant_kept() -> Iterator[None]:
 
 def mitsuba_of_any_variant() -> Any:
     """Mitsuba for what is alike in all variants, such as image files: with the variant that is set, or `scalar_rgb`."""
-    mi = _import_mitsuba()
+    mi = imported()
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
     return mi
@@ -254,7 +268,7 @@ def on_variant(callback: Callable[[str], None]) -> None:
     """Call back with the variant that is set, if any, and with every one that is set later; never without Mitsuba."""
     if not is_available():
         return
-    mi = _import_mitsuba()
+    mi = imported()
     current = mi.variant()
     if current is not None:
         callback(current)
@@ -263,7 +277,7 @@ def on_variant(callback: Callable[[str], None]) -> None:
 
 def drjit() -> Any:
     """Dr.Jit, for arrays of the variant that `mitsuba` has set."""
-    choose()
+    imported()
     import drjit as dr
 
     return dr

@@ -112,7 +112,7 @@ def _from_opponent(opponent: Array) -> Array:
 
 
 def _filtered(opponent: Array, pixels_per_degree: float) -> Array:
-    """Linear sRGB in [0, 1] of what contrast sensitivity leaves of a picture."""
+    """A picture in linear sRGB in [0, 1], filtered by contrast sensitivity."""
     widest = max(b for channel in _SENSITIVITY for _a, b in channel)
     radius = int(np.ceil(3.0 * np.sqrt(widest / (2.0 * np.pi**2)) * pixels_per_degree))
     x2 = (np.arange(-radius, radius + 1) / pixels_per_degree) ** 2
@@ -133,7 +133,7 @@ def _filtered(opponent: Array, pixels_per_degree: float) -> Array:
 
 
 def _uniform(linear: Array) -> Array:
-    """CIELAB of linear sRGB (..., 3), colours weighted by lightness as Hunt's effect has it."""
+    """CIELAB of linear sRGB (..., 3), colours weighted by lightness as by the Hunt effect."""
     lab = to_lab(srgb_to_xyz(linear), srgb_to_xyz(_WHITE))
     return np.concatenate([lab[..., :1], 0.01 * lab[..., :1] * lab[..., 1:]], axis=-1)
 
@@ -151,14 +151,15 @@ def _feature_difference(a: Array, b: Array, pixels_per_degree: float) -> Array:
     """Section 4.2: how much edges and points of two achromatic channels differ."""
     sigma = 0.5 * _FEATURE_WIDTH_DEG * pixels_per_degree
     radius = int(np.ceil(3.0 * sigma))
-    x = np.arange(-radius, radius + 1)
+    x = np.arange(-radius, radius + 1.0)
     gaussian = np.exp(-(x**2) / (2.0 * sigma**2))
     edge, point = -x * gaussian, (x**2 / sigma**2 - 1.0) * gaussian
     differences = []
     for profile in (edge, point):
         in_a, in_b = (_strength((picture + 16.0) / 116.0, profile, gaussian) for picture in (a, b))
         differences.append(np.abs(in_a - in_b))
-    return (np.maximum(*differences) / np.sqrt(2.0)) ** _FEATURE_EXPONENT
+    largest: Array = np.maximum(*differences)
+    return np.asarray((largest / np.sqrt(2.0)) ** _FEATURE_EXPONENT)
 
 
 def _strength(picture: Array, profile: Array, gaussian: Array) -> Array:
@@ -172,7 +173,8 @@ def _strength(picture: Array, profile: Array, gaussian: Array) -> Array:
 
 
 def _blur(picture: Array, down: Array, across: Array) -> Array:
-    """Correlation with one profile per axis; the picture goes on as it ends."""
+    """Correlation with one profile per axis; edge pixels are repeated."""
     from scipy.ndimage import correlate1d  # which pictures that are not compared do without
 
-    return correlate1d(correlate1d(picture, down, axis=0, mode="nearest"), across, axis=1, mode="nearest")
+    blurred: Array = correlate1d(picture, down, axis=0, mode="nearest")
+    return np.asarray(correlate1d(blurred, across, axis=1, mode="nearest"))

@@ -1,7 +1,7 @@
 """Plugin names allowed in documents of other origin.
 
 Mitsuba makes `plugins/TYPE.so` of a type and loads that library from wherever its file resolver finds it, the current
-folder included. So types must be plain words that mean Mitsuba's own plugins, which are found first
+folder included. So types must be plain words that name Mitsuba's own plugins, which are found first
 (`manifold.rendering.backend`), or plugins that this process has registered from Python.
 """
 

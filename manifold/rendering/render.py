@@ -1,8 +1,8 @@
 """Renders of the material ball in Mitsuba; importing this module registers the BSDF plugin `manifold`.
 
-Spectral scenes are seen by a colorimetric film: its three channels weigh the light that arrives by colour-science's
-matching functions and by the illuminant, which the scene itself need not know. So one scene serves all illuminants,
-and the spikes of fluorescent lamps are sampled where they are. White is adapted to that of sRGB, as the eye does.
+Spectral scenes are rendered with a colorimetric film: its three channels weigh the light that arrives by
+colour-science's matching functions and by the illuminant, which the scene does not contain. So one scene serves all
+illuminants, and the spikes of fluorescent lamps are sampled. White is adapted to that of sRGB, as the eye does.
 """
 
 from __future__ import annotations
@@ -13,17 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, require_brdf
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
-from manifold.io_rgl import write_bsdf
-from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array, BsdfFile, Progress
+from manifold.records import Array, Progress
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin.bsdf import register_always
-from manifold.system import temporary
 from manifold.system.stages import with_progress
 
 LARGEST_SIZE = 8192
@@ -89,26 +84,6 @@ def render_bsdf(
     scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
     xyz = render_scene(mi, scene, settings, on_progress)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
-
-
-def render_material(
-    material: BRDF | BsdfFile,
-    settings: RenderSettings = RenderSettings(),
-    on_progress: Progress | None = None,
-) -> Array:
-    """Render the ball of a material through a temporary file; a BRDF is measured first, clipped at 0.
-
-    Returns and raises: as `render_bsdf`.
-    """
-    if not isinstance(material, BsdfFile):
-        require_brdf(material, "what is rendered")
-        version = (1, 0) if material.bands.is_rgb else (3, 1)
-        material = goniometer.measure(ClippedBRDF(material), "material", version=version)
-    with temporary.folder() as folder:
-        path = folder / "material.bsdf"
-        write_bsdf(path, material)
-        bsdf = {"type": "measured", "filename": str(path)}
-        return render_bsdf(bsdf, material.bands.is_rgb, settings, on_progress)
 
 
 def require_d65(illuminant: Illuminant) -> None:
@@ -181,7 +156,7 @@ def _environment_spectrum(mi: Any, wavelengths_nm: Array) -> Array:
     if mi.variant().startswith("llvm"):  # all at once: a kernel is compiled for every wavelength otherwise
         many = backend.drjit().zeros(mi.SurfaceInteraction3f, len(wavelengths_nm))
         many.wavelengths = mi.Spectrum(mi.Float(wavelengths_nm.astype(np.float32)))
-        return np.array(light.eval(many), dtype=np.float64)[0]
+        return np.array(light.eval(many)[0], dtype=np.float64)
     interaction = mi.SurfaceInteraction3f()
     values = np.empty(len(wavelengths_nm))
     for k, wavelength in enumerate(wavelengths_nm):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from manifold.colour.studio import FLOOR_REFLECTANCE, studio
-from manifold.records import Array
+from manifold.records import Array, Mask
 
 PEDESTAL_REFLECTANCE = 0.42
 BALL_CENTRE = (0.0, 0.0, 1.16)
@@ -130,7 +130,7 @@ def _mesh(mi: Any, vertices: Array, triangles: Array, bsdf: Mapping[str, Any]) -
     return mesh
 
 
-def ball_interior(size: int, margin: float = 0.0) -> Array:
+def ball_interior(size: int, margin: float = 0.0) -> Mask:
     """Pixels of a square picture that show the ball, bool, shape (size, size).
 
     Args:
@@ -147,4 +147,4 @@ def ball_interior(size: int, margin: float = 0.0) -> Array:
     rays = forward + t[None, :, None] * right + t[:, None, None] * down
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     along = rays @ centre
-    return centre @ centre - along**2 < (1.0 - margin) ** 2
+    return np.asarray(centre @ centre - along**2 < (1.0 - margin) ** 2)

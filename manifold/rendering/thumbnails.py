@@ -10,19 +10,20 @@ from manifold.brdf.measured import BRDF
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile, Progress
 from manifold.rendering import scenes
+from manifold.rendering.ball import render_material
 from manifold.rendering.images import tone_map
-from manifold.rendering.render import RenderSettings, render_material
+from manifold.rendering.render import RenderSettings
 from manifold.system.stages import with_progress
 
 SIZE, SAMPLES = 96, 64
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
-_LOOK = "thumbnail-1"  # raise where scene, size or tone mapping change
+_VERSION = "thumbnail-1"  # raise where scene, size or tone mapping change
 
 
 def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[Array]:
-    """Every measured material of a model as a ball, RGBA in [0, 1], (SIZE, SIZE, 4); remembered by the library."""
+    """Every measured material of a model as a ball, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
     key = hashlib.sha256(
-        f"{_LOOK} {model.library.content_hash} {SIZE} {SAMPLES} {model.names}".encode()
+        f"{_VERSION} {model.library.content_hash} {SIZE} {SAMPLES} {model.names}".encode()
     ).hexdigest()
     cached = model.library.cache_get(key)
     if cached is not None:

@@ -1,4 +1,4 @@
-"""Files and processes: atomic writing, temporary folders, bounded reads, threads."""
+"""Files, threads, progress, and the words of messages."""
 
 import lazy_loader
 

@@ -1,3 +1,3 @@
-from . import atomic, parallel, small_files, temporary
+from . import atomic, caching, names, parallel, reading, stages
 
-__all__ = ["atomic", "parallel", "small_files", "temporary"]
+__all__ = ["atomic", "caching", "names", "parallel", "reading", "stages"]

@@ -1,10 +1,10 @@
-"""Names that a user may have meant, and names in files of other programs."""
+"""Words of messages: similar names, names on one line, lists, counts."""
 
 from __future__ import annotations
 
 import difflib
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _SHOWN = 5
 
@@ -23,15 +23,48 @@ def names_like(names: Iterable[str], name: str, among: str = "it holds") -> str:
     near = within or [k for match in dict.fromkeys(close) for k in known if k.lower() == match]
     if near:
         return f"did you mean {', '.join(near[:_SHOWN])}?"
-    more = len(known) - _SHOWN
-    return f"{among} {', '.join(known[:_SHOWN])}" + f" and {more} more" * (more > 0)
+    return f"{among} {first_few(known)}"
+
+
+def first_few(words: Sequence[str], most: int = _SHOWN, between: str = ", ", hint: str = "") -> str:
+    """The first few of what may be many, and how many more.
+
+    Args:
+        words: all of them.
+        most: how many are shown.
+        between: stands between two.
+        hint: stands after the number of those that are left out.
+    """
+    more = len(words) - most
+    return between.join(words[:most]) + (f"{between.rstrip(', ')} and {more} more{hint}" if more > 0 else "")
+
+
+def printable(text: str, limit: int | None = None, *, keep: str = "") -> str:
+    """A text on one line: what does not print as an escape, the end of a long text left out.
+
+    Args:
+        text: any, such as the name of a file.
+        limit: the most characters, or None.
+        keep: characters that stay as they are, such as line breaks.
+    """
+    shown = text if limit is None else text[: limit + 1]
+    shown = "".join(
+        c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else ascii(c)[1:-1]
+        for c in shown
+    )
+    return shown if limit is None or len(shown) <= limit else f"{shown[: limit - 3]}..."
 
 
 def without_controls(text: str) -> str:
-    """Question marks for control characters but line breaks: readers of files obey or refuse them."""
+    """Question marks for control characters but line breaks, for files whose readers obey or refuse them."""
     return "".join("?" if c != "\n" and unicodedata.category(c) == "Cc" else c for c in text)
 
 
 def in_one_line(name: str) -> str:
     """A name for a line of a text file."""
     return without_controls(" ".join(name.split()))
+
+
+def counted(count: int, what: str) -> str:
+    """How many there are: `1 material`, `2 materials`."""
+    return f"{count} {what}{'s' * (count != 1)}"

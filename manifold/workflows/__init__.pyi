@@ -1,9 +1,7 @@
 from . import (
     ball_pictures,
     budgets,
-    charts,
     demo,
-    failures,
     fit_pictures,
     fits,
     inspection,
@@ -11,19 +9,20 @@ from . import (
     pipeline,
     renders,
 )
-from .renders import render_ball
+from .prediction import predict
+from .reconstruction import locate, reconstruct
 
 __all__ = [
     "ball_pictures",
     "budgets",
-    "charts",
     "demo",
-    "failures",
     "fit_pictures",
     "fits",
     "inspection",
+    "locate",
     "pictures",
     "pipeline",
-    "render_ball",
+    "predict",
+    "reconstruct",
     "renders",
 ]

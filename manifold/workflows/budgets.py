@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from manifold.errors import UsageError
-from manifold.experiments.budget import example_scenes, output_folder, representations, scene_survey, search
-from manifold.experiments.budget.output_folder import OutputFolder
+from manifold.errors import MissingFileError, UsageError
+from manifold.experiments.budget import example_scenes, representations, scene_survey, search
 from manifold.experiments.budget.pictures import Pictures
 from manifold.experiments.budget.representations import Candidate
 from manifold.experiments.budget.scene_document import SceneDocument, SceneMaterial
 from manifold.experiments.budget.scene_survey import MaterialLighting
 from manifold.experiments.budget.search import Difference, Tolerance
 from manifold.io_rgl import material_name, read_bsdf
-from manifold.model import predicted_file
+from manifold.library.location import require_outside_libraries
 from manifold.model.colours import ColourChoice
+from manifold.model.output_file import OutputOptions
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
-from manifold.records import Array, Progress
+from manifold.records import Progress
 from manifold.rendering import backend, image_metrics, render
-from manifold.system import temporary
+from manifold.system import atomic
+from manifold.workflows import prediction
+from manifold.workflows.output_index import make_folder
 
 
 @dataclass(frozen=True)
@@ -47,40 +51,63 @@ class BudgetSettings:
 _TOLERANCE, _SETTINGS = Tolerance(), BudgetSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Chosen:
     """The answer for one material.
 
     Attributes:
         material: its name.
-        representation: in words.
+        candidate: what represents it.
+        full_size: bytes of the whole file.
         reason: why nothing cheaper.
         lighting: where and by what light the scene shows it.
-        size, full_size: bytes of the answer, and of the whole file.
-        numbers: how many describe it, where there is no file.
         milliseconds: for a million evaluations.
-        predicted: CIEDE2000 by direct light.
         verified: difference of the renders, all materials exchanged.
         noise: difference of two renders of the reference with different seeds.
         asset: file that was written.
-        bsdf: dictionary of Mitsuba.
-        candidates: all of them: name, size, predicted, and where rendered alone, verified.
+        candidates: all of them, cheapest first.
+        alone: differences of those that were rendered alone, by name.
     """
 
     material: str
-    representation: str
+    candidate: Candidate
+    full_size: int
     reason: str
     lighting: str
-    size: int
-    full_size: int
-    numbers: int | None
     milliseconds: float
-    predicted: float
     verified: Difference
     noise: Difference
-    asset: Path | None
-    bsdf: Mapping[str, Any]
-    candidates: tuple[Mapping[str, Any], ...]
+    candidates: tuple[Candidate, ...]
+    alone: Mapping[str, Difference]
+    asset: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; a file that was not written has no name."""
+        one, bsdf = self.candidate, dict(self.candidate.bsdf)
+        if "filename" in bsdf:
+            bsdf["filename"] = _path_text(self.asset)
+        return {
+            "material": self.material,
+            "representation": one.name,
+            "reason": self.reason,
+            "lighting": self.lighting,
+            "size": one.size,
+            "full_size": self.full_size,
+            "numbers": one.numbers,
+            "milliseconds": self.milliseconds,
+            "predicted": one.predicted,
+            "verified": asdict(self.verified),
+            "noise": asdict(self.noise),
+            "asset": _path_text(self.asset),
+            "bsdf": bsdf,
+            "candidates": [
+                {
+                    "name": c.name, "bytes": c.size, "predicted": c.predicted,
+                    "verified": asdict(self.alone[c.name]) if c.name in self.alone else None,
+                }
+                for c in self.candidates
+            ],
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,7 +137,7 @@ class Budget:
     @property
     def size(self) -> int:
         """Bytes of all materials, those that stay among them."""
-        return sum(one.size for one in self.chosen) + sum(size for _, size in self.unseen)
+        return sum(one.candidate.size for one in self.chosen) + sum(size for _, size in self.unseen)
 
     @property
     def full_size(self) -> int:
@@ -119,9 +146,6 @@ class Budget:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        materials = [
-            asdict(one) | {"asset": _path_text(one.asset), "bsdf": dict(one.bsdf)} for one in self.chosen
-        ]
         return {
             "scene": self.scene,
             "tolerance": asdict(self.tolerance),
@@ -129,7 +153,7 @@ class Budget:
             "backend": self.backend,
             "bytes": self.size,
             "full_bytes": self.full_size,
-            "materials": materials,
+            "materials": [one.to_json() for one in self.chosen],
             "unseen": [{"material": name, "bytes": size} for name, size in self.unseen],
             "notes": list(self.notes),
             "output": _path_text(self.output),
@@ -145,7 +169,8 @@ def example(
     output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
     """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
-    with temporary.folder() as folder:
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         scene = example_scenes.write(name, folder)
         return budget_scene(scene, tolerance, settings, output, on_progress, picture)
 
@@ -169,57 +194,67 @@ def budget_scene(
         on_progress: called with (done, total, what).
         picture: also draw both renders, and what every representation costs.
     Raises:
-        UsageError: see `SceneDocument`, `scene_survey.survey`, `budget.search` and `OutputFolder`; or bands are mixed.
+        UsageError: see `SceneDocument`, `scene_survey.survey` and `search`; or bands are mixed, the output lies in a
+            library, or would replace a file of the scene.
         FileFormatError: the scene or a measured file is damaged.
     """
     document = SceneDocument.read(scene)
     if picture is not None:
         figures.require_writable(picture)
     if output is not None:
-        output_folder.require_makeable(output)
-        read = [document.origin, *(m.properties.get("filename", "") for m in document.materials)]
-        output_folder.require_apart(output, read)
+        require_outside_libraries(output, into=True)
     step = on_progress or (lambda _done, _total, _what: None)
-    with temporary.folder() as folder, backend.only_errors():
+    with TemporaryDirectory() as temporary, backend.only_errors():
+        folder = Path(temporary)
         step(0, 4, "reading")
-        files = {}
-        for k, material in enumerate(document.materials):
-            (folder / f"predicted_{k}").mkdir()
-            files[material.key] = _measured_file(material, folder / f"predicted_{k}")
+        files = {
+            m.key: _measured_file(m, folder / f"predicted_{k}") for k, m in enumerate(document.materials)
+        }
         is_rgb = _common_kind(files)
-        names = output_folder.asset_names(files, is_rgb)
-        target = None
-        if output is not None:
-            scene_name = f"{Path(document.origin).stem.replace(' ', '_')}{document.suffix}"
-            target = OutputFolder(output, scene_name, names.values())
+        target = None if output is None else output / f"{Path(document.origin).stem.replace(' ', '_')}.xml"
+        names = _asset_names(files, is_rgb)
+        if target is not None:
+            _require_no_inputs(target, names.values(), [Path(document.origin), *files.values()])
+            make_folder(target.parent, "the scene")
         step(1, 4, "analysing the scene")
         survey = scene_survey.survey(document, files, is_rgb, settings.size)
         step(2, 4, "representations")
-        candidates = {}
-        for k, (key, lighting) in enumerate(survey.lighting.items()):
-            (folder / str(k)).mkdir()
-            candidates[key] = representations.candidates(files[key], lighting, survey, folder / str(k))
+        candidates = {
+            key: representations.candidates(files[key], lighting, survey, folder / str(k))
+            for k, (key, lighting) in enumerate(survey.lighting.items())
+        }
         step(3, 4, "rendering")
         times = cache(lambda candidate: representations.milliseconds(candidate.bsdf, is_rgb))
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         unseen = tuple(
             (material_name(path), path.stat().st_size) for key, path in files.items() if key not in candidates
         )
-        others = sum(size for _, size in unseen)
-        answer = search.search(candidates, tolerance, pictures.differences, times, others)
+        answer = search.search(
+            candidates, tolerance, pictures.differences, times, sum(size for _, size in unseen)
+        )
         noise = pictures.noise()
+        assets = {} if target is None else _write(document, target, names, answer.choice)
         chosen = tuple(
-            _chosen(
-                material_name(files[key]), survey.lighting[key], candidates[key], answer, key, noise, times
+            Chosen(
+                material=material_name(files[key]),
+                candidate=one,
+                full_size=next(c.size for c in candidates[key] if c.is_full),
+                reason=_reason(candidates[key][: candidates[key].index(one)], answer.alone[key]),
+                lighting=_lighting_in_words(survey.lighting[key]),
+                milliseconds=times(one),
+                verified=answer.together[key],
+                noise=noise[key],
+                candidates=tuple(candidates[key]),
+                alone=answer.alone[key],
+                asset=assets.get(key),
             )
-            for key in candidates
+            for key, one in answer.choice.items()
         )
         if picture is not None:
-            _draw(picture, pictures.beside(answer.choice), chosen, tolerance)
-        assets: dict[str, Path] = {}
-        if target is not None:
-            assets = _write(document, target, names, dict(zip(candidates, chosen, strict=True)))
-        chosen = tuple(_with_asset(one, assets.get(key)) for key, one in zip(candidates, chosen, strict=True))
+            both = pictures.beside(answer.choice)
+            shown = [one.to_json() for one in chosen]
+            delta_e = image_metrics.ciede2000_map(*both)
+            figures.save(budget_figure(*both, delta_e, shown, tolerance.delta_e), picture)
     step(4, 4, "done")
     return Budget(
         scene=document.origin,
@@ -227,16 +262,10 @@ def budget_scene(
         chosen=chosen,
         unseen=unseen,
         notes=_notes(chosen, tolerance, [name for name, _ in unseen]),
-        output=None if target is None else target.scene,
+        output=target,
         backend=backend.choose().kind,
         settings=settings,
     )
-
-
-def _draw(path: Path, both: tuple[Array, Array], chosen: tuple[Chosen, ...], tolerance: Tolerance) -> None:
-    delta_e = image_metrics.ciede2000_map(*both)
-    figure = budget_figure(*both, delta_e, [vars(one) for one in chosen], tolerance.delta_e)
-    figures.save(figure, path)
 
 
 def _measured_file(material: SceneMaterial, folder: Path) -> Path:
@@ -245,7 +274,7 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
     if material.kind == "measured":
         path = Path(properties.get("filename", ""))
         if not path.is_file():
-            raise UsageError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
+            raise MissingFileError(f"{path}: no such file; a BSDF of the type measured in the scene names it")
         return path
     if "model" not in properties or "latent" not in properties:
         raise UsageError("a manifold BSDF in the scene has no model or no latent; give both")
@@ -255,13 +284,19 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
         raise UsageError(
             f"a manifold BSDF has the latent '{properties['latent']}', expected numbers like '-0.3,1.2'"
         ) from None
+    folder.mkdir()
     path = folder / f"predicted_{'_'.join(f'{v:g}' for v in latent)}.bsdf"
     reflectance, library = (
         Path(properties[n]) if n in properties else None for n in ("reflectance", "library")
     )
     colour = ColourChoice(properties.get("like"), reflectance, properties.get("srgb"))
-    predicted_file.predict(
-        Path(properties["model"]), latent, path, library=library, colour=colour, force=True
+    prediction.predict(
+        Path(properties["model"]),
+        latent,
+        path,
+        library=library,
+        colour=colour,
+        options=OutputOptions(force=True),
     )
     return path
 
@@ -276,37 +311,6 @@ def _common_kind(files: Mapping[str, Path]) -> bool:
 
 
 # -- the answer -----------------------------------------------------------------------------------------------
-
-
-def _chosen(
-    name: str, lighting: MaterialLighting, candidates: list[Candidate], answer: search.Answer, key: str,
-    noise: Mapping[str, Difference], times: Callable[[Candidate], float],
-) -> Chosen:  # fmt: skip
-    candidate, alone = answer.choice[key], answer.alone[key]
-    return Chosen(
-        material=name,
-        representation=candidate.name,
-        reason=_reason(candidates[: candidates.index(candidate)], alone),
-        lighting=_lighting_in_words(lighting),
-        size=candidate.size,
-        full_size=next(c.size for c in candidates if c.is_full),
-        numbers=candidate.numbers,
-        milliseconds=times(candidate),
-        predicted=candidate.predicted,
-        verified=answer.together[key],
-        noise=noise[key],
-        asset=candidate.path,
-        bsdf=candidate.bsdf,
-        candidates=tuple(
-            {
-                "name": one.name,
-                "bytes": one.size,
-                "predicted": one.predicted,
-                "verified": asdict(alone[one.name]) if one.name in alone else None,
-            }
-            for one in candidates
-        ),
-    )
 
 
 def _reason(cheaper: list[Candidate], alone: Mapping[str, Difference]) -> str:
@@ -337,31 +341,41 @@ def _notes(chosen: tuple[Chosen, ...], tolerance: Tolerance, hidden: list[str]) 
     loudest = max(one.noise.rendered for one in chosen)
     if loudest > 2.0 * tolerance.delta_e:
         notes.append(
-            f"the difference due to noise is {loudest:.2f}, far above the tolerance; use more --samples"
+            f"the difference due to noise is {loudest:.2f}, far above the tolerance; use more samples"
         )
     return tuple(notes)
 
 
-def _with_asset(one: Chosen, asset: Path | None) -> Chosen:
-    bsdf = dict(one.bsdf)
-    if asset is not None:
-        bsdf["filename"] = str(asset)
-    elif "filename" in bsdf:
-        bsdf["filename"] = None  # of a temporary file
-    return replace(one, asset=asset, bsdf=bsdf)
+def _asset_names(files: Mapping[str, Path], is_rgb: bool) -> dict[str, str]:
+    """Unique file name of each material in the output folder, by key."""
+    kind = "rgb" if is_rgb else "spec"
+    names: dict[str, str] = {}
+    for key, path in files.items():
+        base, k = material_name(path), 2
+        while f"{base}_{kind}.bsdf" in names.values():
+            base, k = f"{material_name(path)}_{k}", k + 1
+        names[key] = f"{base}_{kind}.bsdf"
+    return names
+
+
+def _require_no_inputs(target: Path, names: Iterable[str], inputs: Sequence[Path]) -> None:
+    """Raise UsageError where the scene or a file beside it would replace a file that is read."""
+    read = {path.resolve() for path in inputs}
+    for path in (target, *(target.parent / name for name in names)):
+        if path.resolve() in read:
+            raise UsageError(f"{path}: is read by this command and would be replaced; name another folder")
 
 
 def _write(
-    document: SceneDocument, target: OutputFolder, names: Mapping[str, str], chosen: Mapping[str, Chosen]
+    document: SceneDocument, target: Path, names: Mapping[str, str], choice: Mapping[str, Candidate]
 ) -> dict[str, Path]:
-    """Copy the chosen files and write a scene that uses them; the files that were written, by key."""
-    bsdfs = {key: one.bsdf for key, one in chosen.items()}
-    sources = {key: one.asset for key, one in chosen.items() if one.asset is not None}
-    target.prepare(names[key] for key in sources)
-    assets = {}
-    for key, source in sources.items():
-        assets[key] = target.copy(source, names[key])
-        filename = names[key] if document.suffix == ".xml" else str(assets[key].absolute())
-        bsdfs[key] = {"type": "measured", "filename": filename}
-    document.write(target.scene, bsdfs)
+    """Copy the chosen files beside a scene that uses them; the files that were written, by key."""
+    bsdfs, assets = {key: one.bsdf for key, one in choice.items()}, {}
+    for key, one in choice.items():
+        if one.path is not None:
+            assets[key] = target.parent / names[key]
+            with atomic.replacing(assets[key]) as partial:
+                shutil.copyfile(one.path, partial)
+            bsdfs[key] = {"type": "measured", "filename": names[key]}
+    document.write(target, bsdfs)
     return assets

@@ -12,27 +12,25 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
-from manifold.brdf.gloss import gloss_meter
 from manifold.brdf.plausibility import Plausibility
-from manifold.colour.correction import ColourCorrection
+from manifold.colour.correction import ColourCorrection, read_correction, write_correction
+from manifold.completion.atoms import LibraryAtoms
+from manifold.completion.attributes import readings_of_colour
+from manifold.completion.complete import Completion, complete
+from manifold.completion.expected import calibrate
+from manifold.completion.instruments import correct_colours, learn_across, merge
+from manifold.completion.suggest import Suggested, directions_left, suggest
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import registry
-from manifold.formats.readings import Readings
+from manifold.formats.readings import Readings, gloss_fault
 from manifold.library.store import Library
 from manifold.model import diagnostics
-from manifold.model.checked_file import require_bsdf_output, write_checked
-from manifold.model.completion.complete import Completion, complete
-from manifold.model.completion.correction_file import read_correction, write_correction
-from manifold.model.completion.expected import calibrate
-from manifold.model.completion.hybrid import Hybrid, combine, corrected, learn_across
-from manifold.model.completion.samples import LibrarySamples
-from manifold.model.completion.suggest import Suggested, directions_left, suggest
-from manifold.model.prediction import ClippedBRDF
-from manifold.records import Progress
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
+from manifold.records import Array, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
-from manifold.workflows import renders
+from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MOST_READINGS = 2000
 _ENOUGH_SAMPLES = 6  # of a colour correction; see docs/design/completion.md
@@ -47,8 +45,8 @@ class Completed:
     Attributes:
         path: the written file.
         picture: of its ball; None where none was asked for.
-        found: the completion.
-        hybrid: what was read, and how instruments were put together.
+        completion: before it was written.
+        correction: of a second instrument's colours, learned from its readings; None where there was none to learn.
         expected: expected errors: ball CIEDE2000, cube-root and linear error.
         plausibility: of the written file, read back.
         suggested: the next readings to take; None where none were asked for.
@@ -58,8 +56,8 @@ class Completed:
 
     path: Path
     picture: Path | None
-    found: Completion
-    hybrid: Hybrid
+    completion: Completion
+    correction: ColourCorrection | None
     expected: dict[str, float]
     plausibility: Plausibility
     suggested: Suggested | None
@@ -68,23 +66,23 @@ class Completed:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        found = self.found
+        made = self.completion
         return {
             "path": str(self.path),
             "picture": None if self.picture is None else str(self.picture),
-            "sample": found.readings.name,
-            "instrument": found.readings.instrument,
-            "readings": len(found.readings),
-            "misfits": found.misfits.tolist(),
+            "sample": made.readings.name,
+            "instrument": made.readings.instrument,
+            "readings": len(made.readings),
+            "misfits": made.misfits.tolist(),
             "gloss": {
-                f"{angle:g}": {"read": units, "completed": found.gloss[angle]}
-                for angle, units in found.readings.gloss.items()
+                f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
+                for angle, units in made.readings.gloss.items()
             },
-            "made_of": dict(found.made_of),
-            "alternatives": [vars(a) for a in found.alternatives],
+            "made_of": dict(made.made_of),
+            "alternatives": [vars(a) for a in made.alternatives],
             "expected": self.expected,
-            "uncertainty": uncertainty(found),
-            "correction": None if self.hybrid.correction is None else self.hybrid.correction.to_json(),
+            "uncertainty": uncertainty(made),
+            "correction": None if self.correction is None else self.correction.to_json(),
             "plausibility": vars(self.plausibility),
             "suggested_deg": None if self.suggested is None else self.suggested.angles_deg.tolist(),
             "diagnostics": list(self.diagnostics),
@@ -93,32 +91,28 @@ class Completed:
 
 
 def complete_readings(
-    hybrid: Hybrid,
+    readings: Readings,
     library: Path,
     output: Path,
     *,
+    correction: ColourCorrection | None = None,
     picture: Path | None = None,
     count: int = 0,
     instrument: str | None = None,
-    physical: bool = False,
-    force: bool = False,
-    resolution: int = 32,
-    n_theta_i: int = 8,
+    options: OutputOptions = DEFAULT_OPTIONS,
     on_progress: Progress | None = None,
 ) -> Completed:
     """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
 
     Args:
-        hybrid: the readings, as `read` gives them.
+        readings: of the sample.
         library: of measured materials.
         output: the file to write; its name becomes the material's.
+        correction: what `read` learned, to be reported.
         picture: of the ball, to render.
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
-        physical: project the file to non-negative, reciprocal within 5 %, and albedo at most 1.
-        force: also write a file whose albedo exceeds 1.05.
-        resolution: nodes per axis of the outgoing grid; with `physical`, at least.
-        n_theta_i: incident elevations; with `physical`, at least.
+        options: of the file.
         on_progress: called with how much is done.
     Raises:
         BandMismatchError: bands of readings and library do not go together.
@@ -126,37 +120,37 @@ def complete_readings(
     """
     start = time.perf_counter()
     if count:
-        directions_left(count, hybrid.readings, instrument)
-    require_bsdf_output(output, "completed materials")
+        directions_left(count, readings, instrument)
+    require_bsdf_output(output)
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
     stages = Stages(on_progress, shares)
-    samples = LibrarySamples.of_library(Library.open(library), stages.begin("reading materials"))
+    opened = Library(library)
+    atoms = LibraryAtoms.of_library(opened, stages.begin("reading materials"))
     stages.begin("completing")
-    found = complete(samples, hybrid.readings)
+    made = complete(atoms, readings)
     stages.begin("expected error")
-    calibration = calibrate(samples, found.readings)
-    expected = calibration.expected(found)
-    suggested = suggest(samples, count, found, instrument) if count else None
+    calibration = calibrate(atoms, made.readings, opened)
+    suggested = suggest(atoms, count, made, instrument) if count else None
     stages.begin("writing")
     plausibility = write_checked(
         output,
-        ClippedBRDF(found.brdf),
-        description=_describe(found),
-        remedy="scale it with --physical, measure more directions near the highlight",
-        physical=physical,
-        keeps_hue=True,  # readings tell colours well, and how much light there is in all directions badly
-        force=force,
-        resolution=resolution,
-        n_theta_i=n_theta_i,
+        made.brdf,
+        options,
+        description=_describe(made),
+        remedy="make it physical, measure more directions near the highlight",
+        keeps_hue=True,  # readings determine colours well, and how much light there is in all directions badly
     )
     if picture is not None:
-        settings = renders.make_settings(size=256, samples=32, seed=0, illuminant="D65", environment=None)
-        renders.render(renders.file_source(output), picture, settings, stages.begin("rendering"))
-    notes = (*found.notes, *calibration.notes(found), *diagnostics.of_prediction(False, plausibility))
-    if physical:
+        from manifold.rendering.render import RenderSettings
+        from manifold.workflows import renders
+
+        renders.render_file(output, picture, RenderSettings(samples=32), stages.begin("rendering"))
+    notes = (*made.notes, *calibration.notes(made), *diagnostics.of_prediction(False, plausibility))
+    if options.physical:
         notes += diagnostics.of_projection(plausibility)
     return Completed(
-        output, picture, found, hybrid, expected, plausibility, suggested, notes, time.perf_counter() - start,
+        output, picture, made, correction, calibration.expected(made), plausibility, suggested, notes,
+        time.perf_counter() - start,
     )  # fmt: skip
 
 
@@ -165,7 +159,7 @@ def read(
     sample: str | None = None,
     correction: Path | None = None,
     gloss: Mapping[float, float] = MappingProxyType({}),
-) -> Hybrid:
+) -> tuple[Readings, ColourCorrection | None]:
     """Readings of one sample from its files; those of several instruments are put together.
 
     Args:
@@ -173,6 +167,8 @@ def read(
         sample: which of a file's samples, of every file that holds several.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         gloss: of the sample, in gloss units, by angle in degrees; that of the files, where they have some, otherwise.
+    Returns:
+        The readings, and the colour correction that was learned from the files of two instruments, if any.
     Raises:
         FileFormatError: a file is of no known format, or damaged.
         BandMismatchError: bands of the files, or of the correction, do not go together.
@@ -186,12 +182,32 @@ def read(
             f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"
         )
     if correction is not None:
-        learned = read_correction(correction)
-        readings = [corrected(r, learned) if r.values.shape[1] == 3 else r for r in readings]
-    found = Hybrid(readings[0], None, 0)
+        known = read_correction(correction)
+        readings = [correct_colours(r, known) if r.bands.count == 3 else r for r in readings]
+    merged, learned = readings[0], None
     for other in readings[1:]:
-        found = combine(found.readings, other)
-    return replace(found, readings=replace(found.readings, gloss={**found.readings.gloss, **gloss}))
+        merged, learned = merge(merged, other)
+    return replace(merged, gloss={**merged.gloss, **gloss}), learned
+
+
+def readings_of_lab(text: str, gloss: Mapping[float, float], library: Path) -> Readings:
+    """A colour `L,a,b` and gloss as readings in the bands of a library. Raises: as `parse_lab`, and `Library`."""
+    return readings_of_colour(parse_lab(text), gloss, Library(library).bands)
+
+
+def parse_lab(text: str) -> Array:
+    """A CIELAB colour (3,) of `L,a,b`.
+
+    Raises:
+        UsageError: there are not three finite numbers, or the lightness is not from 0 to 100.
+    """
+    try:
+        lab = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        lab = np.empty(0)
+    if lab.shape != (3,) or not np.isfinite(lab).all() or not 0.0 <= lab[0] <= 100.0:
+        raise UsageError(f"colour '{text}', expected L,a,b such as 50,20,10, with L from 0 to 100")
+    return lab
 
 
 def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
@@ -207,9 +223,10 @@ def parse_gloss(texts: Iterable[str]) -> dict[float, float]:
             pair = float(angle), float(units)
         except ValueError:
             pair = np.nan, np.nan
-        if not is_pair or not np.isfinite(pair).all() or pair[1] < 0.0:
+        if not is_pair or not np.isfinite(pair).all():
             raise UsageError(f"gloss '{text}', expected an angle and gloss units, such as 60=12.5")
-        gloss_meter(pair[0])
+        if (fault := gloss_fault(*pair)) is not None:
+            raise UsageError(fault)
         if pair[0] in found:
             raise UsageError(f"gloss at {pair[0]:g} degrees twice, expected once; give their mean")
         found[pair[0]] = pair[1]
@@ -240,44 +257,51 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
     ]
     learned = learn_across(pairs)
     write_correction(output, learned)
-    return learned.colours, len(pairs)
+    return learned, len(pairs)
 
 
-def calibration_notes(n_samples: int) -> tuple[str, ...]:
-    """Limitations of a colour correction by the number of its samples, in sentences."""
-    if n_samples >= _ENOUGH_SAMPLES:
-        return ()
-    few = (
-        "one sample determines the correction of its own colour, and its error says nothing of others: in "
-        "simulations these are missed by half"
-        if n_samples == 1
-        else f"{n_samples} samples determine a correction badly: in simulations new colours are missed by a quarter, "
-        "with six by a sixth"
-    )
-    return (f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours",)
+def calibration_notes(learned: ColourCorrection, n_samples: int) -> tuple[str, ...]:
+    """What a colour correction is good for, by its errors and the number of its samples, in sentences."""
+    notes = []
+    error = learned.errors[learned.form]
+    if error >= learned.uncorrected:
+        notes.append(
+            f"spectra estimated without a correction have a smaller error, {learned.uncorrected:.4f}: do not use it; "
+            "do both files of each pair read one sample?"
+        )
+    if n_samples < _ENOUGH_SAMPLES:
+        few = (
+            "one sample determines the correction of its own colour only: in simulations the error for other colours "
+            "is one half"
+            if n_samples == 1
+            else f"{n_samples} samples determine a correction badly: in simulations the error for other colours is a "
+            "quarter, with six samples a sixth"
+        )
+        notes.append(f"{few}; give {_ENOUGH_SAMPLES} or more samples of different colours")
+    return tuple(notes)
 
 
 def suggest_first(library: Path, count: int, instrument: str | None = None) -> Suggested:
     """The readings to begin with, for a library, before anything is read."""
     directions_left(count, None, instrument)
-    return suggest(LibrarySamples.of_library(Library.open(library)), count, None, instrument)
+    return suggest(LibraryAtoms.of_library(Library(library)), count, None, instrument)
 
 
-def uncertainty(found: Completion) -> dict[str, Any]:
+def uncertainty(made: Completion) -> dict[str, Any]:
     """Standard deviation of f over hypotheses, relative, in the plane of incidence, direction by direction."""
     profiles: dict[str, list[float]] = {}
     for incidence in _PROFILE_INCIDENCES_DEG:
         wi = from_spherical(np.deg2rad(incidence), np.pi)
         wo = from_spherical(np.deg2rad(_PROFILE_ELEVATIONS_DEG), 0.0)
-        profiles[f"{incidence:g}"] = found.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
+        profiles[f"{incidence:g}"] = made.spread_at(np.broadcast_to(wi, wo.shape), wo).tolist()
     return {"theta_o_deg": _PROFILE_ELEVATIONS_DEG.tolist(), "by_incidence_deg": profiles}
 
 
-def _describe(found: Completion) -> str:
-    gloss = " and its gloss" if found.readings.gloss else ""
+def _describe(made: Completion) -> str:
+    gloss = " and its gloss" if made.readings.gloss else ""
     return (
-        f"Completed from {len(found.readings)} readings ({found.readings.instrument}) of {found.readings.name}{gloss} "
-        f"through {len(found.samples.names)} materials by manifold {__version__}"
+        f"Completed from {len(made.readings)} readings ({made.readings.instrument}) of {made.readings.name}{gloss} "
+        f"through {len(made.atoms.names)} materials by manifold {__version__}"
     )
 
 

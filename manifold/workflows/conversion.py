@@ -11,12 +11,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.correction import read_correction
 from manifold.errors import UsageError
+from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
-from manifold.model.completion.correction_file import read_correction
 from manifold.records import Array, Bands
 from manifold.system import atomic
-from manifold.workflows.conversion_source import LEAST_COSINE, Source, open_source
+from manifold.workflows.conversion_source import (
+    LEAST_COSINE,
+    Source,
+    open_source,
+    with_estimated_spectra,
+)
 from manifold.workflows.conversion_targets import TARGETS, Options, target_of
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
@@ -42,19 +48,14 @@ class ConversionError:
     percentile_95: float
 
     @classmethod
-    def between(cls, wi: Array, wo: Array, f: Array, f_star: Array) -> ConversionError:
-        """Errors of values f_star (P, B) where f (P, B) was measured."""
-        weight = cosine_weight(wi, wo)
+    def between(cls, nodes: Readings, f_star: Array) -> ConversionError:
+        """Errors of values f_star (P, B) at nodes."""
+        f, weight = nodes.values, cosine_weight(nodes.wi, nodes.wo)
         floor = _DARK * float(np.max(np.abs(f), initial=1e-300))
         deviation = np.abs(f_star - f) / np.maximum(np.abs(f), floor)
         median, high = np.percentile(deviation, [50, 95])
-        return cls(
-            len(f),
-            relative_error(f, f_star, weight),
-            cube_root_error(f, f_star, weight),
-            float(median),
-            float(high),
-        )
+        linear, cube_root = relative_error(f, f_star, weight), cube_root_error(f, f_star, weight)
+        return cls(len(f), linear, cube_root, float(median), float(high))
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,8 @@ class Conversion:
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """For `--json`."""
-        return {
-            "name": self.name, "source": self.source, "target": self.target, "bands": str(self.bands),
-            "error": dict(vars(self.error)), "notes": list(self.notes),
-        }  # fmt: skip
+        """Plain values."""
+        return {**vars(self), "bands": str(self.bands), "error": vars(self.error), "notes": list(self.notes)}
 
 
 def convert(
@@ -114,17 +112,15 @@ def convert(
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
     source, notes = open_source(paths, sample, learned), list[str]()
-    if (
-        target.is_rgb
-        and not source.nodes.bands.is_rgb
-        and not (target is TARGETS["zemax"] and _is_single(source))
-    ):
-        if _is_single(source):
+    is_single = source.nodes.bands.count == 1
+    if target.is_rgb and not source.nodes.bands.is_rgb and not (target is TARGETS["zemax"] and is_single):
+        if is_single:
             notes.append(f"{source.nodes.bands} is written to all three channels")
         source = open_source(paths, sample, learned, rgb=True)
+    elif target is TARGETS["rgl"]:
+        source = with_estimated_spectra(source)
     notes += target.write(output, source, options or Options())
-    nodes = source.nodes
-    back = open_source([output])
+    nodes, back = source.nodes, open_source([output])
     if source.is_readings and len(back.nodes) > len(nodes):
         notes += _gaps(source)
     error = _error(source, back)
@@ -150,18 +146,13 @@ def _gaps(source: Source) -> list[str]:
 def _error(source: Source, back: Source) -> ConversionError:
     """Readings are compared with readings, row by row; otherwise the result is evaluated at the nodes."""
     nodes = source.nodes.select_pairs(np.flatnonzero(source.nodes.measured.all(axis=1)))
-    if back.is_readings and source.is_readings and (back.brdf is None or len(back.nodes) >= len(nodes)):
+    has_no_brdf = isinstance(back.interpolated, UsageError)
+    if back.is_readings and source.is_readings and (has_no_brdf or len(back.nodes) >= len(nodes)):
         tree = cKDTree(np.hstack([back.nodes.wi, back.nodes.wo]))
         distance, row = tree.query(np.hstack([nodes.wi, nodes.wo]))
         if np.all(distance < _SAME_PAIR):
-            return ConversionError.between(nodes.wi, nodes.wo, nodes.values, back.nodes.values[row])
-    result = back.require_brdf()
+            return ConversionError.between(nodes, back.nodes.values[row])
     is_high = np.minimum(nodes.wi[:, 2], nodes.wo[:, 2]) > LEAST_COSINE
-    if isinstance(result, MeasuredBRDF) and np.any(is_high):
+    if isinstance(back.brdf, MeasuredBRDF) and np.any(is_high):
         nodes = nodes.select_pairs(np.flatnonzero(is_high))
-    found = result.eval(nodes.wi, nodes.wo)
-    return ConversionError.between(nodes.wi, nodes.wo, nodes.values, found)
-
-
-def _is_single(source: Source) -> bool:
-    return source.nodes.bands.count == 1
+    return ConversionError.between(nodes, back.brdf.eval(nodes.wi, nodes.wo))

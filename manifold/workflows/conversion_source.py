@@ -14,15 +14,17 @@ from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour.conversion import file_to_srgb, to_srgb
+from manifold.colour.correction import ColourCorrection
+from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow, with_spectra
+from manifold.completion.instruments import correct_colours
 from manifold.errors import UsageError
 from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
-from manifold.model.completion.hybrid import InstrumentCorrection, corrected
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
-from manifold.system.small_files import begins_with
+from manifold.system.reading import begins_with
 
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
@@ -36,42 +38,54 @@ class Source:
 
     Attributes:
         nodes: values at the file's own nodes, at most `MOST_NODES` of them.
-        brdf: what interpolates them; None where they do not cover hemispheres.
-        why_not: what to say where there is no BRDF.
+        interpolated: what interpolates them, or the error that says why readings do not make a BRDF.
         theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
         is_readings: whether the nodes are all that the file holds.
     """
 
     nodes: Readings
-    brdf: BRDF | None
-    why_not: str
+    interpolated: BRDF | UsageError
     theta_i_rad: Array
     is_readings: bool
 
-    def require_brdf(self) -> BRDF:
+    @property
+    def brdf(self) -> BRDF:
         """The BRDF. Raises UsageError where readings do not make one."""
-        if self.brdf is None:
-            raise UsageError(self.why_not)
-        return self.brdf
+        if isinstance(self.interpolated, UsageError):
+            raise self.interpolated
+        return self.interpolated
 
 
 class SrgbBRDF(WrappedBRDF):
     """A spectral BRDF in linear sRGB under D65, through colour-science."""
 
-    @property
-    def bands(self) -> Bands:
-        """The three channels."""
-        return Bands(None)
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a spectral BRDF."""
+        super().__init__(brdf)
+        self.bands = Bands(None)
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, shape (..., 3)."""
         return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
 
 
+class EstimatedSpectraBRDF(WrappedBRDF):
+    """A BRDF in three narrow bands as spectra, see `colour.narrow_bands`."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a BRDF in three narrow bands."""
+        super().__init__(brdf)
+        self.bands = SPECTRUM
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, at least 0, shape (..., 31)."""
+        return estimate_spectra(self._brdf.eval(wi, wo), self._brdf.bands)
+
+
 def open_source(
     paths: Sequence[Path],
     sample: str | None = None,
-    correction: InstrumentCorrection | None = None,
+    correction: ColourCorrection | None = None,
     *,
     rgb: bool = False,
 ) -> Source:
@@ -83,40 +97,45 @@ def open_source(
         correction: of colours of readings, before anything else.
         rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
     Raises:
-        UsageError, FileFormatError: as `registry.read` and `read_bsdf`; or what is to be corrected is no readings.
+        UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected.
+        FileFormatError: a file is not what it should be.
         BandMismatchError: the correction was learned in other bands.
     """
-    if len(paths) == 1 and begins_with(paths[0], MAGIC):
-        if correction is not None:
-            raise _not_corrected(paths[0])
-        if sample is not None:
-            raise UsageError(f"{paths[0]} holds one material; leave --sample out")
-        file = read_bsdf(paths[0])
-        return _of_rgl(file_to_srgb(file) if rgb else file)
-    for path in paths:
-        if begins_with(path, MAGIC):
-            raise UsageError(f"{path}: an RGL file among {len(paths)} files; convert it alone")
-    record = registry.merge([registry.read(path, sample) for path in paths])
-    if correction is not None:
-        if isinstance(record, DenseTable):
-            raise _not_corrected(paths[0])
-        record = corrected(record, correction)
-    source = _of_table(record) if isinstance(record, DenseTable) else _of_readings(record)
+    of_rgl = [path for path in paths if begins_with(path, MAGIC)]
+    if of_rgl and len(paths) > 1:
+        raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
+    if of_rgl and sample is not None:
+        raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
+    record = read_bsdf(paths[0]) if of_rgl else registry.merge([registry.read(p, sample) for p in paths])
+    if correction is not None and not isinstance(record, Readings):
+        raise UsageError(f"{paths[0]}: a table of a BRDF, expected an instrument's readings to correct")
+    if isinstance(record, BsdfFile):
+        return _of_rgl(file_to_srgb(record) if rgb else record)
+    if isinstance(record, DenseTable):
+        theta_i = record.axes[0] if record.coordinates == "incident-outgoing" else np.zeros(0)
+        source = Source(record.readings(MOST_NODES), DenseBRDF(record), theta_i, is_readings=False)
+    else:
+        source = _of_readings(record if correction is None else correct_colours(record, correction))
     return _in_srgb(source) if rgb else source
 
 
-def _not_corrected(path: Path) -> UsageError:
-    return UsageError(
-        f"{path}: a table of a BRDF, expected an instrument's readings to correct; leave --correction out"
-    )
+def with_estimated_spectra(source: Source) -> Source:
+    """A source in three narrow bands as one of spectra, with a note; others as they are."""
+    if not is_narrow(source.nodes.bands):
+        return source
+    brdf = source.interpolated
+    estimated = brdf if isinstance(brdf, UsageError) else EstimatedSpectraBRDF(brdf)
+    return replace(source, nodes=with_spectra(source.nodes), interpolated=estimated)
 
 
 def _in_srgb(source: Source) -> Source:
     if source.nodes.bands.is_rgb:
         return source
+    source = with_estimated_spectra(source)
     values = to_srgb(source.nodes.values, source.nodes.bands)
     nodes = replace(source.nodes, wavelengths_nm=None, values=values)
-    return replace(source, nodes=nodes, brdf=None if source.brdf is None else SrgbBRDF(source.brdf))
+    brdf = source.interpolated
+    return replace(source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else SrgbBRDF(brdf))
 
 
 def _of_rgl(file: BsdfFile) -> Source:
@@ -133,17 +152,13 @@ def _of_rgl(file: BsdfFile) -> Source:
         file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
         brdf.eval(all_wi[chosen], all_wo[chosen]),
     )  # fmt: skip
-    return Source(nodes, brdf, "", np.asarray(file.theta_i_rad, dtype=float), is_readings=False)
-
-
-def _of_table(table: DenseTable) -> Source:
-    theta_i = table.axes[0] if table.coordinates == "incident-outgoing" else np.zeros(0)
-    return Source(table.readings(MOST_NODES), DenseBRDF(table), "", theta_i, is_readings=False)
+    return Source(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False)
 
 
 def _of_readings(readings: Readings) -> Source:
     theta = np.unique(np.round(np.arccos(np.clip(readings.wi[:, 2], 0.0, 1.0)), 5))
     try:
-        return Source(readings, ReadingsBRDF(readings), "", theta, is_readings=True)
+        brdf: BRDF | UsageError = ReadingsBRDF(readings)
     except UsageError as error:
-        return Source(readings, None, str(error), theta, is_readings=True)
+        brdf = error
+    return Source(readings, brdf, np.asarray(theta, dtype=np.float64), is_readings=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,15 +29,10 @@ _STEEPEST = np.deg2rad(85.0)
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
-@dataclass(frozen=True)
-class Target:
-    """A format to write.
+class Target(NamedTuple):
+    """A format to write: its title, suffixes that stand for it, whether it holds three channels only, and a function.
 
-    Attributes:
-        title: for people.
-        suffixes: of file names that stand for it.
-        is_rgb: whether it holds three channels only.
-        write: writes a source; the notes say what was left out.
+    The function writes a source; its notes say what was left out.
     """
 
     title: str
@@ -46,8 +41,7 @@ class Target:
     write: Callable[[Path, Source, Options], list[str]]
 
 
-@dataclass(frozen=True)
-class Options:
+class Options(NamedTuple):
     """How an RGL file is sampled.
 
     Attributes:
@@ -61,7 +55,7 @@ class Options:
 
 
 def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
-    brdf = source.require_brdf()
+    brdf = source.brdf
     own = source.theta_i_rad[source.theta_i_rad < np.deg2rad(89.0)]
     if own.size > _MOST_INCIDENCES:
         own = own[:0]
@@ -79,10 +73,10 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
 
 
 def _write_merl(path: Path, source: Source, options: Options) -> list[str]:
-    brdf, notes = source.require_brdf(), []
+    brdf, notes = source.brdf, []
     turns: Array = np.zeros(1)
     if not brdf.is_isotropic:
-        turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
+        turns = np.arange(float(_TURNS)) * (2.0 * np.pi / _TURNS)
         notes.append(f"MERL is isotropic: {_TURNS} rotations of the sample are averaged")
     values = np.full((np.prod(merl.SHAPE), 3), np.nan)
     start = 0
@@ -119,27 +113,24 @@ def _share(a: Array, b: Array, source: Source) -> Array:
 
 def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
     utia.write(path, _sampled(source, utia.axes()))
-    steepest = utia.axes()[0][-1]
-    beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < np.cos(steepest) - 1e-6).mean()
-    return (
-        [f"UTIA ends at 75 degrees: {beyond:.0%} of the nodes lie beyond and take its last values"]
-        if beyond
-        else []
-    )
+    lowest = np.cos(utia.axes()[0][-1]) - 1e-6
+    beyond = (np.minimum(source.nodes.wi[:, 2], source.nodes.wo[:, 2]) < lowest).mean()
+    note = f"UTIA ends at 75 degrees: {beyond:.0%} of the nodes lie beyond and take its last values"
+    return [note] if beyond else []
 
 
 def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
     fine = source.nodes.bands.count <= 31
     radial = np.deg2rad(np.append(np.arange(0.0, 89.0, 1.0 if fine else 2.0), 89.0))
     azimuth = np.deg2rad(np.arange(0.0, 360.0, 5.0 if fine else 10.0))
-    is_isotropic = source.require_brdf().is_isotropic
+    is_isotropic = source.brdf.is_isotropic
     phi_i = np.array([np.pi]) if is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
     lighttools.write(path, _sampled(source, (_incidences(source), phi_i, radial, azimuth)))
     return []
 
 
 def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
-    brdf, theta_i = source.require_brdf(), _incidences(source)
+    brdf, theta_i = source.brdf, _incidences(source)
     azimuth = np.deg2rad(np.arange(0.0, 361.0, 5.0))
     # Dense around the mirror direction.
     radial = np.deg2rad(
@@ -160,9 +151,8 @@ def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
             f"{rows.name}: no direction was measured in all bands, which an ASTM table needs; write CSV"
         )
     astm.write(path, rows.select_pairs(whole))
-    return (
-        [] if np.all(whole) else [f"{int((~whole).sum())} directions not measured in all bands are left out"]
-    )
+    left_out = int((~whole).sum())
+    return [f"{left_out} directions not measured in all bands are left out"] if left_out else []
 
 
 def _write_csv(path: Path, source: Source, options: Options) -> list[str]:
@@ -174,7 +164,7 @@ def _rows(source: Source) -> Readings:
     """The readings themselves, or the BRDF at the directions of a goniometer."""
     if source.is_readings:
         return source.nodes
-    brdf = source.require_brdf()
+    brdf = source.brdf
     theta = np.deg2rad(np.append(np.arange(2.0, 89.0, 2.0), 89.0))
     phi = np.deg2rad(np.arange(0.0, 360.0, 10.0))
     grid = from_spherical(theta[:, None], phi[None, :]).reshape(-1, 3)
@@ -191,7 +181,7 @@ def _rows(source: Source) -> Readings:
 
 def _sampled(source: Source, axes: tuple[Array, Array, Array, Array]) -> DenseTable:
     """The BRDF at the product of incident and outgoing angles."""
-    brdf = source.require_brdf()
+    brdf = source.brdf
     theta_i, phi_i, theta_o, phi_o = axes
     wo = from_spherical(theta_o[:, None], phi_o[None, :])
     values = np.zeros((*(a.size for a in axes), brdf.bands.count))
@@ -228,11 +218,8 @@ TARGETS: Mapping[str, Target] = {
 
 
 def target_of(output: Path, to: str | None) -> Target:
-    """The format to write.
+    """The format to write: `to`, one of `TARGETS`, or what the suffix of the output stands for.
 
-    Args:
-        output: its suffix tells, where `to` does not.
-        to: one of `TARGETS`.
     Raises:
         UsageError: there is no such format, or the suffix is of none.
     """
@@ -240,11 +227,11 @@ def target_of(output: Path, to: str | None) -> Target:
         if to not in TARGETS:
             raise UsageError(f"no format '{to}', expected one of {', '.join(TARGETS)}")
         return TARGETS[to]
+    by_suffix = {suffix: target for target in TARGETS.values() for suffix in target.suffixes}
     suffix = output.suffix.lower()
-    for target in TARGETS.values():
-        if suffix in target.suffixes:
-            return target
-    known = ", ".join(s for target in TARGETS.values() for s in target.suffixes)
-    raise UsageError(
-        f"{output}: suffix '{suffix}', expected one of {known}; or choose a format with --format"
-    )
+    if suffix not in by_suffix:
+        raise UsageError(
+            f"{output}: suffix '{suffix}', expected one of {', '.join(by_suffix)}; or name one of the formats "
+            + ", ".join(TARGETS)
+        )
+    return by_suffix[suffix]

@@ -6,26 +6,30 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from manifold.brdf.synthetic import corpus
+from manifold.brdf.analytic import corpus
 from manifold.errors import LibraryError
 from manifold.experiments.budget import example_scenes
-from manifold.experiments.chart.experiment import Chart
+from manifold.experiments.chart.experiment import make_chart
 from manifold.experiments.evaluation.report import Report, make_report
 from manifold.experiments.evaluation.report_text import format_report
+from manifold.experiments.stability.catalogue import MODES
+from manifold.experiments.stability.trials import run_modes, select_modes
 from manifold.library.importing import import_files
 from manifold.library.location import require_outside_libraries
-from manifold.model.manifold import Settings
-from manifold.model.predicted_file import Prediction, predict
-from manifold.plots import figures, plot_chart, plot_latents
+from manifold.model.diagnostics import Prediction
+from manifold.model.settings import Settings
+from manifold.plots import figures, plot_chart, plot_latents, plot_stability
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
 from manifold.system import atomic
 from manifold.system.stages import Stage, no_stage
-from manifold.workflows import ball_pictures, budgets, charts, failures, fits, pipeline, renders
+from manifold.workflows import ball_pictures, budgets, demo_page, fits, pipeline, renders
 from manifold.workflows.budgets import BudgetSettings
+from manifold.workflows.explore import write_page
 from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.pictures import slices, sources
+from manifold.workflows.prediction import predict
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
@@ -47,36 +51,28 @@ TRIED = (
 )
 """Failure modes that the demo tries; `manifold stability` tries all."""
 
-
 FIT = "predicted.fit.json"
 
 
 @dataclass(frozen=True)
 class DemoResult:
-    """The files that `run` wrote.
+    """What `run` made.
 
     Attributes:
-        library, model, report_text, report_json: paths.
-        fit: path of the fit; None without Mitsuba.
-        pictures: what was drawn.
+        files: what was written, by what it is.
         predicted: the prediction.
         report: the report.
         left_out: what could not be made here.
     """
 
-    library: Path
-    model: Path
-    report_text: Path
-    report_json: Path
-    fit: Path | None
-    pictures: tuple[Path, ...]
+    files: dict[str, list[Path]]
     predicted: Prediction
     report: Report
-    left_out: tuple[str, ...]
+    left_out: str | None
 
 
 def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
-    """Files, library, model, a prediction, renders, a fit, the report.
+    """Files, library, model, a prediction, renders, a fit, the report, and a page (`index.html`) that shows them.
 
     A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
     made anew. Without Mitsuba nothing is rendered or fitted.
@@ -93,7 +89,7 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
         imported = import_files(library, [files], on_progress=step)
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    fitted = pipeline.embed(library, model, Settings(), stage=stage).model
+    fitted = pipeline.embed(library, model, Settings(), stage=stage)[0]
     with stage("Predicting a material between two") as step:
         path = folder / "predicted_spec.bsdf"
         predicted = predict(fitted, _BETWEEN, path, on_progress=step)
@@ -104,34 +100,45 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
         if has_mitsuba and backend.choose().is_llvm:
             ball_pictures.latent_map(model, pictures[1], marked=_BETWEEN, on_progress=step)
         else:  # balls would take minutes
-            figures.save(plot_latents.latent_map(fitted, marked=fitted.require_latent(_BETWEEN)), pictures[1])
+            figures.save(plot_latents.latent_map(fitted, marked=fitted.place(_BETWEEN).latent), pictures[1])
     if has_mitsuba:
-        pictures += _with_mitsuba(folder, model, predicted.path, stage)
+        pictures += _with_mitsuba(folder, model, path, stage)
     with stage("Charting speed against accuracy") as step:
         pictures.append(folder / "chart.png")
-
-        def draw(made: Chart) -> None:
-            figures.save(plot_chart.chart(made), pictures[-1])
-
-        charts.chart(library, only=CHARTED, on_progress=step, on_result=draw)
+        opened = fitted.library
+        charted = make_chart([opened.read(name) for name in opened.names], CHARTED, step, library=opened)
+        figures.save(plot_chart.chart(charted), pictures[-1])
     with stage("Testing failure modes") as step:
         pictures.append(folder / "stability.png")
-        failures.stability(TRIED, pictures[-1], on_progress=step)
+        modes = select_modes(MODES, TRIED)
+        figures.save(plot_stability.panels(run_modes(modes, step), modes), pictures[-1])
     with stage("Evaluating the model") as step:
         made = make_report(fitted, "default", step)
     text, document = folder / "report.txt", folder / "report.json"
     atomic.write_text(text, format_report(made))
     atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
-    fit = folder / FIT if has_mitsuba else None
-    left_out = () if has_mitsuba else ("renders, walk, fits and budgets, since Mitsuba is missing",)
-    return DemoResult(library, model, text, document, fit, tuple(pictures), predicted, made, left_out)
+    with stage("Writing the page") as step:
+        explorer, index = folder / "explorer.html", folder / "index.html"
+        write_page(model, explorer, on_progress=step)
+        atomic.write_text(index, demo_page.page(folder, pictures, explorer, predicted, made))
+    written = {
+        "page": [index, explorer],
+        "library": [library],
+        "model": [model],
+        "prediction": [path],
+        "fit": [folder / FIT] * has_mitsuba,
+        "report": [text, document],
+        "pictures": pictures,
+    }
+    left_out = None if has_mitsuba else "renders, walk, fits and budgets, since Mitsuba is missing"
+    return DemoResult(written, predicted, made, left_out)
 
 
 def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> list[Path]:
     """Renders, the walk, a fit, budgets; the pictures made."""
     pictures = [folder / "predicted.png"]
     with stage("Rendering the prediction") as step:
-        renders.render(renders.file_source(predicted), pictures[0], RenderSettings(), step)
+        renders.render_file(predicted, pictures[0], RenderSettings(), step)
     if backend.choose().is_llvm:
         with stage("Drawing the walk") as step:
             pictures.append(folder / "walk.png")

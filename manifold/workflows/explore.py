@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from manifold.errors import UsageError
 from manifold.fitting.exports import TARGETS
+from manifold.model.blend_space import require_blends
 from manifold.model.manifold import Manifold
 from manifold.plots.explorer.actions import Context
 from manifold.plots.explorer.page import make_page
@@ -27,7 +27,7 @@ def write_page(
     Args:
         model: path of a model.
         output: the file.
-        library: where the model's library is now, if not where the model remembers it.
+        library: where the model's library is now, if not where the model has it.
         on_progress: called with (done, total, what) while materials are read.
     Raises:
         UsageError: the map is no map of blends, or the file cannot be written.
@@ -54,10 +54,10 @@ def server(
         folder: where the page's actions write.
         port: to listen on; 0 is any that is free.
     Raises:
-        UsageError: the map is no map of blends, the folder is not writable, or the port is taken.
+        UsageError: the map is no map of blends, the folder does not exist, or the port is taken.
     """
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise UsageError(f"{folder}: not a writable folder; name another --folder")
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder")
     loaded = _load(model, library)
     context = Context(
         folder.resolve(), model.resolve(), loaded.library.path.resolve(), loaded.names, loaded.X.shape[1],
@@ -69,15 +69,14 @@ def server(
 
 
 def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], Any]) -> None:
-    """Answer requests until Ctrl-C, or another request to end; what is being done then is cancelled.
+    """Answer requests until Ctrl-C, SIGTERM or SIGHUP, then cancel the commands that run or wait.
 
     Args:
         served: of `server`.
         on_ready: called with the address of the page.
     """
     for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores one
-            signal.signal(number, signal.default_int_handler)
+        signal.signal(number, signal.default_int_handler)
     try:
         on_ready(served.address)
         served.serve_forever()
@@ -89,7 +88,7 @@ def serve_until_interrupted(served: ExplorerServer, on_ready: Callable[[str], An
 
 def _load(model: Path, library: Path | None) -> Manifold:
     loaded = Manifold.load(model, library)
-    loaded.space.require_blends()
+    require_blends(loaded.space)
     return loaded
 
 

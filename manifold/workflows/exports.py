@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.fitting import fit_json, fit_samples
-from manifold.fitting.exports import loss, target_fit
-from manifold.fitting.exports.direct import NOTICEABLE, fit_target
+from manifold.fitting.exports.direct import fit_target
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.principled_values import Principled
-from manifold.fitting.exports.targets import Target, target_of
-from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.exports.targets import Target, TargetBRDF
+from manifold.fitting.fit_metrics import NOTICEABLE, BallDifference
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
-from manifold.model.latents import Place
+from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
-from manifold.records import Array, BsdfFile, Progress
+from manifold.plots import figures
+from manifold.plots.plot_slices import Source
+from manifold.records import BsdfFile, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
+from manifold.workflows import fit_pictures
+from manifold.workflows.output_index import Outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Subject:
         source: where it comes from, plain values.
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
-        against: that in words.
+        against: what that is: `measured file`, `prediction` or `fit`.
     """
 
     name: str
@@ -46,38 +47,6 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
-
-
-@dataclass(frozen=True)
-class ExportOutcome:
-    """One material of a run.
-
-    Attributes:
-        name: of the material.
-        path: the written file.
-        export: what was written; None where that failed, or an earlier run did it.
-        was_there: whether an earlier run had made it.
-        failure: why there is none, else None.
-        notes: of the fit.
-    """
-
-    name: str
-    path: Path
-    export: dict[str, Any] | None
-    was_there: bool = False
-    failure: str | None = None
-    notes: tuple[str, ...] = ()
-
-
-def target_for(name: str | None, path: Path, source: Path | None) -> Target:
-    """The target of that name, or else the one that the file's suffix and the model of a fit tell.
-
-    Raises:
-        UsageError, FileFormatError: there is none, or the fit cannot be used.
-    """
-    is_fit = name is None and source is not None and source.suffix.lower() == ".json"
-    entry = fit_json.read(source).get("target") if is_fit and source is not None else None
-    return target_of(name, path, None if entry is None else entry["name"])
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
@@ -92,26 +61,19 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     if path.suffix.lower() == ".bsdf":
         if against is not None:
             raise UsageError(
-                f"--against needs the JSON of a fit, found {path}, which is compared with itself"
+                f"{path}: a measured file is compared with itself, and a fit with {against}; name one"
             )
         return subject_of_file(read_bsdf(path), {"file": path.name, "sha256": file_sha256(path)})
     content = fit_json.read(path)
     source = {"fit": path.name, "sha256": file_sha256(path), "of": content["source"]}
-    measured, compared = None, "fit"
-    if against is not None:
-        measured, compared = MeasuredBRDF(read_bsdf(against)), "measured file"
-    elif (entry := content.get("target")) is not None:
-        compared = entry["against"]
-        if not fit_json.is_untouched(content):
-            raise UsageError(
-                f"{path}: changed since it was fitted, so that its errors are no longer known; name the measured file "
-                "with --against, or fit again"
-            )
-    return Subject(content["source"]["name"], source, content, measured, compared)
+    name = content["source"]["name"]
+    if against is None:
+        return Subject(name, source, content, None, "fit")
+    return Subject(name, source, content, MeasuredBRDF(read_bsdf(against)), "measured file")
 
 
 def subject_of_prediction(
-    model: Path, latent: Place, *, library: Path | None = None, colour: ColourChoice = NEAREST,
+    model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
     on_progress: Progress | None = None,
 ) -> Subject:  # fmt: skip
     """The material that a model predicts at a latent, fitted.
@@ -121,80 +83,66 @@ def subject_of_prediction(
     """
     stages = Stages(on_progress, {"reading materials": 3, "fitting": 7})
     loaded = Manifold.load(model, library)
-    x = loaded.require_latent(latent)
+    place = loaded.place(latent)
     loaded.prepare(stages.begin("reading materials"))
-    chosen = choose_colour(loaded, latent, colour)
-    brdf = loaded.predict(latent, chosen.colours)
+    chosen = choose_colour(loaded, place, colour)
+    brdf = loaded.predict(place, chosen.colours)
     name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
     source = {
         "model": model.name,
         "model_sha256": file_sha256(model),
-        "latent": [float(v) for v in x],
+        "latent": place.latent.tolist(),
         "colour": chosen.words,
     }
-    return _fitted(name, source, fit_samples.from_brdf(brdf), brdf, "prediction", stages.begin("fitting"))
+    fit = fit_json.document(fit_bsdf(brdf, on_progress=stages.begin("fitting")), fit_json.Source(name))
+    return Subject(name, source, fit, brdf, "prediction")
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """A measured material, fitted, with plain values that say where it comes from."""
-    return _fitted(file.name, source, fit_samples.from_file(file), MeasuredBRDF(file), "measured file")
+    fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
+    return Subject(file.name, source, fit, MeasuredBRDF(file), "measured file")
 
 
-def _fitted(
-    name: str, source: dict[str, Any], samples: FitSamples, material: BRDF, against: str,
-    on_progress: Progress | None = None,
-) -> Subject:  # fmt: skip
-    content = fit_json.document(fit_bsdf(samples, on_progress=on_progress), fit_json.Source(name))
-    return Subject(name, source, content, material, against)
-
-
-def export(subject: Subject, target: Target, path: Path, *, is_direct: bool = False) -> ExportOutcome:
+def export(
+    subject: Subject, target: Target, path: Path, *, is_mapped: bool = False, picture: Path | None = None
+) -> Outcome[Subject]:
     """Write a material for a target.
 
     Args:
         subject: the material.
         target: where to.
         path: the file.
-        is_direct: fit the target's own model to the material, from the mapped parameters on; a fit of that model is
-            written as it is.
+        is_mapped: compute the target's parameters from those of `principled`, instead of fitting its own model to the
+            material from there on.
+        picture: of the material beside the target's model, drawn there; none if None.
     Raises:
-        UsageError: the fit has no counterpart in engines, or is of another target's model; or the file cannot be
-            written.
-        FileFormatError: parameters in a fit of the target's model cannot be used.
+        UsageError: the fit has no counterpart in engines, or a file cannot be written.
     """
+    if picture is not None:
+        figures.require_writable(picture)
     principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"])
-    parameters, entry = target.parameters(principled), subject.fit.get("target")
-    if entry is not None:
-        is_direct = True
-        parameters = target_fit.parameters(entry, target, subject.source.get("fit", subject.name))
-    elif is_direct:
-        material = FittedBRDF(subject.fit) if subject.material is None else subject.material
-        parameters = fit_target(target, parameters, fit_samples.from_brdf(material), material)
-    own, of_principled = _errors(subject, lambda view, light: target.brdf(parameters, view, light))
+    parameters, fitted = target.parameters(principled), FittedBRDF(subject.fit)
+    material = fitted if subject.material is None else subject.material
+    if not is_mapped:
+        parameters = fit_target(target, parameters, fit_samples.from_brdf(material))
+    model = TargetBRDF(target, parameters)
     made = Export(
         name=subject.name,
         target=target.name,
         parameters=parameters,
         source=subject.source,
-        method="direct" if is_direct else "mapping",
-        loss=own,
-        principled_loss=of_principled,
-        loss_against=subject.against,
+        method="mapping" if is_mapped else "direct",
+        ball=BallDifference.between(model, material),
+        principled_ball=None if subject.material is None else BallDifference.between(fitted, material),
+        against=subject.against,
     )
     atomic.write_bytes(path, target.content(made, principled))
-    notes = tuple(subject.fit["notes"])
-    if made.loss > NOTICEABLE and not is_direct:
-        notes += (f"visibly different from the {made.loss_against}: --direct fits the target's own model",)
-    return ExportOutcome(subject.name, path, made.to_json(), notes=notes)
-
-
-def _errors(subject: Subject, model: Callable[[Array, Array], Array]) -> tuple[float, float | None]:
-    """Mean CIEDE2000 on the ball of a target's model, and of `principled`: None where that is the reference."""
-    entry = subject.fit.get("target")
-    if entry is not None and subject.material is None:
-        return entry["ciede2000"], entry["principled_ciede2000"]
-    fitted = loss.material_xyz(FittedBRDF(subject.fit))
-    if subject.material is None:
-        return ball_colours.delta_e(loss.rgb_xyz(model), fitted), None
-    reference = loss.material_xyz(subject.material)
-    return ball_colours.delta_e(loss.rgb_xyz(model), reference), ball_colours.delta_e(fitted, reference)
+    if picture is not None:
+        sources = [Source(subject.against, material), Source(f"exported: {target.name}", model)]
+        fit_pictures.picture_of_brdfs(subject.name, sources, picture)
+    notes = tuple(f"of principled: {note}" for note in subject.fit["notes"])
+    if made.ball.unseen_light > NOTICEABLE:
+        better = "; a fit of the target's own model is more accurate" * is_mapped
+        notes = (f"visibly different from the {subject.against}{better}", *notes)
+    return Outcome(subject.name, path, subject, made.to_json(), notes=notes)

@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.picture import ball_image
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
-from manifold.model import predicted_file
 from manifold.model.colours import NEAREST, ColourChoice
-from manifold.model.latents import Place
+from manifold.model.latents import PlaceLike
+from manifold.model.output_file import OutputOptions
 from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
+from manifold.records import Array, Mask
 from manifold.rendering import image_metrics, images, scenes
-from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.system import temporary
-from manifold.workflows.renders import RIM, file_source
+from manifold.rendering.ball import read_material
+from manifold.rendering.render import RenderSettings
+from manifold.workflows import prediction
+from manifold.workflows.renders import RIM
 
-
-@dataclass(frozen=True)
-class FitPicture:
-    """A picture of a fit beside its material.
-
-    Attributes:
-        path: of the picture.
-        ciede2000, flip: means over the pixels of the ball.
-    """
-
-    path: Path
-    ciede2000: float
-    flip: float
+_PIXELS = 96  # of a ball by quadrature
 
 
 def picture_of_fit(
     fit: Path, material: Path, output: Path, settings: RenderSettings | None = None
-) -> FitPicture:
+) -> tuple[float, float]:
     """Render a measured file and the BSDF that was fitted to it, and draw both with their slices.
 
     Args:
@@ -44,39 +36,48 @@ def picture_of_fit(
         material: the .bsdf file.
         output: the picture.
         settings: of both renders, by default 256 x 256 pixels under D65, the one light for what has no spectrum.
+    Returns:
+        CIEDE2000 and FLIP, means over the pixels of the ball.
     Raises:
         UsageError, FileFormatError: a file cannot be used, or the picture not be written.
     """
     figures.require_writable(output)
     settings = RenderSettings() if settings is None else settings
     content = fit_json.read(fit)
-    source = file_source(material)
-    spectral = None if source.is_rgb else content["mitsuba_spectral"]
-    seen = images.tone_map(render_bsdf(source.material, source.is_rgb, settings))
-    fitted = images.tone_map(
-        render_bsdf(content["mitsuba"] if spectral is None else spectral, spectral is None, settings)
-    )
-    delta_e, flip = image_metrics.ciede2000_map(seen, fitted), image_metrics.flip_map(seen, fitted)
-    inside = scenes.ball_interior(settings.size, RIM)
+    seen, fitted = (images.tone_map(read_material(path).render(settings)) for path in (material, fit))
     file = read_bsdf(material)
+    kind = "predicted" if file.description.startswith(prediction.PREDICTED) else "measured"
     sources = [
-        Source(
-            "predicted" if file.description.startswith(predicted_file.PREDICTED) else "measured",
-            MeasuredBRDF(file),
-        ),
+        Source(kind, MeasuredBRDF(file)),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
-    figure = plot_fit.fit_picture(content["source"]["name"], (seen, fitted), delta_e, flip, inside, sources)
-    figures.save(figure, output)
-    return FitPicture(output, float(delta_e[inside].mean()), float(flip[inside].mean()))
+    inside = scenes.ball_interior(settings.size, RIM)
+    return _draw(content["source"]["name"], (seen, fitted), inside, sources, output)
+
+
+def picture_of_brdfs(title: str, sources: Sequence[Source], output: Path) -> tuple[float, float]:
+    """A material and what stands for it, balls by quadrature in the light in which errors are measured, and slices."""
+    (first, inside), (second, _) = (ball_image(source.brdf, _PIXELS) for source in sources)
+    return _draw(title, (first, second), inside, sources, output)
+
+
+def _draw(
+    title: str, balls: tuple[Array, Array], inside: Mask, sources: Sequence[Source], output: Path
+) -> tuple[float, float]:
+    """Draw the display pictures of two balls, their differences and slices."""
+    delta_e, flip = image_metrics.ciede2000_map(*balls), image_metrics.flip_map(*balls)
+    figures.save(plot_fit.fit_picture(title, balls, delta_e, flip, inside, sources), output)
+    return float(delta_e[inside].mean()), float(flip[inside].mean())
 
 
 def picture_of_prediction_fit(
-    fit: Path, model: Path, latent: Place, output: Path, settings: RenderSettings | None = None, *,
+    fit: Path, model: Path, latent: PlaceLike, output: Path, settings: RenderSettings | None = None, *,
     library: Path | None = None, colour: ColourChoice = NEAREST,
-) -> FitPicture:  # fmt: skip
+) -> tuple[float, float]:  # fmt: skip
     """The same for a fit of the prediction at a latent, through a file that is written for it."""
-    with temporary.folder() as folder:
-        path = folder / "predicted.bsdf"
-        predicted_file.predict(model, latent, path, library=library, colour=colour, force=True)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "predicted.bsdf"
+        prediction.predict(
+            model, latent, path, library=library, colour=colour, options=OutputOptions(force=True)
+        )
         return picture_of_fit(fit, path, output, settings)

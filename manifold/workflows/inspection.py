@@ -5,9 +5,10 @@ What only one of them needs (zarr, Numba, models) is imported where it is used.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,9 @@ from manifold.formats import registry, tensor_file
 from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
 from manifold.records import BsdfFile, Progress
-from manifold.rendering import backend, libllvm
-from manifold.system.small_files import begins_with
-from manifold.workflows.inspection_record import Inspection, Table
+from manifold.rendering import backend
+from manifold.system.reading import begins_with
 from manifold.workflows.instrument_inspection import inspect_instrument_file
-
-if TYPE_CHECKING:
-    from manifold.library.store import Library
 
 _FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
@@ -30,6 +27,28 @@ _KINDS = {
     "blend": "blends of whole materials",
     "material": "whole materials",
 }
+
+Table = tuple[Sequence[str], Sequence[Sequence[object]]]
+"""Column heads, and rows."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What was found.
+
+    Attributes:
+        title: one line.
+        rows: labels and values.
+        document: the same for JSON.
+        tables: further tables, possibly none.
+        problems: what verification found, possibly nothing.
+    """
+
+    title: str
+    rows: dict[str, object]
+    document: dict[str, Any]
+    tables: Sequence[Table] = ()
+    problems: list[str] = field(default_factory=list)
 
 
 def inspect(
@@ -59,30 +78,24 @@ def inspect(
     if begins_with(path, _FIT):
         return _inspect_fit(path)
     if path.is_file() and (known := registry.identify(path)) is not None:
-        return inspect_instrument_file(path, known.name)
+        return Inspection(f"{path.name}: {known.name}", *inspect_instrument_file(path, known.name))
     if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
         raise registry.unknown(path)
     return _inspect_file(read_bsdf(path), path)
 
 
 def inspect_renderer() -> Inspection:
-    """Mitsuba's backend on this machine, and why; every LLVM library is tried again."""
-    chosen = backend.choose(refresh=True)
-    tried = {probe.library: probe.outcome for probe in chosen.probes}
-    libraries = list(dict.fromkeys([*tried, *libllvm.find_libraries()]))
-    outcomes = [(library, tried.get(library, "not tested: a newer one works")) for library in libraries]
-    if not tried:
-        outcomes = [(library, "not tested: scalar was requested") for library in libraries]
+    """Mitsuba's backend on this machine."""
+    backend.mitsuba()  # which says where it cannot be used
+    chosen = backend.choose()
     rows: dict[str, object] = {
-        "Mitsuba": libllvm.mitsuba_version(),
+        "Mitsuba": backend.mitsuba_version(),
         "variants": f"{chosen.kind}, " + ("vectorised" if chosen.is_llvm else "one sample at a time"),
         "libLLVM": chosen.library or "none",
     }
     if chosen.advice is not None:
         rows["advice"] = chosen.advice
-    table = Table(("library", "outcome"), tuple((str(library), outcome) for library, outcome in outcomes))
-    document = chosen.to_json() | {"libraries": {str(library): outcome for library, outcome in outcomes}}
-    return Inspection("Renderer", rows, document, (table,) if libraries else ())
+    return Inspection("Renderer", rows, chosen.to_json())
 
 
 def _inspect_file(file: BsdfFile, path: Path) -> Inspection:
@@ -138,18 +151,16 @@ def _inspect_fit(path: Path) -> Inspection:
     }
     if content["notes"]:
         rows["notes"] = tuple(content["notes"])
-    tables = [("parameter", content["values"])]
+    tables = {"parameter": content["values"]}
     if entry is not None:
         ball = f"{entry['ciede2000']:.2f} CIEDE2000 on the ball"
         rows["target"] = f"{entry['name']}, {ball} against the {entry['against']}"
-        tables.append((f"parameter of {entry['name']}", entry["parameters"]))
+        tables[f"parameter of {entry['name']}"] = entry["parameters"]
     return Inspection(
         f"{path.name}: fit by {content['program']}",
         rows,
         content | {"path": str(path)},
-        tuple(
-            Table((head, "value"), tuple((k, _words(v)) for k, v in found.items())) for head, found in tables
-        ),
+        [((head, "value"), [(k, _words(v)) for k, v in found.items()]) for head, found in tables.items()],
     )
 
 
@@ -162,60 +173,63 @@ def _words(value: float | list[float]) -> str:
 
 
 def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
+    from manifold.library.schema import SCHEMA_VERSION
     from manifold.library.store import Library
 
-    library = Library.open(path)
-    info = library.info
-    synthetic = sum(m.is_synthetic for m in info.materials)
+    library = Library(path)
+    materials = [library.attributes(name) for name in library.names]
+    synthetic, size = sum(m.is_synthetic for m in materials), sum(m.bytes for m in materials)
     rows: dict[str, object] = {
-        "materials": f"{len(info.materials)}" + (f", {synthetic} of them synthetic" if synthetic else ""),
-        "bands": str(info.bands),
-        "size": f"{info.bytes / 1e6:.1f} MB",
-        "content hash": info.content_hash,
-        "schema version": info.schema_version,
+        "materials": f"{len(materials)}" + (f", {synthetic} of them synthetic" if synthetic else ""),
+        "bands": str(library.bands),
+        "size": f"{size / 1e6:.1f} MB",
+        "content hash": library.content_hash,
+        "schema version": SCHEMA_VERSION,
     }
-    problems: list[str] = []
+    problems = library.verify(on_progress) if verify else []
     if verify:
-        problems = library.verify(on_progress)
         rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
-    table = Table(
-        ("material", "grid", "pipeline", "MB", "description"),
-        tuple(
-            (
-                m.name,
-                f"{m.shape[3]} x {m.shape[4]}" + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else ""),
-                ".".join(str(v) for v in m.pipeline_version),
-                f"{m.bytes / 1e6:.1f}",
-                m.description,
-            )
-            for m in info.materials
-        ),
-    )
+    table = [
+        (
+            m.name,
+            f"{m.shape[3]} x {m.shape[4]}" + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else ""),
+            ".".join(str(v) for v in m.pipeline_version),
+            f"{m.bytes / 1e6:.1f}",
+            m.description,
+        )
+        for m in materials
+    ]
     document = {
         "path": str(path),
-        "schema_version": info.schema_version,
-        "bands": str(info.bands),
-        "content_hash": info.content_hash,
-        "bytes": info.bytes,
-        "materials": [asdict(m) for m in info.materials],
+        "schema_version": SCHEMA_VERSION,
+        "bands": str(library.bands),
+        "content_hash": rows["content hash"],
+        "bytes": size,
+        "materials": [asdict(material) for material in materials],
         "verified": verify,
         "problems": problems,
     }
-    return Inspection(f"{path}: library", rows, document, (table,) if info.materials else (), problems)
+    columns = ("material", "grid", "pipeline", "MB", "description")
+    return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
 
 
 def _inspect_model(path: Path, library: Path | None) -> Inspection:
+    from manifold.model.manifold import Manifold
     from manifold.model.restoring import restore
 
     stored = read_model(path)
     s, space, left_out = restore(path, stored)
-    found, missing = _library_of(path, library)
+    found, missing = None, None
+    try:
+        found = Manifold.load(path, library).library
+    except LibraryError as error:
+        if library is not None:
+            raise
+        missing = str(error)
     rows: dict[str, object] = {
         "materials": len(stored.names),
-        "library": found.path
-        if found is not None
-        else f"{missing}; predictions, renders and reports need it",
-        "bands": found.bands if found is not None else stored.n_bands or "unknown without the library",
+        "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
+        "bands": stored.n_bands or "unknown without the library" if found is None else found.bands,
         "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
@@ -226,52 +240,31 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
         "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
         "size": f"{path.stat().st_size / 1e3:.1f} kB",
     }
-    errors = None if left_out is None else np.column_stack([left_out.ball, left_out.cube_root])
-    if errors is not None:
-        low, high = np.quantile(errors, (0.5, 0.9), axis=0)
+    columns = ["material", *(f"x{k + 1}" for k in range(s.latent_dim))]
+    table: list[tuple[object, ...]] = [
+        (name, *space.printed(row)) for name, row in zip(stored.names, space.X, strict=True)
+    ]
+    errors = None
+    if left_out is not None:
+        low, high = np.quantile(np.column_stack([left_out.ball, left_out.cube_root]), (0.5, 0.9), axis=0)
         rows["left-out errors"] = [
             f"median {low[0]:.1f}, 90th percentile {high[0]:.1f} CIEDE2000 of the ball",
             f"{low[1]:.0%}, {high[1]:.0%} cube-root error",
         ]
-    table = Table(
-        (
-            "material",
-            *(f"x{k + 1}" for k in range(s.latent_dim)),
-            *(("left out: ball", "cube root") if errors is not None else ()),
-        ),
-        tuple(
-            (
-                name,
-                *space.printed(row),
-                *(() if errors is None else (f"{errors[k, 0]:.1f}", f"{errors[k, 1]:.0%}")),
-            )
-            for k, (name, row) in enumerate(zip(stored.names, space.X, strict=True))
-        ),
-    )
+        columns += ["left out: ball", "cube root"]
+        pairs = list(zip(left_out.ball.tolist(), left_out.cube_root.tolist(), strict=True))
+        table = [(*row, f"{ball:.1f}", f"{root:.0%}") for row, (ball, root) in zip(table, pairs, strict=True)]
+        errors = {
+            name: {"ball": ball, "cube_root": root}
+            for name, (ball, root) in zip(stored.names, pairs, strict=True)
+        }
     document = {
         "path": str(path),
         "library": str(stored.library if found is None else found.path),
         "library_problem": missing,
         "settings": dict(vars(s)),
         "statistics": stored.statistics,
-        "latents": {name: [float(v) for v in row] for name, row in zip(stored.names, space.X, strict=True)},
-        "left_out": None
-        if errors is None
-        else {
-            name: {"ball": float(e[0]), "cube_root": float(e[1])}
-            for name, e in zip(stored.names, errors, strict=True)
-        },
+        "latents": {name: row.tolist() for name, row in zip(stored.names, space.X, strict=True)},
+        "left_out": errors,
     }
-    return Inspection(f"{path}: manifold model", rows, document, (table,))
-
-
-def _library_of(path: Path, named: Path | None) -> tuple[Library | None, str | None]:
-    """The library of a model, or why it cannot be used; one that was named has to be usable."""
-    from manifold.model.manifold import Manifold
-
-    try:
-        return Manifold.load(path, named).library, None
-    except LibraryError as error:
-        if named is not None:
-            raise
-        return None, str(error)
+    return Inspection(f"{path}: manifold model", rows, document, [(columns, table)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,46 +12,40 @@ from manifold.formats import registry
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.records import Bands
-from manifold.workflows.inspection_record import Inspection, Table
 
 _MOST_SAMPLES = 40  # listed one by one
 
 
-def inspect_instrument_file(path: Path, format_name: str) -> Inspection:
+def inspect_instrument_file(
+    path: Path, format_name: str
+) -> tuple[dict[str, object], dict[str, Any], list[tuple[Sequence[str], Sequence[Sequence[object]]]]]:
     """Samples, directions, bands, notes and texture of a file of a known format.
 
-    Raises: as `registry.read_all`.
+    Returns:
+        labels and values, the same for JSON, and tables: their heads and rows.
+    Raises:
+        FileFormatError: the file is damaged.
     """
     records = registry.read_all(path)
     first = records[0]
     rows: dict[str, object] = {"format": format_name, "instrument": first.instrument}
-    if len(records) > 1:
-        rows["samples"] = len(records)
-    else:
-        rows["sample"] = first.name
+    rows |= {"samples": len(records)} if len(records) > 1 else {"sample": first.name}
     rows |= _of_table(first) if isinstance(first, DenseTable) else _of_readings(first)
     rows["values in 1/sr"] = _range(np.concatenate([record.values.ravel() for record in records]))
     for k, note in enumerate(dict.fromkeys(note for record in records for note in record.notes), start=1):
         rows[f"note {k}"] = note
     size = path.stat().st_size
     rows["size"] = f"{size / 1e6:.3g} MB" if size >= 1e5 else f"{size / 1e3:.3g} kB"
-    tables = []
+    tables: list[tuple[Sequence[str], Sequence[Sequence[object]]]] = []
     if len(records) > 1:
-        listed = records[:_MOST_SAMPLES]
-        tables.append(
-            Table(("sample", "pairs", "bands"), tuple((r.name, _count(r), str(r.bands)) for r in listed))
-        )
-    for record in records:
-        if isinstance(record, Readings) and record.texture:
-            rows["texture"] = "graininess, sparkle or images of the sample are below"
-            tables += _texture_tables(record)
-            break
-    document = {
-        "path": str(path),
-        "format": format_name,
-        "samples": [_document(record) for record in records],
-    }
-    return Inspection(f"{path.name}: {format_name}", rows, document, tuple(tables))
+        listed = [(r.name, _count(r), str(r.bands)) for r in records[:_MOST_SAMPLES]]
+        tables.append((("sample", "pairs", "bands"), listed))
+    textures = [record.texture for record in records if isinstance(record, Readings) and record.texture]
+    if textures:
+        rows["texture"] = "graininess, sparkle or images of the sample are below"
+        tables += [_texture_table(key, value) for key, value in textures[0].items()]
+    document = {"path": str(path), "format": format_name, "samples": [_document(r) for r in records]}
+    return rows, document, tables
 
 
 def _of_readings(readings: Readings) -> dict[str, object]:
@@ -93,19 +87,15 @@ def _count(record: registry.Record) -> int:
     return len(record) if isinstance(record, Readings) else int(np.count_nonzero(record.measured))
 
 
-def _texture_tables(readings: Readings) -> list[Table]:
-    tables = []
-    for key, value in readings.texture.items():
-        if key == "images" and isinstance(value, Mapping):
-            images = tuple((caption, f"{len(data) / 1e3:.1f} kB") for caption, data in value.items())
-            tables.append(Table(("flake image", "size"), images))
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            columns = tuple(dict.fromkeys(column for entry in value for column in entry))
-            tables.append(Table(columns, tuple(tuple(entry.get(c, "") for c in columns) for entry in value)))
-        else:
-            items = value.items() if isinstance(value, Mapping) else [(key, value)]
-            tables.append(Table(("texture", "value"), tuple((str(k), str(v)) for k, v in items)))
-    return tables
+def _texture_table(key: str, value: Any) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+    """Images by their size, a list of entries with their columns, or single values."""
+    if key == "images" and isinstance(value, Mapping):
+        return ("flake image", "size"), [(name, f"{len(data) / 1e3:.1f} kB") for name, data in value.items()]
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        columns = tuple(dict.fromkeys(column for entry in value for column in entry))
+        return columns, [[entry.get(c, "") for c in columns] for entry in value]
+    items = value.items() if isinstance(value, Mapping) else [(key, value)]
+    return ("texture", "value"), [(str(k), str(v)) for k, v in items]
 
 
 def _document(record: registry.Record) -> dict[str, Any]:

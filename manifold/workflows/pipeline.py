@@ -6,7 +6,6 @@ Reports, figures and choices are imported where they are used: with scikit-learn
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,27 +13,16 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.library.store import Library
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.materials import names_without
+from manifold.model.settings import Settings
 from manifold.system import atomic
+from manifold.system.names import counted
 from manifold.system.stages import Progress, Stage, no_stage, with_progress
 
 if TYPE_CHECKING:
     from manifold.experiments.evaluation.report import Report
     from manifold.experiments.evaluation.selection import Candidate
-
-
-@dataclass(frozen=True)
-class Embedding:
-    """A fitted manifold, and what its settings were chosen from.
-
-    Attributes:
-        model: saved already.
-        candidates: settings that were tried, where any was to be chosen.
-    """
-
-    model: Manifold
-    candidates: tuple[Candidate, ...]
 
 
 def embed(
@@ -46,10 +34,14 @@ def embed(
     auto_mapping: bool = False,
     auto_latent_dim: bool = False,
     stage: Stage = no_stage,
-) -> Embedding:
-    """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`."""
+) -> tuple[Manifold, list[Candidate]]:
+    """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`.
+
+    Returns:
+        The manifold, and the settings that were tried, where any was to be chosen.
+    """
     atomic.require_writable(model)
-    opened = Library.open(library)
+    opened = Library(library)
     names = names_without(opened, without)
     candidates: list[Candidate] = []
     if auto_mapping or auto_latent_dim:
@@ -64,10 +56,8 @@ def embed(
             )
     with stage("Embedding") as step:
         fitted = Manifold.fit(opened, settings, step, names=names)
-    with stage("Leaving each material out") as step:
-        fitted.calibrate(step)
     fitted.save(model)
-    return Embedding(fitted, tuple(candidates))
+    return fitted, candidates
 
 
 def report(
@@ -88,11 +78,9 @@ def report(
     if picture is not None:
         figures.require_writable(picture)
     loaded = Manifold.load(model, library)
-    count = len(loaded.names)
-    if count < 3:
-        raise UsageError(
-            f"{model}: found {count} material{'s' * (count != 1)}, expected at least 3 to leave one out; import more"
-        )
+    if len(loaded.names) < 3:
+        found = counted(len(loaded.names), "material")
+        raise UsageError(f"{model}: found {found}, expected at least 3 to leave one out; import more")
     if picture is not None:  # first: an interruption then costs little
         figures.save(plot_latents.latent_map(loaded), picture)
     return make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands, anchors=anchors)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from manifold.errors import FileFormatError, UsageError
 from manifold.formats.text import decode, number
 from manifold.library.identity import alike, require_material_name
 from manifold.model.colours import ColourChoice
-from manifold.system import small_files
+from manifold.system import reading
 
 MOST_POINTS = 100_000
 _COLOURS = ("like", "srgb", "reflectance")
@@ -33,14 +32,12 @@ class Point:
         name: of what is made of it.
         place: coordinates, or the name of a material, or a path between two.
         colour: that it asks for.
-        latent: the cell of the column of that name as it is; empty where there is none.
     """
 
     line: int
     name: str
     place: tuple[float, ...] | str
     colour: ColourChoice
-    latent: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,25 +52,21 @@ class PointTable:
     points: tuple[Point, ...]
     failures: tuple[tuple[int, str], ...]
 
-    def among(self, names: Collection[str]) -> PointTable:
-        """The same rows, where cells of `latent` that are exactly a material's name are not read as coordinates."""
-        points = (replace(p, place=p.latent) if p.latent in names else p for p in self.points)
-        return replace(self, points=tuple(points))
-
 
 def read_points(path: Path) -> PointTable:
     """Read a table of places; a row that cannot be used does not stop the others.
 
-    Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`;
-    then `name`, without which rows are numbered, and at most one of `like`, `srgb` and `reflectance`, a path from the
-    folder of the table. Separators are comma, semicolon or tab; Excel's line `sep=;` may come first.
+    Columns are `x`, `y`, `z` or `x1`, `x2`, ... for coordinates, `latent` for all of them in one cell, or `material`
+    (also for names that read as coordinates); then `name`, without which rows are numbered, and at most one of `like`,
+    `srgb` and `reflectance`, a path from the folder of the table. Separators are comma, semicolon or tab; Excel's line
+    `sep=;` may come first.
 
     Raises:
         UsageError: the file cannot be read, or has no row.
         FileFormatError: its header is none.
     """
     advice = "name a CSV file of points"
-    text = decode(small_files.read_bytes(path, advice=advice, most=small_files.MOST_TEXT))
+    text = decode(reading.read_bytes(path, advice=advice, most=reading.MOST_TEXT))
     head = text.partition("\n")[0]
     separator = next((s for s in (";", "\t") if s in head), ",")
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
@@ -145,7 +138,7 @@ def _point(
     first = lines.setdefault(alike(name), line)
     if first != line:
         raise UsageError(f"found the name '{name}' of line {first}; name every row differently")
-    return Point(line, name, place, choice, row.get("latent", ""))
+    return Point(line, name, place, choice)
 
 
 def _place(row: dict[str, str]) -> tuple[float, ...] | str:

@@ -36,7 +36,6 @@ def main() -> int:
         "--flips", type=int, default=0, help="single-bit flips of a model, all checked in one process"
     )
     parser.add_argument("--kills", type=int, default=0, help="SIGKILLs over commands that write")
-    parser.add_argument("--interrupts", type=int, default=0, help="Ctrl-Cs over the same commands")
     parser.add_argument("--only", help="one case, such as scenes:17")
     options = parser.parse_args()
     work = Path(tempfile.mkdtemp(prefix="attack-"))
@@ -59,10 +58,9 @@ def _attack(options: argparse.Namespace, work: Path) -> int:
     problems: list[str] = []
     if options.flips:
         problems += _flips(base, work, options.flips, random.Random(options.seed))
-    if options.kills or options.interrupts:
-        rng = random.Random(options.seed)
-        found = kills.attack(base, work, options.kills, options.interrupts, rng, log)
-        print(f"kills: {options.kills}, interrupts: {options.interrupts}, {len(found)} problems")
+    if options.kills:
+        found = kills.attack(base, work, options.kills, random.Random(options.seed), log)
+        print(f"kills: {options.kills}, {len(found)} problems")
         problems += found
     counts: Counter[str] = Counter()
     until = time.monotonic() + 60.0 * options.minutes
@@ -125,19 +123,19 @@ def _flips(base: Path, work: Path, count: int, rng: random.Random) -> list[str]:
 
 def _import_everything() -> None:
     """What tasks use, so that a fork begins at once."""
-    import small_library  # noqa: F401
+    import helpers.small_library  # noqa: F401
 
     import manifold.experiments.budget.scene_document
     import manifold.fitting.fit_json
     import manifold.library.fetch
     import manifold.library.importing
     import manifold.model.manifold
-    import manifold.model.predicted_file
     import manifold.plots.plot_slices
     import manifold.workflows.fits
     import manifold.workflows.inspection
     import manifold.workflows.pictures
-    import manifold.workflows.pipeline  # noqa: F401
+    import manifold.workflows.pipeline
+    import manifold.workflows.prediction  # noqa: F401
     from manifold.cli import main  # noqa: F401
 
 

@@ -43,8 +43,8 @@ def command(*arguments: object) -> Callable[[], object]:
 def prepare(base: Path) -> None:
     """Make what is mutated: small files, a library, a model, a fit, scenes, pictures."""
     import numpy as np
-    from sample_files import write_samples
-    from small_library import small_model
+    from helpers.sample_files import write_samples
+    from helpers.small_library import small_model
 
     from manifold.fitting import bsdf_parameters
     from manifold.library.importing import import_files
@@ -255,9 +255,7 @@ def servers(base: Path, folder: Path, rng: random.Random) -> Case:
         threading.Thread(target=serve, args=(listening,), daemon=True).start()
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
         table = {"m": Entry("m", rng.choice((None, 7000)), None)}
-        fetch(
-            ["m"], folder, base_url=url, table=table, timeout_s=0.5, pause_s=0.01, attempts=2, deadline_s=3.0
-        )
+        fetch(["m"], folder, base_url=url, table=table, timeout_s=0.5, attempts=1)
 
     def judge(ended: Ended) -> str | None:
         return (

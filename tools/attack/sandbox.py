@@ -71,8 +71,6 @@ def start(task: Callable[[], object], folder: Path, log: Path) -> int:
         status = 0
     except SystemExit as leaving:
         status = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
-    except KeyboardInterrupt:
-        status = 130  # as the command ends where it is interrupted while it loads
     except BaseException:
         traceback.print_exc()
     finally:

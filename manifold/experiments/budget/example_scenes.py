@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from manifold.brdf.synthetic import corpus
+from manifold.brdf.analytic import corpus
 from manifold.colour.conversion import sensor_responses
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError

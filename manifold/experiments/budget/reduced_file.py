@@ -12,7 +12,6 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import interpolation_matrix, sensor_responses
 from manifold.colour.illuminants import Illuminant
-from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
 
 _SEEN_NM = np.arange(380.0, 781.0, 1.0)
@@ -36,22 +35,23 @@ def band_nodes(bands: Bands, light: Array, count: int) -> Array:
     return np.interp((np.arange(count) + 0.5) / count, share, _SEEN_NM)
 
 
-def band_projection(source: Array, nodes: Array, bands: Bands, light: Array) -> Array:
-    """The matrix (r, B) from values at B wavelengths to r nodes, by least squares.
+def few_bands(source: Bands, bands: Bands, light: Array, count: int) -> tuple[Array, Array]:
+    """Nodes in nm (r,) that stand for a spectrum under a light, and the matrix (r, B) from its B values to them.
 
-    Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under the light, which
-    three nodes already keep; what freedom is left keeps the spectrum, where the observer sees.
+    By least squares. Between nodes a spectrum is linear, beyond them constant. What counts most is the colour under
+    the light, which three nodes already keep; the freedom that is left keeps the spectrum, where the observer sees.
 
     Args:
-        source: the B wavelengths in nm.
-        nodes: the r wavelengths in nm.
-        bands, light: as in `band_nodes`.
+        source: the B bands of the spectrum.
+        bands, light, count: as in `band_nodes`.
     """
-    sensed = _sensed(bands, light)
+    nodes, sensed = band_nodes(bands, light, count), _sensed(bands, light)
     level = np.sqrt(sensed.sum(axis=1) / sensed.sum() + 1e-3 / len(_SEEN_NM))[:, None]
     rows = np.concatenate([_COLOUR_WEIGHT * sensed.T / sensed[:, 1].sum(), level * np.eye(len(_SEEN_NM))])
-    fine = [interpolation_matrix(of, _SEEN_NM) for of in (nodes, source)]
-    return np.linalg.lstsq(rows @ fine[0], rows @ fine[1], rcond=None)[0]
+    to_nodes, to_source = (
+        rows @ interpolation_matrix(nm, _SEEN_NM) for nm in (nodes, np.array(source.wavelengths_nm))
+    )
+    return nodes, np.linalg.lstsq(to_nodes, to_source, rcond=None)[0]
 
 
 def _sensed(bands: Bands, light: Array) -> Array:
@@ -134,11 +134,7 @@ def kept_elevations(file: BsdfFile, theta_rad: Array, count: int) -> Array:
         file: any file.
         theta_rad: incident elevations that occur, shape (M,).
         count: how many to keep, at least 2.
-    Raises:
-        UsageError: fewer than 2 are to be kept.
     """
-    if count < 2:
-        raise UsageError(f"{count} incident elevations to keep, expected at least 2")
     nodes = np.asarray(file.theta_i_rad, dtype=float)
     mean = file.spectra.mean(axis=(0, 2))  # (T, H, W)
     occurs = np.bincount(np.abs(theta_rad[:, None] - nodes).argmin(axis=1), minlength=len(nodes)) + 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.conversion import interpolation_matrix, to_srgb
-from manifold.errors import UsageError
 from manifold.experiments.budget import reduced_file
 from manifold.experiments.budget.scene_survey import MaterialLighting, Survey
 from manifold.fitting import fit_samples
@@ -63,34 +62,36 @@ class Candidate:
         return self.name == FULL
 
 
-@dataclass(eq=False)
 class _Builder:
-    """The data that the candidates of one material share."""
+    """Makes the candidates of one material, and predicts how each appears.
 
-    file: BsdfFile
-    lighting: MaterialLighting
-    survey: Survey
-    folder: Path
-    stem: str
-    found: list[Candidate] = field(default_factory=list)
-    _ends: tuple[Array, Array] | None = None
+    Attributes:
+        file: of the material.
+        lighting: where and by what light the scene shows it.
+        rows: samples of the lighting that count, shape (m,).
+        found: candidates so far.
+    """
 
-    def __post_init__(self) -> None:
-        self.rows = np.flatnonzero(self.lighting.lit)
-        self.reference = self.seen_of(self.file)
+    def __init__(self, path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> None:
+        self.file, self.lighting = read_bsdf(path), lighting
+        self.rows = np.flatnonzero(lighting.lit)
+        self.found: list[Candidate] = []
+        self._survey, self._path, self._folder = survey, path, folder
+        self._reference = self._appearance_of_file(self.file)
 
-    # -- predicting ------------------------------------------------------------------------------------------
-
-    def seen(self, evaluate: Callable[[Array, Array], Array]) -> Array:
+    def appearance(self, evaluate: Callable[[Array, Array], Array]) -> Array:
         """Display values (P, 1, 3) for a function from directions to f_cos (m, L)."""
-        f_cos = np.zeros((len(self.lighting.wi), self.lighting.bands.count))
-        f_cos[self.rows] = evaluate(self.lighting.wi[self.rows], self.lighting.wo[self.rows])
-        return self.survey.display(self.lighting.radiance(f_cos))[:, None, :]
+        return self.appearance_of(evaluate(self.lighting.wi[self.rows], self.lighting.wo[self.rows]))
 
-    def seen_of(self, file: BsdfFile) -> Array:
-        """Display values of a measured file."""
+    def appearance_of(self, seen: Array) -> Array:
+        """Display values (P, 1, 3) for f_cos (m, L) in the directions that the pre-pass sees."""
+        f_cos = np.zeros((len(self.lighting.wi), self.lighting.bands.count))
+        f_cos[self.rows] = seen
+        return self._survey.display(self.lighting.radiance(f_cos))[:, None, :]
+
+    def _appearance_of_file(self, file: BsdfFile) -> Array:
         brdf = MeasuredBRDF(file)
-        return self.seen(lambda wi, wo: self.in_light(brdf.eval_cos(wi, wo), file.bands))
+        return self.appearance(lambda wi, wo: self.in_light(brdf.eval_cos(wi, wo), file.bands))
 
     def in_light(self, values: Array, bands: Bands) -> Array:
         """Values (..., B) in the bands of the light, (..., L)."""
@@ -98,51 +99,38 @@ class _Builder:
             return values
         return values @ interpolation_matrix(_nm(bands), _nm(self.lighting.bands)).T
 
-    def difference(self, seen: Array) -> float:
-        """Mean CIEDE2000 to the reference."""
-        return float(image_metrics.ciede2000_map(self.reference, seen).mean())
+    def few_bands(self, source: Bands, count: int) -> tuple[Array, Array]:
+        """Nodes and matrix from a spectrum to fewer bands under this light; see `reduced_file.few_bands`."""
+        return reduced_file.few_bands(source, self.lighting.bands, self.lighting.spectrum, count)
 
     @cached_property
     def projections(self) -> list[tuple[Array, Array]]:
         """Nodes and matrices to the numbers of bands that are fewer than the file's."""
-        bands, lighting = self.file.bands, self.lighting
-        found = []
-        for count in () if bands.is_rgb else BANDS:
-            if count < bands.count:
-                nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, count)
-                found.append(
-                    (
-                        nodes,
-                        reduced_file.band_projection(_nm(bands), nodes, lighting.bands, lighting.spectrum),
-                    )
-                )
-        return found
-
-    def principled_ends(self, fitted: FitResult, shared: Mapping[str, float]) -> tuple[Array, Array]:
-        """f_cos with a black and with a white base colour where light falls, each (m, 1)."""
-        if self._ends is None:
-            made = evaluator(fitted.family, self.lighting.wi[self.rows], self.lighting.wo[self.rows], 3)
-            values = made.values(made.layout.join({**shared, "base_color": (0.0, 1.0, 1.0)}))[0]
-            self._ends = values[:, :1], values[:, 1:2]
-        return self._ends
-
-    # -- adding ----------------------------------------------------------------------------------------------
+        bands = self.file.bands
+        return [self.few_bands(bands, n) for n in BANDS if not bands.is_rgb and n < bands.count]
 
     def add_file(self, name: str, file: BsdfFile) -> None:
-        """A candidate with a file, which is written."""
+        """Add a candidate with a file, which is written."""
         kind = "rgb" if file.bands.is_rgb else "spec"
-        path = self.folder / f"{self.stem}_{len(self.found)}_{kind}.bsdf"
+        path = self._folder / f"{self._path.name.removesuffix('.bsdf')}_{len(self.found)}_{kind}.bsdf"
         write_bsdf(path, file)
-        bsdf = {"type": "measured", "filename": str(path)}
-        self.found.append(
-            Candidate(name, path.stat().st_size, bsdf, self.difference(self.seen_of(file)), path)
-        )
+        self._add_path(name, path, self._predicted(self._appearance_of_file(file)))
 
-    def add_numbers(self, name: str, bsdf: Mapping[str, Any], numbers: int, seen: Array) -> None:
-        """A candidate of a few numbers."""
-        self.found.append(
-            Candidate(name, _FLOAT_BYTES * numbers, bsdf, self.difference(seen), numbers=numbers)
-        )
+    def add_whole_file(self) -> None:
+        """Add the material's own file."""
+        self._add_path(FULL, self._path.absolute(), 0.0)
+
+    def add_numbers(self, name: str, bsdf: Mapping[str, Any], numbers: int, appearance: Array) -> None:
+        """Add a candidate of a few numbers."""
+        size = _FLOAT_BYTES * numbers
+        self.found.append(Candidate(name, size, bsdf, self._predicted(appearance), numbers=numbers))
+
+    def _add_path(self, name: str, path: Path, predicted: float) -> None:
+        bsdf = {"type": "measured", "filename": str(path)}
+        self.found.append(Candidate(name, path.stat().st_size, bsdf, predicted, path))
+
+    def _predicted(self, appearance: Array) -> float:
+        return float(image_metrics.ciede2000_map(self._reference, appearance).mean())
 
 
 def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: Path) -> list[Candidate]:
@@ -151,15 +139,12 @@ def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: P
     Args:
         path: the file.
         lighting, survey: where and by what light the scene shows it.
-        folder: where reduced files are written.
+        folder: where reduced files are written; made if missing.
     """
-    file = read_bsdf(path)
-    builder = _Builder(file, lighting, survey, folder, path.name.removesuffix(".bsdf"))
-    fitted = _fit(file, lighting)
-    if file.bands.is_rgb:
-        _add_rgb_parameters(builder, fitted, _diffuse_albedo(builder))
-    else:
-        _add_spectral_parameters(builder, fitted, _diffuse_albedo(builder))
+    folder.mkdir(exist_ok=True)
+    builder = _Builder(path, lighting, survey, folder)
+    file = builder.file
+    _add_parameters(builder)
     theta = np.arccos(np.clip(lighting.wi[builder.rows, 2], -1.0, 1.0))
     all_bands = "RGB" if file.bands.is_rgb else f"{file.bands.count} bands"
     bases = {"all angles": file}
@@ -173,8 +158,7 @@ def candidates(path: Path, lighting: MaterialLighting, survey: Survey, folder: P
     for name, base in bases.items():
         for nodes, projection in builder.projections:
             builder.add_file(f"{len(nodes)} bands, {name}", reduced_file.with_bands(base, nodes, projection))
-    bsdf = {"type": "measured", "filename": str(path.absolute())}
-    builder.found.append(Candidate(FULL, path.stat().st_size, bsdf, 0.0, path))
+    builder.add_whole_file()
     return sorted(builder.found, key=lambda candidate: (candidate.size, candidate.predicted, candidate.name))
 
 
@@ -215,25 +199,20 @@ def milliseconds(bsdf: Mapping[str, Any], is_rgb: bool) -> float:
 # -- parameters -----------------------------------------------------------------------------------------------
 
 
-def _fit(file: BsdfFile, lighting: MaterialLighting) -> FitResult:
+def _fit(builder: _Builder) -> FitResult:
     """Principled, fitted where the scene looks, and a little everywhere; spectral ones in `_FITTED_BANDS`."""
-    rows = np.flatnonzero(lighting.lit)
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _FIT_PAIRS).astype(int))]
-    elsewhere = fit_samples.from_file(file, max_pairs=_FIT_PAIRS // 2)
-    wi, wo = (
-        np.concatenate([lighting.wi[rows], elsewhere.wi]),
-        np.concatenate([lighting.wo[rows], elsewhere.wo]),
-    )
+    file, lighting = builder.file, builder.lighting
+    rows = builder.rows[np.unique(np.linspace(0, len(builder.rows) - 1, _FIT_PAIRS).astype(int))]
+    elsewhere = fit_samples.from_brdf(MeasuredBRDF(file)).subsample(_FIT_PAIRS // 2)
+    wi = np.concatenate([lighting.wi[rows], elsewhere.wi])
+    wo = np.concatenate([lighting.wo[rows], elsewhere.wo])
     f, bands = np.maximum(MeasuredBRDF(file).eval(wi, wo), 0.0), file.bands
     steep = (wi[:, 2] > 0.05) & (wo[:, 2] > 0.05)
     power = lighting.light[rows].mean(axis=1)
     weight = np.concatenate([power / power.mean(), np.full(len(elsewhere), _ELSEWHERE)])
     if not bands.is_rgb:
-        nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, _FITTED_BANDS)
-        f = np.maximum(
-            f @ reduced_file.band_projection(_nm(bands), nodes, lighting.bands, lighting.spectrum).T, 0.0
-        )
-        bands = Bands.from_array(nodes)
+        nodes, projection = builder.few_bands(bands, _FITTED_BANDS)
+        f, bands = np.maximum(f @ projection.T, 0.0), Bands.from_array(nodes)
     samples = FitSamples.from_arrays(wi[steep], wo[steep], f[steep], bands=bands, weight=weight[steep])
     return fit_bsdf(samples, principled())
 
@@ -241,53 +220,50 @@ def _fit(file: BsdfFile, lighting: MaterialLighting) -> FitResult:
 def _diffuse_albedo(builder: _Builder) -> Array:
     """The albedo in the file's bands that gives the mean light of the material, shape (B,)."""
     lighting, rows = builder.lighting, builder.rows
-    cosine = lighting.wo[rows, 2]
     power = lighting.light[rows].mean(axis=1)
     f_cos = MeasuredBRDF(builder.file).eval_cos(lighting.wi[rows], lighting.wo[rows])
-    return np.clip(np.pi * (power @ f_cos) / (power @ cosine), 0.0, 1.0)
+    return np.clip(np.pi * (power @ f_cos) / (power @ lighting.wo[rows, 2]), 0.0, 1.0)
 
 
-def _add_rgb_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> None:
-    builder.add_numbers(
-        "diffuse, RGB", {"type": "diffuse", "reflectance": _rgb(albedo)}, 3, builder.seen(_lambert(albedo))
-    )
-    _add_principled(builder, fitted, "RGB", _rgb(fitted.values["base_color"]), 3)
-
-
-def _add_spectral_parameters(builder: _Builder, fitted: FitResult, albedo: Array) -> None:
+def _add_parameters(builder: _Builder) -> None:
+    """Diffuse and principled BSDFs, in RGB, and for spectral files in a few bands."""
     lighting, bands = builder.lighting, builder.file.bands
-    colour = _rgb(to_srgb(albedo, bands))
-    in_light = _upsampled(colour, lighting.bands)
+    fitted, albedo = _fit(builder), _diffuse_albedo(builder)
+    colour = _rgb(albedo if bands.is_rgb else to_srgb(albedo, bands))
+    in_light = albedo if bands.is_rgb else _upsampled(colour, lighting.bands)
     builder.add_numbers(
-        "diffuse, RGB", {"type": "diffuse", "reflectance": colour}, 3, builder.seen(_lambert(in_light))
+        "diffuse, RGB", {"type": "diffuse", "reflectance": colour}, 3, builder.appearance(_lambert(in_light))
     )
     for nodes, projection in builder.projections:
         values = np.clip(projection @ albedo, 0.0, 1.0)
-        seen = builder.seen(_lambert(builder.in_light(values, Bands.from_array(nodes))))
+        appearance = builder.appearance(_lambert(builder.in_light(values, Bands.from_array(nodes))))
         bsdf = {"type": "diffuse", "reflectance": _irregular(nodes, values)}
-        builder.add_numbers(f"diffuse, {len(nodes)} bands", bsdf, 2 * len(nodes), seen)
-    base = builder.in_light(np.clip(fitted.spectra["base_color"], 0.0, 1.0), fitted.bands)
-    _add_principled(builder, fitted, "RGB", _rgb(fitted.values["base_color"]), 3)
-    for count in BANDS:
-        nodes = reduced_file.band_nodes(lighting.bands, lighting.spectrum, count)
-        projection = reduced_file.band_projection(
-            _nm(lighting.bands), nodes, lighting.bands, lighting.spectrum
-        )
-        values = np.clip(projection @ base, 0.0, 1.0)
-        _add_principled(builder, fitted, f"{count} bands", _irregular(nodes, values), 2 * count)
+        builder.add_numbers(f"diffuse, {len(nodes)} bands", bsdf, 2 * len(nodes), appearance)
+    colours = {"RGB": (_rgb(fitted.values["base_color"]), 3)}
+    if not bands.is_rgb:
+        base = builder.in_light(np.clip(fitted.spectra["base_color"], 0.0, 1.0), fitted.bands)
+        for count in BANDS:
+            nodes, projection = builder.few_bands(lighting.bands, count)
+            values = np.clip(projection @ base, 0.0, 1.0)
+            colours[f"{count} bands"] = _irregular(nodes, values), 2 * count
+    _add_principled(builder, fitted, colours)
 
 
 def _add_principled(
-    builder: _Builder, fitted: FitResult, what: str, colour: dict[str, Any], numbers: int
+    builder: _Builder, fitted: FitResult, colours: Mapping[str, tuple[dict[str, Any], int]]
 ) -> None:
+    """The fit in base colours, of so many numbers each."""
     shared = {name: float(v) for name, v in fitted.values.items() if not isinstance(v, list)}
+    lighting, rows = builder.lighting, builder.rows
+    made = evaluator(fitted.family, lighting.wi[rows], lighting.wo[rows], 3)
     # Without tints it is affine in the base colour, band by band: two values tell all bands.
-    black, white = builder.principled_ends(fitted, shared)
-    values = black + (white - black) * _upsampled(colour, builder.lighting.bands)
-    bsdf = {"type": "principled", "base_color": colour, **shared}
-    builder.add_numbers(
-        f"principled, {what}", bsdf, numbers + len(shared), builder.seen(lambda _wi, _wo: values)
-    )
+    ends = made.values(made.layout.join({**shared, "base_color": (0.0, 1.0, 1.0)}))[0]
+    black, white = ends[:, :1], ends[:, 1:2]
+    for what, (colour, numbers) in colours.items():
+        values = black + (white - black) * _upsampled(colour, lighting.bands)
+        bsdf = {"type": "principled", "base_color": colour, **shared}
+        appearance = builder.appearance_of(values)
+        builder.add_numbers(f"principled, {what}", bsdf, numbers + len(shared), appearance)
 
 
 def _lambert(albedo: Array) -> Callable[[Array, Array], Array]:
@@ -295,9 +271,7 @@ def _lambert(albedo: Array) -> Callable[[Array, Array], Array]:
 
 
 def _nm(bands: Bands) -> Array:
-    if bands.wavelengths_nm is None:
-        raise UsageError("found linear sRGB, expected wavelengths")
-    return np.array(bands.wavelengths_nm)
+    return np.array(bands.wavelengths_nm, dtype=np.float64)
 
 
 def _rgb(colour: Any) -> dict[str, Any]:

@@ -1,26 +1,23 @@
-"""Mitsuba scenes as documents: finding their measured materials, and replacing them.
+"""Mitsuba scenes whose measured materials and film are exchanged.
 
 A scene is an XML file, or a dictionary of plain values as `mi.load_dict` takes it (in files: JSON), where `to_world`
-may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth, in included files
-too: these become part of the document.
+may be a matrix of four rows. Sought are BSDFs of the types `measured` and `manifold`, at any depth and in included
+files.
 """
 
 from __future__ import annotations
 
-import copy
-import json
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from manifold.errors import UsageError
-from manifold.experiments.budget import scene_files
-from manifold.rendering import backend, images
-from manifold.rendering.plugin_names import require_plugins, types_of
-from manifold.system import atomic, small_files
+from manifold.errors import FileFormatError, MissingFileError, UsageError
+from manifold.rendering import backend
+from manifold.rendering.backend import Backend
+from manifold.rendering.plugin_names import holds_none, require_plugins, types_of
+from manifold.system import atomic, reading
 
 KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -30,10 +27,9 @@ KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Plugin names of measured materials, and their properties."""
 
-_FILES = ("filename", "model", "library", "reflectance")
+_PATHS = ("filename", "model", "library", "reflectance")  # properties that name files
 _LARGEST_FILM = 1 << 16
 _FILM_SIZE = (768, 576)  # Mitsuba's own default
-_NUMBERS = {"float": float, "integer": int}
 
 
 @dataclass(frozen=True)
@@ -52,72 +48,74 @@ class SceneMaterial:
 
 
 class SceneDocument:
-    """A scene whose measured materials and film can be exchanged before it is loaded or written."""
+    """A scene as Mitsuba has parsed it, of which no plugin is loaded yet.
 
-    def __init__(self, content: ET.Element | dict[str, Any], origin: str, folder: Path) -> None:
-        """Take the tree of an XML file or a dictionary; `folder` is what its relative paths start from.
+    Attributes:
+        origin: name of the scene.
+        materials: measured materials, each once.
+    """
 
-        Raises:
-            UsageError: there is no sensor, no measured material, or one with other properties than the plugin's.
-        """
-        self._content, self.origin = content, origin
-        self._is_xml = isinstance(content, ET.Element)
-        require_plugins(_types(content), origin)
-        self._resolve(folder)
-        found = [_material(self._properties(node)) for node in _bsdfs(content)]
-        for material in found:
-            _require_known(material, origin)
-        self.materials = tuple({material.key: material for material in found}.values())
+    def __init__(self, state: Any, origin: str) -> None:
+        """Take Mitsuba's `ParserState`; see `read`."""
+        self._state, self.origin = state, origin
+        self._keys: dict[int, str] = {}  # of the nodes that are measured materials
+        found: dict[str, SceneMaterial] = {}
+        for k, node in enumerate(state.nodes):
+            if node.props.plugin_name() in KINDS:
+                material = _material(node.props, origin)
+                self._keys[k] = material.key
+                found[material.key] = material
+        self.materials = tuple(found.values())
         if not self.materials:
             raise UsageError(
                 f"{origin}: no measured materials; expected BSDFs of the type measured or manifold in the scene"
             )
-        if _first_sensor(content) is None:
+        if not any(node.type.name == "Sensor" for node in state.nodes):
             raise UsageError(f"{origin}: no sensor; expected a camera in the scene")
 
     @classmethod
     def read(cls, scene: Path | Mapping[str, Any]) -> SceneDocument:
-        """A scene from an XML file, a JSON file, or a dictionary of plain values.
+        """A scene from an XML file, a JSON file, or a dictionary of plain values; names of files are made absolute.
 
         Raises:
-            UsageError: there is no such file, or nothing in it to work with.
-            FileFormatError: it is neither XML nor JSON of a scene; see `scene_files.read_tree`.
+            UsageError: there is no such file, no sensor, no measured material, or one with other properties than the
+                plugin's; or Mitsuba refuses the scene.
+            FileFormatError: JSON that is no scene or holds null, or a plugin that may not be loaded.
         """
-        if isinstance(scene, Mapping):
-            try:
-                content = json.loads(json.dumps(dict(scene)))
-            except (TypeError, ValueError, RecursionError) as error:
-                raise UsageError(
-                    f"the scene contains an object that is not plain data ({error}); expected numbers, strings, "
-                    "lists and dictionaries"
-                ) from error
-            return cls(scene_files.require_scene(content, "the scene"), "the scene", Path())
-        return cls(scene_files.read_tree(scene), str(scene), scene.parent.absolute())
-
-    @property
-    def suffix(self) -> str:
-        """Of a file that holds it."""
-        return ".xml" if self._is_xml else ".json"
+        mi = backend.mitsuba("rgb", Backend("scalar"))
+        config = mi.parser.ParserConfig(mi.variant())
+        folder, origin = (scene.parent, str(scene)) if isinstance(scene, Path) else (Path(), "the scene")
+        if isinstance(scene, Path) and not scene.is_file():
+            raise MissingFileError(f"{scene}: no such file; name a Mitsuba scene, .xml or .json")
+        if isinstance(scene, Path) and scene.suffix.lower() != ".json":
+            state, further = _parse_xml(mi, config, scene)
+            require_plugins((node.props.plugin_name() for node in state.nodes), origin)
+            folders = [folder, *further]
+        else:
+            content = _with_transforms(mi, _dictionary(scene, origin))
+            state = _accepted(lambda: mi.parser.parse_dict(config, content), origin)
+            folders = [folder, Path()]
+        for node in state.nodes:
+            for name in set(_PATHS) & set(node.props.keys()):
+                if isinstance(node.props[name], str):
+                    node.props[name] = _absolute(node.props[name], folders)
+        return cls(state, origin)
 
     @property
     def film_size(self) -> tuple[int, int]:
-        """Width and height in pixels of the first sensor's film."""
-        sensor: Any = _first_sensor(self._content)
-        film = _film(sensor)
-        properties = {} if film is None else self._properties(film)
-        try:
-            width, height = (
-                int(properties.get(n, d)) for n, d in zip(("width", "height"), _FILM_SIZE, strict=True)
-            )
-        except ValueError as error:
+        """Width and height in pixels of the first sensor's film.
+
+        Raises:
+            UsageError: it has no pixels, or too many.
+        """
+        film: dict[str, Any] = next(
+            (node.props for node in self._state.nodes if node.type.name == "Film"), {}
+        )
+        width, height = film.get("width", _FILM_SIZE[0]), film.get("height", _FILM_SIZE[1])
+        if not all(isinstance(n, int) and 1 <= n <= _LARGEST_FILM for n in (width, height)):
             raise UsageError(
-                f"{self.origin}: size of the film: {error}; expected numbers of pixels"
-            ) from error
-        if min(width, height) < 1 or max(width, height) > _LARGEST_FILM:
-            found = f"{width} x {height}" if max(width, height) <= _LARGEST_FILM else "more"
-            raise UsageError(
-                f"{self.origin}: size of the film: found {found}, expected at least 1 x 1 pixels and at most "
-                f"{_LARGEST_FILM} x {_LARGEST_FILM}"
+                f"{self.origin}: size of the film: found {width} x {height}, expected at least 1 x 1 pixels and at "
+                f"most {_LARGEST_FILM} x {_LARGEST_FILM}"
             )
         return width, height
 
@@ -127,188 +125,115 @@ class SceneDocument:
         Raises:
             UsageError: Mitsuba refuses the scene.
         """
-        content = self._with(bsdfs, film)
-        try:
-            if isinstance(content, ET.Element):
-                return mi.load_string(ET.tostring(_without_paths(content), encoding="unicode"))
-            return mi.load_dict(_with_transforms(mi, content))
-        except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
-            reason = " ".join(str(error).split())[-200:]
-            raise UsageError(
-                f"{self.origin}: Mitsuba refuses the scene ({reason}); check it there"
-            ) from error
+        config = mi.parser.ParserConfig(mi.variant())
+
+        def instantiate() -> Any:
+            state = self._with(mi, bsdfs)
+            index = _append(mi, state, film)
+            for node in state.nodes:
+                if node.type.name == "Sensor":
+                    for name, child in _children(mi, node.props):
+                        if state.nodes[child].type.name == "Film":
+                            del node.props[name]
+                    node.props["film"] = mi.Properties.ResolvedReference(index)
+            mi.parser.transform_all(config, state)
+            return mi.parser.instantiate(config, state)
+
+        return _accepted(instantiate, self.origin)
 
     def write(self, path: Path, bsdfs: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the scene with BSDFs by key in place of its materials. Raises: as `atomic.replacing`."""
-        content = self._with(bsdfs, None)
-        if isinstance(content, ET.Element):
-            ET.indent(content)
-            atomic.write_text(path, ET.tostring(content, encoding="unicode") + "\n")
-        else:
-            atomic.write_text(path, json.dumps(content, indent=1) + "\n")
+        """Write the scene as XML, with BSDFs by key in place of its materials. Raises: UsageError."""
+        mi = backend.mitsuba("rgb", Backend("scalar"))
+        state = self._with(mi, bsdfs)
+        for node in state.nodes:
+            if node.props.plugin_name() == "manifold":  # which a dictionary does not call a BSDF
+                node.type = mi.ObjectType.BSDF
+        atomic.write_text(path, _accepted(lambda: mi.parser.write_string(state), self.origin))
 
-    def _with(self, bsdfs: Mapping[str, Mapping[str, Any]], film: Mapping[str, Any] | None) -> Any:
-        content = copy.deepcopy(self._content)
-        for node in list(_bsdfs(content)):
-            replacement = bsdfs.get(_material(self._properties(node)).key)
-            if replacement is not None:
-                _replace(node, replacement)
-        if film is not None:
-            sensor: Any = _first_sensor(content)
-            old = _film(sensor)
-            if isinstance(sensor, ET.Element):
-                if old is not None:
-                    sensor.remove(old)
-                sensor.append(_element("film", film))
-            else:
-                name = next((k for k, v in sensor.items() if v is old), "film")
-                sensor[name] = dict(film)
-        return content
-
-    def _resolve(self, folder: Path) -> None:
-        """Make paths of files absolute: from the folder, those that the scene names, or Mitsuba's."""
-
-        folders, known = [folder], backend.search_folders()
-
-        def absolute(value: str) -> str:
-            found = next((f / value for f in [*folders, *known] if scene_files.exists(f / value)), None)
-            if found is None:
-                return value
-            _require_harmless(found, self.origin)
-            return str(found.absolute())
-
-        if isinstance(self._content, ET.Element):
-            for node in self._content.iter("path"):
-                node.set("value", absolute(node.get("value", "")))
-                folders.append(Path(node.get("value", "")))
-            for node in self._content.iter():
-                if node.tag == "string" and node.get("name") in _FILES:
-                    node.set("value", absolute(node.get("value", "")))
-                elif node.get("filename"):
-                    node.set("filename", absolute(node.get("filename", "")))
-        else:
-            for entry in _dictionaries(self._content):
-                for name in _FILES:
-                    if isinstance(entry.get(name), str):
-                        entry[name] = absolute(entry[name])
-
-    def _properties(self, node: Any) -> dict[str, str]:
-        """Type and properties of a plugin, as text; nothing for those that are plugins themselves."""
-        if not isinstance(node, ET.Element):
-            return {k: "" if isinstance(v, dict) else str(v) for k, v in node.items()}
-        own = {child.get("name", ""): child.get("value", "") for child in node}
-        return own | {"type": node.get("type", "")}
+    def _with(self, mi: Any, bsdfs: Mapping[str, Mapping[str, Any]]) -> Any:
+        """A copy of the state with other BSDFs; their identifiers stay."""
+        state = mi.parser.ParserState(self._state)
+        for k, key in self._keys.items():
+            if key in bsdfs:
+                replacement = state.nodes[_append(mi, state, bsdfs[key])]
+                replacement.props.set_id(state.nodes[k].props.id())
+                state.nodes[k] = replacement
+        return state
 
 
-def _require_harmless(path: Path, origin: str) -> None:
-    """Raise UsageError for what Mitsuba would read without end, or make more of than fits in memory."""
-    if path.is_dir():
-        return
-    if not path.is_file():
-        raise UsageError(f"{origin}: {path} is not a regular file; name one")
-    if (
-        path.suffix.lower() in (".spd", ".txt", ".csv", ".xml")
-        and path.stat().st_size > small_files.MOST_TEXT
-    ):
-        raise UsageError(
-            f"{origin}: {path} has {path.stat().st_size} bytes, expected at most {small_files.MOST_TEXT}"
-        )
-    images.require_size(path)
-
-
-def _require_known(material: SceneMaterial, origin: str) -> None:
-    """Raise UsageError where a property would be ignored."""
-    for name in material.properties:
+def _material(props: Any, origin: str) -> SceneMaterial:
+    """A material of its plugin's properties. Raises: UsageError, where one would be ignored."""
+    kind = props.plugin_name()
+    own = {name: str(props[name]) for name in sorted(props.keys())}
+    for name in own:
         if name.startswith("latent_"):
             raise UsageError(
                 f"{origin}: a manifold BSDF with textures of latents; expected one latent, as 'x,y'"
             )
-        if name not in KINDS[material.kind]:
+        if name not in KINDS[kind]:
             raise UsageError(
-                f"{origin}: a {material.kind} BSDF has a property '{name}', "
-                f"expected {', '.join(KINDS[material.kind])} only; leave it out"
+                f"{origin}: a {kind} BSDF has a property '{name}', expected {', '.join(KINDS[kind])} only; leave it out"
             )
-
-
-def _material(properties: Mapping[str, str]) -> SceneMaterial:
-    kind = properties["type"]
-    # Its name in the scene is not what it is.
-    own = {k: v for k, v in sorted(properties.items()) if k not in ("type", "id", "")}
     return SceneMaterial(f"{kind} {own}", kind, own)
 
 
-def _without_paths(tree: ET.Element) -> ET.Element:
-    """A scene without the folders in which it looks for files, which are absolute, and for plugins too."""
-    for parent in list(tree.iter()):
-        for child in parent.findall("path"):
-            parent.remove(child)
-    return tree
+def _append(mi: Any, state: Any, content: Mapping[str, Any]) -> int:
+    """Add a plugin and those within it to a state; the index of its node."""
+    added = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), dict(content))
+    first = len(state.nodes)
+    for node in added.nodes:
+        node.props.set_id("")  # names of properties, which need not be unique in a scene
+        for name, child in _children(mi, node.props):
+            node.props[name] = mi.Properties.ResolvedReference(first + child)
+        state.nodes.append(node)
+    return first
 
 
-def _types(content: Any) -> Iterator[object]:
-    if not isinstance(content, ET.Element):
-        return types_of(content)
-    return (node.get("type") for node in content.iter() if "type" in node.attrib)
+def _children(mi: Any, props: Any) -> list[tuple[str, int]]:
+    """Names and indices of the nodes that a node's properties refer to."""
+    values = [(name, props[name]) for name in props.keys()]  # noqa: SIM118 - a class of Mitsuba, not a mapping
+    return [(n, v.index()) for n, v in values if isinstance(v, mi.Properties.ResolvedReference)]
 
 
-def _dictionaries(content: Any) -> Iterator[dict[str, Any]]:
-    if isinstance(content, dict):
-        yield content
-        for value in content.values():
-            yield from _dictionaries(value)
+def _accepted(work: Any, origin: str) -> Any:
+    """The result of some work of Mitsuba's. Raises: UsageError, where Mitsuba refuses the scene."""
+    try:
+        return work()
+    except Exception as error:  # Mitsuba raises bare RuntimeErrors, and plugins their own
+        reason = " ".join(str(error).split())[-200:]
+        raise UsageError(f"{origin}: Mitsuba refuses the scene ({reason}); check it there") from error
 
 
-def _bsdfs(content: Any) -> Iterator[Any]:
-    if isinstance(content, ET.Element):
-        yield from (node for node in content.iter("bsdf") if node.get("type") in KINDS)
-    else:
-        yield from (entry for entry in _dictionaries(content) if entry.get("type") in KINDS)
+def _parse_xml(mi: Any, config: Any, scene: Path) -> tuple[Any, list[Path]]:
+    """Mitsuba's state of a file, no plugin of which is loaded, and the folders in which it looks for others."""
+    resolver = mi.file_resolver()
+    before = list(resolver)
+    try:
+        state = _accepted(lambda: mi.parser.parse_file(config, str(scene)), str(scene))
+        return state, [Path(str(folder)) for folder in resolver]
+    finally:  # those of <path> would stay
+        resolver.clear()
+        for folder in before:
+            resolver.append(folder)
 
 
-def _first_sensor(content: Any) -> Any:
-    if isinstance(content, ET.Element):
-        return next(content.iter("sensor"), None)
-    cameras = ("perspective", "orthographic", "thinlens")
-    return next((entry for entry in _dictionaries(content) if entry.get("type") in cameras), None)
+def _dictionary(scene: Path | Mapping[str, Any], origin: str) -> dict[str, Any]:
+    """Plain values of a scene whose plugins may be loaded. Raises: FileFormatError, UsageError."""
+    content = reading.read_json(scene, "a Mitsuba scene, .xml or .json") if isinstance(scene, Path) else scene
+    if not isinstance(content, Mapping) or content.get("type") != "scene":
+        raise FileFormatError(
+            f"{origin}: no dictionary of the type scene; expected what `mi.load_dict` takes"
+        )
+    if holds_none(content):  # ends Mitsuba's process
+        raise FileFormatError(f"{origin}: null in the scene, expected a value; remove that entry")
+    require_plugins(types_of(content), origin)
+    return dict(content)
 
 
-def _film(sensor: Any) -> Any:
-    if isinstance(sensor, ET.Element):
-        return sensor.find("film")
-    return next(
-        (v for v in sensor.values() if isinstance(v, dict) and str(v.get("type")).endswith("film")), None
-    )
-
-
-def _replace(node: Any, replacement: Mapping[str, Any]) -> None:
-    """Turn a BSDF into another in place; its name and identity stay."""
-    if isinstance(node, ET.Element):
-        kept = {k: v for k, v in node.attrib.items() if k in ("id", "name")}
-        made = _element("bsdf", replacement)
-        node.clear()
-        node.attrib.update(kept | made.attrib)
-        node.extend(made)
-    else:
-        kept = {k: v for k, v in node.items() if k == "id"}
-        node.clear()
-        node.update(copy.deepcopy(dict(replacement)) | kept)
-
-
-def _element(tag: str, content: Mapping[str, Any], name: str | None = None) -> ET.Element:
-    """A dictionary of a plugin as XML."""
-    if content["type"] == "rgb":
-        made = ET.Element("rgb", {"value": ", ".join(f"{v:.9g}" for v in content["value"])})
-    else:
-        made = ET.Element(tag, {"type": content["type"]})
-        for key, value in content.items():
-            if isinstance(value, Mapping):
-                made.append(_element("rfilter" if key == "rfilter" else "spectrum", value, key))
-            elif key != "type":
-                kind = next((k for k, python in _NUMBERS.items() if type(value) is python), "string")
-                made.append(ET.Element(kind, {"name": key, "value": str(value)}))
-    if name is not None:
-        made.set("name", name)
-    return made
+def _absolute(value: str, folders: Sequence[Path]) -> str:
+    """The absolute path of a file that a scene names; the value itself where there is no such file."""
+    paths = (folder / value for folder in folders)
+    return next((str(path.absolute()) for path in paths if path.exists()), value)
 
 
 def _with_transforms(mi: Any, content: Any) -> Any:

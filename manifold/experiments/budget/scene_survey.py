@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from manifold.experiments.budget.scene_document import SceneDocument
 from manifold.records import Array, Bands
 from manifold.rendering import backend, images
 from manifold.rendering.backend import Backend
-from manifold.system import temporary
 
 LIGHT_SAMPLES = 16
 MOST_PIXELS = 400  # of one material, for light
@@ -123,16 +123,11 @@ class Survey:
         steering = np.interp(nm, _WAVELENGTHS_NM, light, left=0.0, right=0.0) * matching.sum(axis=1)
         steering *= 30.0 * matching.sum() / steering.sum()
         inside = (nm >= 360.0) & (nm <= 830.0)
-        columns = zip("XYZ", matching.T, strict=True), [("Z_steering", steering)]
+        columns = zip(("X", "Y", "Z", "Z_steering"), [*matching.T, steering], strict=True)
+        ends = {"wavelength_min": float(nm[inside][0]), "wavelength_max": float(nm[inside][-1])}
         channels = {
-            name: {
-                "type": "regular",
-                "wavelength_min": float(nm[inside][0]),
-                "wavelength_max": float(nm[inside][-1]),
-                "values": ", ".join(f"{v:.9g}" for v in values[inside]),
-            }
-            for group in columns
-            for name, values in group
+            name: {"type": "regular", **ends, "values": ", ".join(f"{v:.9g}" for v in values[inside])}
+            for name, values in columns
         }
         return {"type": "specfilm", **common, **channels}
 
@@ -153,7 +148,8 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
     scale = size / max(width, height)
     width, height = max(round(width * scale), 1), max(round(height * scale), 1)
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
-    with temporary.folder() as folder:
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         # Mitsuba's description of a `measured` BSDF holds the file's name: one that is found again.
         names = {key: f"surveyed_{k}_.bsdf" for k, key in enumerate(files)}
         for key, name in names.items():
@@ -163,11 +159,7 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
         hits = _primary_hits(mi, scene, width, height, {name: key for key, name in names.items()})
         bands = Bands(None) if is_rgb else Bands.from_array(_WAVELENGTHS_NM)
         lighting = {
-            key: _lighting_at(
-                mi, scene, [(x, y, si) for k, x, y, si in hits if k == key], (height, width), bands
-            )
-            for key in files
-            if any(k == key for k, *_ in hits)
+            key: _lighting_at(mi, scene, hits[key], (height, width), bands) for key in files if key in hits
         }
     lit = {key: one for key, one in lighting.items() if np.any(one.lit)}
     if not lit:
@@ -182,12 +174,12 @@ def survey(document: SceneDocument, files: Mapping[str, Path], is_rgb: bool, siz
 
 def _primary_hits(
     mi: Any, scene: Any, width: int, height: int, names: Mapping[str, str]
-) -> list[tuple[str, int, int, Any]]:
-    """Pixels that show a material, once for each that they show: its key, column, row, and the interaction."""
+) -> dict[str, list[tuple[int, int, Any]]]:
+    """Pixels that show a material, by its key: column, row, and the interaction."""
     sensor = scene.sensors()[0]
     keys: dict[tuple[int, bool], list[str]] = {}
     alive = []  # BSDFs whose identities are in `keys`
-    hits = []
+    hits: dict[str, list[tuple[int, int, Any]]] = {}
     for y, x in np.ndindex(height, width):
         position = mi.Point2f((x + 0.5) / width, (y + 0.5) / height)
         ray, _ = sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
@@ -199,7 +191,8 @@ def _primary_hits(
             alive.append(bsdf)
             text = _side(str(bsdf), is_front)
             keys[id(bsdf), is_front] = [key for name, key in names.items() if name in text]
-        hits += [(key, x, y, si) for key in keys[id(bsdf), is_front]]
+        for key in keys[id(bsdf), is_front]:
+            hits.setdefault(key, []).append((x, y, si))
     return hits
 
 

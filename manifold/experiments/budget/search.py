@@ -1,7 +1,7 @@
 """The cheapest representation of every material of a scene that preserves its image: the search.
 
 Rendering is a callback: the search is given the differences that a render shows. Candidates are tried cheapest first;
-those whose predicted difference is far beyond the tolerance are not rendered. Each material is judged alone first,
+those whose predicted difference is far beyond the tolerance are not rendered. Each material is compared alone first,
 the others being the reference, then all together; where together they differ too much, all start again with a
 tolerance smaller by the square root of 2. Because of that grid, half the tolerance never gives a cheaper answer:
 whatever passes a small tolerance passes a larger one, and the larger tolerance's grid holds all steps of the smaller
@@ -110,25 +110,34 @@ def search(
     """
     alone: dict[str, dict[str, Difference]] = {key: {} for key in candidates}
 
-    def look(key: str, candidate: Candidate) -> Difference:
+    def difference_alone(key: str, candidate: Candidate) -> Difference:
         known = alone[key]
         if candidate.name not in known:
             known[candidate.name] = verify({key: candidate})[key]
         return known[candidate.name]
 
+    most = tolerance.milliseconds
     quick = {
-        key: [c for c in one if _is_quick(c, tolerance, milliseconds)] for key, one in candidates.items()
+        key: [c for c in one if most is None or milliseconds is None or milliseconds(c) <= most]
+        for key, one in candidates.items()
     }
     seen: dict[tuple[str, ...], Mapping[str, Difference]] = {}
     for step in range(_MOST_STEPS):
         scale = _STEP**step
-        choice = {key: _first(key, one, tolerance, scale, look) for key, one in quick.items()}
+        choice = {key: _first(key, one, tolerance, scale, difference_alone) for key, one in quick.items()}
         names = tuple(candidate.name for candidate in choice.values())
         if names not in seen:
             # One material together with none is what it is alone.
-            seen[names] = verify(choice) if len(choice) > 1 else {k: look(k, c) for k, c in choice.items()}
+            seen[names] = (
+                verify(choice) if len(choice) > 1 else {k: difference_alone(k, c) for k, c in choice.items()}
+            )
         if all(tolerance.admits(found) for found in seen[names].values()):
-            _require_size(choice, tolerance, others)
+            total = others + sum(candidate.size for candidate in choice.values())
+            if tolerance.size is not None and total > tolerance.size:
+                raise UsageError(
+                    f"a CIEDE2000 of {tolerance.delta_e:g} needs {total} bytes, expected at most {tolerance.size}; "
+                    "allow more of either"
+                )
             return Answer(choice, seen[names], alone)
     raise UsageError(
         f"no combination meets a CIEDE2000 of {tolerance.delta_e:g} with all materials together; raise the "
@@ -136,42 +145,23 @@ def search(
     )
 
 
-def _is_quick(
-    candidate: Candidate, tolerance: Tolerance, milliseconds: Callable[[Candidate], float] | None
-) -> bool:
-    if tolerance.milliseconds is None or milliseconds is None:
-        return True
-    return milliseconds(candidate) <= tolerance.milliseconds
-
-
 def _first(
     key: str, candidates: Sequence[Candidate], tolerance: Tolerance, scale: float,
-    look: Callable[[str, Candidate], Difference],
+    difference_alone: Callable[[str, Candidate], Difference],
 ) -> Candidate:  # fmt: skip
     """The cheapest candidate within the scaled tolerance."""
     for candidate in candidates:
         if candidate.predicted <= SLACK * scale * tolerance.delta_e and tolerance.admits(
-            look(key, candidate), scale
+            difference_alone(key, candidate), scale
         ):
             return candidate
     if not candidates:
         raise UsageError(
-            f"no representation evaluates a million times within {tolerance.milliseconds:g} ms; "
-            "raise --max-ms"
+            f"no representation evaluates a million times within {tolerance.milliseconds:g} ms; allow more"
         )
     best = min(candidates, key=lambda candidate: candidate.predicted)
-    found = look(key, best)
+    found = difference_alone(key, best)
     raise UsageError(
         f"no representation within {tolerance.milliseconds or 0:g} ms meets a CIEDE2000 of "
-        f"{scale * tolerance.delta_e:.3g}; closest is '{best.name}' with {found.delta_e:.2f}; raise --max-ms or "
-        "--max-delta-e"
+        f"{scale * tolerance.delta_e:.3g}; closest is '{best.name}' with {found.delta_e:.2f}; allow more of either"
     )
-
-
-def _require_size(choice: Choice, tolerance: Tolerance, others: int) -> None:
-    total = others + sum(candidate.size for candidate in choice.values())
-    if tolerance.size is not None and total > tolerance.size:
-        raise UsageError(
-            f"a CIEDE2000 of {tolerance.delta_e:g} needs {total} bytes, expected at most {tolerance.size}; "
-            "raise --max-bytes or --max-delta-e"
-        )

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from manifold.errors import RendererError, UsageError
-from manifold.experiments.chart import fits, instruments, pareto
+from manifold.experiments.chart import fits, instruments
 from manifold.experiments.chart.held_out import HeldOut
-from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, Measurement, RelativeTime
-from manifold.experiments.chart.registry import Setting, settings
-from manifold.experiments.evaluation.anchors import require_anchors
-from manifold.experiments.interrupted import KeptResults
+from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
+from manifold.experiments.evaluation.anchors import neural_fits
+from manifold.experiments.evaluation.cross_validation import Method
+from manifold.experiments.evaluation.methods import settings
+from manifold.experiments.results import KeptResults
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, Progress
-from manifold.system.names import names_like
+from manifold.system.names import counted, names_like
 
 ERRORS = {
     "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
@@ -29,22 +30,8 @@ ERRORS = {
 COSTS = {"predict": "time to predict", "bytes": "bytes", "fit": "time to fit"}
 
 _ALIKE = 0.01  # errors and bytes that differ by less do not count as different
+_NEAR_BEST = 1.25  # times the smallest error: as accurate, for who needs speed
 _ALIKE_TIMES = 0.1  # nor times: so much they differ from run to run of the whole chart
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChartRow(Measurement):
-    """One setting, measured.
-
-    Attributes:
-        key, title, family: of the setting.
-        is_held_out: False where a material is represented by a fit to itself.
-    """
-
-    key: str
-    title: str
-    family: str
-    is_held_out: bool = True
 
 
 @dataclass(frozen=True)
@@ -72,8 +59,7 @@ class Chart:
     def to_json(self) -> dict[str, Any]:
         """The chart as plain values."""
         reference = f"{REFERENCE}, 195 bands, {REFERENCE_PAIRS} direction pairs, one core"
-        rows = [{"key": row.key, "title": row.title, **asdict(row)} for row in self.rows]
-        return {"reference": reference, **asdict(self), "rows": rows}
+        return {"reference": reference, **asdict(self)}
 
     def front(self, error: str, cost: str) -> list[ChartRow]:
         """The settings on a front, cheapest first."""
@@ -89,6 +75,26 @@ def cost_of(row: ChartRow, cost: str) -> float:
     return value.median if isinstance(value, RelativeTime) else float(value)
 
 
+def conclusion(made: Chart) -> str:
+    """Which settings to choose, in two sentences; empty where none was held out."""
+    held_out = [row for row in made.rows if row.is_held_out]
+    if not held_out:
+        return ""
+    best = min(held_out, key=lambda row: row.delta_e)
+    near = [row for row in held_out if row.delta_e <= _NEAR_BEST * best.delta_e]
+    fast = min(near, key=lambda row: row.predict.median)
+    most_accurate = (
+        f"Most accurate for left-out materials: {best.title}, {best.delta_e:.2f} CIEDE2000 of the ball."
+    )
+    if fast is best:
+        return f"{most_accurate} Choose it: nothing faster comes within {_NEAR_BEST - 1:.0%} of it."
+    times = best.predict.median / fast.predict.median
+    return (
+        f"{most_accurate} Where speed counts, choose {fast.title}: {fast.delta_e:.2f}, and {times:.2g} times as fast "
+        "to predict."
+    )
+
+
 def make_chart(
     files: Sequence[BsdfFile],
     only: Sequence[str] = (),
@@ -97,7 +103,6 @@ def make_chart(
     fitted: int = 3,
     neural: str | None = None,
     library: Library | None = None,
-    on_result: Callable[[Chart], None] | None = None,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -108,65 +113,59 @@ def make_chart(
         grid: direction pairs of the errors; by default 45 x 23 x 12.
         fitted: how many materials the fits of `fits.METHODS` represent.
         neural: file, zip file or folder of published neural fits; also show those of these materials.
-        library: of the files, where settings that are done are kept until all are and `on_result` has returned, so
-            that an interrupted run is continued on the same machine.
-        on_result: called with the chart, to write it.
+        library: of the files, where settings that are done are kept until all are, so that an interrupted run is
+            continued on the same machine.
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
     """
     if len(files) < 4:
         raise UsageError(
-            f"found {len(files)} material{'s' * (len(files) != 1)}, expected at least 4 to leave some out; import more"
+            f"found {counted(len(files), 'material')}, expected at least 4 to leave some out; import more"
         )
-    known: dict[str, Setting | str] = {s.key: s for s in settings(files[0].bands.count)}
+    known: dict[str, Method | str] = {s.key: s for s in settings(files[0].bands.count)}
     known |= {f"fit_{method}": method for method in fits.METHODS}
     if neural is not None:
-        require_anchors([neural], [file.name for file in files], files[0].bands)
+        neural_fits(neural, [file.name for file in files], files[0].bands)  # refused before any long work
         known[fits.NEURAL] = fits.NEURAL
     unknown = [key for key in only if key not in known]
     if unknown:
         near = names_like(known, unknown[0], "there are")
         raise UsageError(f"no setting is called {unknown[0]!r}; {near} (docs/design/chart.md lists all)")
     chosen = [known[key] for key in only or known]
-    held_out = [s for s in chosen if isinstance(s, Setting)]
+    held_out = [s for s in chosen if isinstance(s, Method)]
     names, machine = [file.name for file in files], platform.node()
     kept = KeptResults(library, f"chart-1 {names} {list(only)} {grid} {fitted} {neural} {machine}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
 
-    def add(key: str, title: str, family: str, measured: Measurement, *, is_held_out: bool = True) -> None:
-        rows[key] = ChartRow(key=key, title=title, family=family, is_held_out=is_held_out, **vars(measured))
+    def add(row: ChartRow) -> None:
+        rows[row.key] = row
         kept.put(_to_arrays(rows))
         if on_progress is not None:
-            on_progress(len(rows), len(chosen), title)
+            on_progress(len(rows), len(chosen), row.title)
 
     with instruments.one_core():
         held = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
-        # Settings that keep files alike stand together: only one set of kept files is in memory.
+        # Settings that store files alike stand together: only one set of stored files is in memory.
         for setting in sorted((s for s in held_out if s.key not in rows), key=lambda s: s.storage.key):
-            add(setting.key, setting.title, setting.family, held.measure(setting))
+            add(held.measure(setting))
         for key in only or known:
             method = known[key]
-            if isinstance(method, Setting) or key in rows:
+            if isinstance(method, Method) or key in rows:
                 continue
             try:
                 if neural is not None and method == fits.NEURAL:
-                    measured = fits.measure_neural(neural, files, held.target, held.watch)
+                    add(fits.measure_neural(neural, files, held))
                 else:
-                    measured = fits.measure(method, files, fitted, held.target, held.watch)
+                    add(fits.measure(method, files, fitted, held))
             except (RendererError, UsageError) as error:
                 skipped[key] = str(error)
-            else:
-                add(key, fits.TITLES[method], fits.FAMILY, measured, is_held_out=False)
     measured_rows = tuple(rows[key] for key in known if key in rows)
-    made = Chart(
+    kept.finish()
+    return Chart(
         measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,
         held.watch.reference_seconds, held.scaled, skipped,
     )  # fmt: skip
-    if on_result is not None:
-        on_result(made)
-    kept.finish()
-    return made
 
 
 def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:
@@ -199,5 +198,21 @@ def _front(rows: Sequence[ChartRow], error: str, cost: str) -> list[str]:
     if cost != "bytes":
         spreads = [getattr(row, cost).spread for row in rows]
         tolerance[:, 1] = 0.5 * np.maximum(_ALIKE_TIMES * values[:, 1], spreads)
-    on = np.flatnonzero(pareto.front(values, tolerance)).tolist()
+    on = np.flatnonzero([not others for others in dominators(values, tolerance)]).tolist()
     return [rows[k].key for k in sorted(on, key=lambda k: values[k, 1])]
+
+
+def dominators(costs: Array, tolerance: Array | float = 0.0) -> list[list[int]]:
+    """Per row, the rows that are better in one column and worse in none.
+
+    Every cost is an interval, known to +- tolerance: it is better, or worse, where intervals do not meet.
+
+    Args:
+        costs: less is better, shape (M, C).
+        tolerance: broadcasts against the costs.
+    """
+    low, high = costs - tolerance, costs + tolerance
+    better = high[:, None] < low[None]  # [row, than row, C]
+    wins = np.asarray(better.any(axis=2))
+    dominated_by = (wins & ~wins.T).T
+    return [np.flatnonzero(row).tolist() for row in dominated_by]

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
-from manifold.experiments.chart.instruments import Measurement, RelativeTime, Stopwatch, Target, summary
+from manifold.experiments.chart.held_out import HeldOut
+from manifold.experiments.chart.instruments import ChartRow, RelativeTime, summary
 from manifold.experiments.evaluation.anchors import NEURAL_NUMBERS, neural_fits
 from manifold.fitting import principled
 from manifold.fitting.bsdf_evaluation import evaluator
@@ -19,21 +20,17 @@ from manifold.rendering import backend
 METHODS = ("gauss-newton", "adam", "swarm")
 """Of `principled.METHODS`."""
 NEURAL = "neural"
-TITLES = {
-    "gauss-newton": "fit, Gauss-Newton",
-    "adam": "fit, Adam",
-    "swarm": "fit, swarm",
-    NEURAL: "fit, neural",
-}
 
 FAMILY = "fit of the seen material"
+_TITLES = {"gauss-newton": "fit, Gauss-Newton", "adam": "fit, Adam", "swarm": "fit, swarm"}
 _REPEATS = 3
 _BYTES_PER_NUMBER = 8
 
+_Predictor = Callable[[DirectionPairs], Callable[[], Array]]
+"""From direction pairs to what predicts f in all bands there."""
 
-def measure(
-    method: str, files: Sequence[BsdfFile], count: int, target: Target, watch: Stopwatch
-) -> Measurement:
+
+def measure(method: str, files: Sequence[BsdfFile], count: int, held: HeldOut) -> ChartRow:
     """Fit evenly spaced materials by one of `METHODS`.
 
     Predictions are evaluations at as many direction pairs as the material's file has.
@@ -41,51 +38,47 @@ def measure(
     Raises:
         UsageError, RendererError: the method does not run here, or Mitsuba is missing.
     """
-    errors, fits, predicts, numbers = [], [], [], []
-    for i in evenly_spaced(len(files), count):
-        file = files[i]
+    measured, fits, numbers = [], [], []
+    for i in evenly_spaced(len(files), count).tolist():
         with backend.one_thread():
-            result, seconds = watch.lap(partial(principled.fit_bsdf, file, method=method))
-            fits.append(seconds)
-            evaluators = [_evaluate(result, pairs) for pairs in (target.pairs, target.balls.pairs)]
-            on_grid, on_ball = (evaluate()[:, target.data.bands] for evaluate in evaluators)
-            scale = file.luminance.size / len(target.pairs)
-            predicts.append(scale * watch.laps(evaluators[0], _REPEATS))
-        errors.append(target.errors(int(i), on_grid, on_ball))
+            result, seconds = held.watch.lap(partial(principled.fit_bsdf, files[i], method=method))
+            measured.append(_measured(i, files[i], partial(_evaluator, result), held))
+        fits.append(seconds)
         numbers.append(sum(np.size(value) for value in (dict(result.values) | result.spectra).values()))
-    return Measurement(
-        **summary(errors),
-        fit=RelativeTime.of(np.array(fits) * len(files)),
-        predict=RelativeTime.of_several(predicts),
-        bytes=int(np.median(numbers)) * _BYTES_PER_NUMBER * len(files),
-    )
+    time = RelativeTime.of(np.array(fits) * len(files))
+    return _row(f"fit_{method}", _TITLES[method], measured, time, int(np.median(numbers)) * len(files))
 
 
-def measure_neural(source: str, files: Sequence[BsdfFile], target: Target, watch: Stopwatch) -> Measurement:
-    """Published neural fits of the materials that have one; the time to fit them is not known.
-
-    Raises:
-        UsageError: there is no such source, or none of its fits is of one of the materials.
-        FileFormatError: the source holds no neural fits, or damaged ones.
-    """
+def measure_neural(source: str, files: Sequence[BsdfFile], held: HeldOut) -> ChartRow:
+    """Published neural fits of the materials that have one, see `neural_fits`; the time to fit them is not known."""
     found = neural_fits(source, [file.name for file in files], files[0].bands)
-    errors, predicts = [], []
-    for i, fit in found.items():
-        on_grid, on_ball = (
-            fit.eval(at.wi, at.wo)[:, target.data.bands] for at in (target.pairs, target.balls.pairs)
-        )
-        errors.append(target.errors(i, on_grid, on_ball))
-        scale = files[i].luminance.size / len(target.pairs)
-        predicts.append(scale * watch.laps(partial(fit.eval, target.pairs.wi, target.pairs.wo), _REPEATS))
-    return Measurement(
-        **summary(errors),
-        fit=None,
-        predict=RelativeTime.of_several(predicts),
-        bytes=NEURAL_NUMBERS * _BYTES_PER_NUMBER * len(files),
-    )
+    measured = [
+        _measured(i, files[i], lambda pairs, fit=fit: partial(fit.eval, pairs.wi, pairs.wo), held)  # type: ignore[misc]
+        for i, fit in found.items()
+    ]
+    return _row(NEURAL, "fit, neural", measured, None, NEURAL_NUMBERS * len(files))
 
 
-def _evaluate(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
+def _measured(
+    i: int, file: BsdfFile, predictor: _Predictor, held: HeldOut
+) -> tuple[tuple[float, ...], Array]:
+    """Errors of a prediction of material i, and times of repeated runs."""
+    on_grid, on_ball = predictor(held.pairs), predictor(held.balls.pairs)
+    errors = held.errors(i, *(evaluate()[:, held.data.bands] for evaluate in (on_grid, on_ball)))
+    return errors, file.luminance.size / len(held.pairs) * held.watch.laps(on_grid, _REPEATS)
+
+
+def _row(
+    key: str, title: str, measured: Sequence[tuple[tuple[float, ...], Array]], fit: RelativeTime | None, numbers: int
+) -> ChartRow:  # fmt: skip
+    errors, times = zip(*measured, strict=True)
+    return ChartRow(
+        key=key, title=title, family=FAMILY, is_held_out=False, **summary(errors), fit=fit,
+        predict=RelativeTime.of_several(times), bytes=numbers * _BYTES_PER_NUMBER,
+    )  # fmt: skip
+
+
+def _evaluator(result: FitResult, pairs: DirectionPairs) -> Callable[[], Array]:
     """The BRDF of a fit in the bands of its samples, f in 1/sr (P, B)."""
     made = evaluator(result.family, pairs.wi, pairs.wo, result.bands.count)
     p = made.layout.join(result.values | result.spectra)

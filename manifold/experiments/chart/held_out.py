@@ -12,23 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from manifold import metrics
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.unmeasured import fill_unmeasured
-from manifold.experiments.chart import instruments
-from manifold.experiments.chart.instruments import (
-    Measurement,
-    RelativeTime,
-    Stopwatch,
-    StoredMaterials,
-    Target,
-)
-from manifold.experiments.chart.registry import Setting
-from manifold.experiments.chart.storage_forms import Storage
-from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
+from manifold.experiments.chart.instruments import ChartRow, RelativeTime, Stopwatch, some_pairs, summary
+from manifold.experiments.evaluation import storage_forms
+from manifold.experiments.evaluation.cross_validation import Fit, Method, cross_validate, leave_out
+from manifold.experiments.evaluation.errors import BallErrors
+from manifold.experiments.evaluation.storage_forms import Storage
 from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model.combination import Combination
+from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, BsdfFile, evenly_spaced
 
@@ -38,6 +33,7 @@ _BLOCK_PAIRS = 512
 _DENSE_PAIRS = RusinkiewiczGrid.named("hikichi").n_pairs
 _BYTES_PER_NUMBER = 8
 _STREAMED_BYTES = 1 << 26  # far more than caches hold
+_AT_ONCE = 8  # predictions evaluated together
 
 _Fitted = tuple[list[Combination], RelativeTime, tuple[str, ...]]
 
@@ -46,31 +42,32 @@ class HeldOut:
     """Measures settings one after the other; what they share, tables and fits, is made once.
 
     Attributes:
-        target: what predictions are compared with.
+        data: values of the materials on a grid, in some bands.
+        pairs, balls: the grid's direction pairs, and the materials' balls.
         watch: what times are measured by.
         folds: of the cross-validation.
         scaled: what was measured in part, and how it was scaled to the whole.
     """
 
-    def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Setting]) -> None:
+    def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Method]) -> None:
         """Tabulate N files at the direction pairs of a grid, in the bands that the chosen settings need."""
-        files = [fill_unmeasured(file) for file in files]
-        self._files, self.watch = files, Stopwatch()
+        self._files, self.watch = [fill_unmeasured(file) for file in files], Stopwatch()
         self.folds = min(_FOLDS, len(files))
         n_bands = files[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS)
         for count in {s.sample_bands for s in chosen} - {None}:
             bands = np.union1d(bands, evenly_spaced(n_bands, int(count or 0)))
-        materials = [MeasuredBRDF(file) for file in files]
+        materials = [MeasuredBRDF(file) for file in self._files]
         grid = grid.suited_to(all_isotropic(materials))
         tabulate = partial(Data.evaluate, materials, grid, bands)
-        self._data = tabulate()
+        self.data = tabulate()
         self._tabulating = [self.watch.lap(tabulate)[1] for _ in range(_REPEATS)]
         wi, wo, above = grid.directions()
-        self.target = Target(self._data, materials, DirectionPairs(wi[above], wo[above]))
-        self._block = instruments.some_pairs(_BLOCK_PAIRS, grid)
-        self._fits: dict[str, _Fitted] = {}
-        self._stored: tuple[Storage, StoredMaterials] | None = None
+        self.pairs, self.balls = DirectionPairs(wi[above], wo[above]), BallErrors(materials, bands)
+        self._block = some_pairs(_BLOCK_PAIRS, grid)
+        # Settings that differ only in how files are stored, or in their threshold, share a fit.
+        self._fits: dict[Fit, _Fitted] = {}
+        self._stored: StoredMaterials | None = None
         once = [
             self.watch.laps(partial(material.eval_at, self._block), _REPEATS)
             for material in materials[:: max(len(files) // _TIMED, 1)]
@@ -81,57 +78,97 @@ class HeldOut:
             "tabulating": RelativeTime.of(self._tabulating).median,
         }  # fmt: skip
 
-    def measure(self, setting: Setting) -> Measurement:
+    def measure(self, setting: Method) -> ChartRow:
         """Errors of all materials, each left out once, and costs."""
-        combinations, fit, warned = self._fitted(setting)
+        combinations, fit, warned = self._fitted(setting.fit)
         if setting.is_dense:
             fit = RelativeTime(fit.median - self.scaled["tabulating"] + self._resampling, fit.spread)
         combinations = [without_small_weights(c, setting.threshold) for c in combinations]
-        stored = self._stored_as(setting.storage)
-        errors = instruments.summary(self.target.errors_of(stored, combinations))
+        if self._stored is None or self._stored.storage.key != setting.storage.key:
+            self._stored = None  # one at a time is in memory
+            self._stored = StoredMaterials(setting.storage, self._files, self)
+        stored = self._stored
         scale = (_DENSE_PAIRS if setting.is_dense else stored.cells) / _BLOCK_PAIRS
         predict = [
             scale * self.watch.laps(_predictor(stored, c, self._block, is_dense=setting.is_dense), _REPEATS)
             for c in combinations[:: max(len(combinations) // _TIMED, 1)]
         ]
-        return Measurement(
-            **errors,
-            fit=fit,
-            predict=RelativeTime.of_several(predict),
-            bytes=self._bytes(setting, stored),
-            warnings=warned,
-        )
+        return ChartRow(
+            key=setting.key, title=setting.title, family=setting.family,
+            **summary(stored.errors(combinations)), fit=fit, predict=RelativeTime.of_several(predict),
+            bytes=self._bytes(setting, stored), warnings=warned,
+        )  # fmt: skip
 
-    def _fitted(self, setting: Setting) -> _Fitted:
+    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
+        """Linear and cube-root error, RMSE, and the ball's, of a prediction of material i, (P, B') and (P_ball, B')."""
+        data = self.data
+        rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
+        cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
+        return data.relative_error(i, f), cube_root, rmse, *self.balls.differences(i, f_ball)
+
+    def _fitted(self, fit: Fit) -> _Fitted:
         """A prediction of every material by a fit without it, the time of a fit, and what fits warned of."""
-        if setting.method not in self._fits:
+        if fit not in self._fits:
             warned: list[str] = []
 
-            def lap(fit: Callable[[], Any]) -> tuple[Any, float]:
+            def lap(work: Callable[[], Any]) -> tuple[Any, float]:
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", UserWarning)
-                    result = self.watch.lap(fit)
+                    result = self.watch.lap(work)
                 warned.extend(str(warning.message) for warning in caught[:1])
                 return result
 
-            splits = leave_out(self._data.n_materials, self.folds)
-            encoded = cross_validate(self._data, setting.fit, splits, lap=lap, own_tables=_REPEATS)
+            splits = leave_out(self.data.n_materials, self.folds)
+            encoded = cross_validate(self.data, fit, splits, lap=lap, own_tables=_REPEATS)
             times = list(map(operator.add, self._tabulating, encoded.fit_times))  # as many as both have
-            self._fits[setting.method] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
-        return self._fits[setting.method]
+            self._fits[fit] = list(encoded.combinations), RelativeTime.of(times), tuple(warned)
+        return self._fits[fit]
 
-    def _stored_as(self, storage: Storage) -> StoredMaterials:
-        if self._stored is None or self._stored[0].key != storage.key:
-            self._stored = None
-            self._stored = storage, StoredMaterials(storage, self._files, self.target)
-        return self._stored[1]
-
-    def _bytes(self, setting: Setting, stored: StoredMaterials) -> int:
-        B, N = self._data.n_bands, len(self._files)
+    def _bytes(self, setting: Method, stored: StoredMaterials) -> int:
+        B, N = self.data.n_bands, len(self._files)
         numbers = _BYTES_PER_NUMBER * setting.numbers(B) * N
         if setting.is_dense:
             return N * _DENSE_PAIRS * B * 4 + numbers
         return stored.file_bytes(min(setting.sample_bands or B, B) / B) + numbers
+
+
+class StoredMaterials:
+    """Materials in a form of storage, and their values where errors are measured.
+
+    Attributes:
+        storage: the form.
+        brdfs: in all bands that are stored.
+        cells: direction pairs of a file, the median.
+        back: the matrix (B, r) from stored bands to all; None where all are stored.
+    """
+
+    def __init__(self, storage: Storage, files: Sequence[BsdfFile], held: HeldOut) -> None:
+        """Reduce files, and evaluate them where their errors are measured."""
+        self._files = [storage.reduce(file) for file in files]
+        self.storage, self._held = storage, held
+        self.brdfs = [MeasuredBRDF(file) for file in self._files]
+        self.cells = float(np.median([file.luminance.size for file in self._files]))
+        sampled, self.back = self.brdfs, None
+        if storage.bands is None:
+            sampled = [brdf.select_bands(held.data.bands.tolist()) for brdf in self.brdfs]
+        else:
+            self.back = storage_forms.interpolation(files[0].bands, storage.bands)
+        self._at = [Values.at(sampled, pairs) for pairs in (held.pairs, held.balls.pairs)]
+
+    def file_bytes(self, band_share: float) -> int:
+        """Bytes of all files that predictions read, values in a share of the bands."""
+        return sum(self.storage.file_bytes(file, band_share) for file in self._files)
+
+    def errors(self, combinations: Sequence[Combination]) -> Array:
+        """Errors (N, 5), as `HeldOut.errors` gives them, of a prediction per material."""
+        rows, bands = [], self._held.data.bands
+        here = combinations if self.back is not None else [c.in_bands(bands) for c in combinations]
+        for first in range(0, len(here), _AT_ONCE):
+            both = [evaluate(here[first : first + _AT_ONCE], values) for values in self._at]
+            if self.back is not None:
+                both = [f @ self.back[bands].T for f in both]
+            rows += [self._held.errors(first + k, *each) for k, each in enumerate(zip(*both, strict=True))]
+        return np.array(rows)
 
 
 def _predictor(

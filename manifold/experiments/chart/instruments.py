@@ -1,4 +1,4 @@
-"""Measurements of a chart: relative times, errors on a grid and on the ball, file sizes."""
+"""Times of a chart, relative to a reference, and the rows that they are part of."""
 
 from __future__ import annotations
 
@@ -12,21 +12,14 @@ import numba as nb
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from manifold import metrics
+from manifold.brdf.analytic import corpus
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
-from manifold.brdf.synthetic import corpus
-from manifold.experiments.chart import storage_forms
-from manifold.experiments.chart.storage_forms import Storage
-from manifold.experiments.evaluation.ball_errors import BallErrors
-from manifold.experiments.evaluation.tabulated import Data
 from manifold.metrics import RusinkiewiczGrid
-from manifold.model.combination import Combination, Values, evaluate
-from manifold.records import Array, BsdfFile
+from manifold.records import Array
 
 REFERENCE = "syn_satin_gold"
 REFERENCE_PAIRS = 8192
-_AT_ONCE = 8  # predictions evaluated together
 
 Result = TypeVar("Result")
 
@@ -54,10 +47,11 @@ class RelativeTime:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurement:
-    """Costs and errors of a setting: medians over materials.
+class ChartRow:
+    """One setting: its costs, and medians over materials of its errors.
 
     Attributes:
+        key, title, family, is_held_out: as of a `Method`.
         relative_error: linear, cosine-weighted, over a grid, in some of the bands.
         cube_root_error: the same of cube roots; see `metrics.cube_root_error`.
         rmse: eq. 22 of Hikichi & Iwasaki over the grid, in 1/sr; these bands stand for all.
@@ -65,11 +59,15 @@ class Measurement:
         p90: 90th percentiles of these five over materials, by their names.
         fit: time to learn from the library, tabulating its materials included; of fits, all of them; None where
             it was not measured.
-        predict: time to predict a whole material, at all direction pairs that it is kept at.
+        predict: time to predict a whole material, at all direction pairs at which it is stored.
         bytes: of what predictions read: files, and the numbers of all materials.
         warnings: what fits warned of, once per fold.
     """
 
+    key: str
+    title: str
+    family: str
+    is_held_out: bool = True
     relative_error: float
     cube_root_error: float
     rmse: float
@@ -83,7 +81,7 @@ class Measurement:
 
 
 def summary(errors: Sequence[Sequence[float]] | Array) -> dict[str, Any]:
-    """Errors (N, 5) as `Target.errors` gives them, over materials: what `Measurement` holds of them."""
+    """Errors (N, 5) as `HeldOut.errors` gives them, over materials: what a row holds of them."""
     names = ("relative_error", "cube_root_error", "rmse", "delta_e", "delta_e_itp")
     medians, p90 = np.percentile(errors, [50, 90], axis=0).tolist()
     return {**dict(zip(names, medians, strict=True)), "p90": dict(zip(names, p90, strict=True))}
@@ -139,71 +137,7 @@ def one_core() -> Iterator[None]:
 
 def some_pairs(count: int, grid: RusinkiewiczGrid | None = None) -> DirectionPairs:
     """Direction pairs above the horizon, spread evenly over a grid, by default 45 x 23 x 12."""
-    wi, wo, above = (RusinkiewiczGrid.named("default") if grid is None else grid).directions()
+    wi, wo, above = (grid or RusinkiewiczGrid.named("default")).directions()
     rows = np.flatnonzero(above)
     rows = rows[np.linspace(0, len(rows) - 1, count).astype(int)]
     return DirectionPairs(wi[rows], wo[rows])
-
-
-class StoredMaterials:
-    """Materials as a storage keeps them, and their values where errors are measured.
-
-    Attributes:
-        brdfs: in all bands that are kept.
-        file_bytes: of all files, from the share of the bands that is read.
-        cells: direction pairs of a file, the median.
-        back: the matrix (B, r) from kept bands to all; None where all are kept.
-    """
-
-    def __init__(self, storage: Storage, files: Sequence[BsdfFile], target: Target) -> None:
-        """Reduce files, and evaluate them at the target's direction pairs."""
-        stored = [storage.reduce(file) for file in files]
-        self.brdfs = [MeasuredBRDF(file) for file in stored]
-        self._files, self._storage = stored, storage
-        self.cells = float(np.median([file.luminance.size for file in stored]))
-        sampled, self.back, self._some_back = self.brdfs, None, None
-        if storage.bands is None:
-            sampled = [brdf.select_bands(target.data.bands.tolist()) for brdf in self.brdfs]
-        else:
-            self.back = storage_forms.interpolation(files[0].bands, storage.bands)
-            self._some_back = self.back[target.data.bands]
-        self._at = [Values.at(sampled, pairs) for pairs in (target.pairs, target.balls.pairs)]
-
-    def file_bytes(self, band_share: float) -> int:
-        """Bytes of all files that predictions read, values in a share of the bands."""
-        return sum(self._storage.file_bytes(file, band_share) for file in self._files)
-
-    def predict(self, combinations: Sequence[Combination]) -> tuple[Array, Array]:
-        """Predictions on the grid and on the ball, in the target's bands: (M, P, B') each."""
-        grid, ball = (evaluate(combinations, values) for values in self._at)
-        if self._some_back is not None:
-            return grid @ self._some_back.T, ball @ self._some_back.T
-        return grid, ball
-
-
-class Target:
-    """The truth: materials on a grid and on the ball, in some bands."""
-
-    def __init__(self, data: Data, materials: Sequence[MeasuredBRDF], pairs: DirectionPairs) -> None:
-        """Colour the balls of materials whose values at the pairs are `data`."""
-        self.data, self.pairs = data, pairs
-        self.balls = BallErrors(materials, data.bands)
-
-    def errors(self, i: int, f: Array, f_ball: Array) -> tuple[float, ...]:
-        """Linear and cube-root error, RMSE, and the ball's, of a prediction of material i, (P, B') and (P_ball, B')."""
-        data = self.data
-        rmse = metrics.rmse(data.f[i], f, n_pairs=f.size / data.n_bands)
-        cube_root = metrics.cube_root_error(data.f[i], f, data.cosines)
-        return data.relative_error(i, f), cube_root, rmse, *self.balls.differences(i, f_ball)
-
-    def errors_of(self, stored: StoredMaterials, combinations: Sequence[Combination]) -> Array:
-        """Errors (N, 5), as `errors` gives them, of a prediction per material."""
-        rows = []
-        here = [c if stored.back is not None else c.in_bands(self.data.bands) for c in combinations]
-        for first in range(0, len(here), _AT_ONCE):
-            grid, ball = stored.predict(here[first : first + _AT_ONCE])
-            rows += [
-                self.errors(first + k, f, f_ball)
-                for k, (f, f_ball) in enumerate(zip(grid, ball, strict=True))
-            ]
-        return np.array(rows)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from manifold.brdf.synthetic.neural import NeuralBRDF, read_neural_fits
+from manifold.brdf.analytic.neural import NeuralBRDF, read_neural_fits
+from manifold.brdf.measured import EvaluableBRDF
 from manifold.errors import UsageError
-from manifold.experiments.evaluation.method import Encode, Method
+from manifold.experiments.evaluation.cross_validation import Encode, Method
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.fitting import fit_json
-from manifold.fitting.fit_samples import EvaluableBRDF
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.mapping import Identity
 from manifold.model.combination import Combination, Values
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, Indices
 
 PRINCIPLED = "principled"
 NEURAL_NUMBERS = 675  # weights and biases of the published networks
@@ -33,7 +34,7 @@ class FittedPrediction(Combination):
     """
 
     brdf: EvaluableBRDF | None = field(kw_only=True)
-    bands: Array = field(kw_only=True)
+    bands: Indices = field(kw_only=True)
 
     @classmethod
     def of(cls, brdf: EvaluableBRDF | None, n_bands: int) -> FittedPrediction:
@@ -41,7 +42,7 @@ class FittedPrediction(Combination):
         bands = np.arange(n_bands)
         return cls(Identity(), np.zeros((n_bands, 0)), bands[:0], is_clipped=False, brdf=brdf, bands=bands)
 
-    def in_bands(self, bands: Array) -> FittedPrediction:
+    def in_bands(self, bands: Indices) -> FittedPrediction:
         """The same in some bands (B',)."""
         return replace(self, bands=self.bands[bands])
 
@@ -64,38 +65,22 @@ def anchor(name: str) -> Method:
         RendererError: `principled` without Mitsuba.
     """
 
-    def method(
-        key: str, title: str, numbers: Callable[[int], int], fit: Callable[[Data, Array], Encode]
-    ) -> Method:
-        return Method(key, title, numbers, fit, is_held_out=False, refits=False)
+    def fit_principled(data: Data, training: Indices) -> Encode:
+        def encode(i: int) -> Combination:
+            material = data.materials[i]
+            content = fit_json.document(fit_bsdf(material), fit_json.Source(material.name))
+            return FittedPrediction.of(FittedBRDF(content), data.n_bands)
 
+        return encode
+
+    def read_neural(data: Data, training: Indices) -> Encode:
+        fits = neural_fits(name, [material.name for material in data.materials], data.materials[0].bands)
+        return lambda i: FittedPrediction.of(fits.get(i), data.n_bands)
+
+    seen = partial(Method, is_held_out=False, refits=False)
     if name == PRINCIPLED:
-        return method(PRINCIPLED, "principled, fitted to it", lambda B: B + 6, _fit_principled)
-    return method("neural", "neural fit of it", lambda B: NEURAL_NUMBERS, lambda data, _: _neural(data, name))
-
-
-def _fit_principled(data: Data, training: Array) -> Encode:
-    """Mitsuba's principled BSDF by its own samples of the material, in the metric of cube roots."""
-
-    def encode(i: int) -> Combination:
-        material = data.materials[i]
-        content = fit_json.document(fit_bsdf(material), fit_json.Source(material.name))
-        return FittedPrediction.of(FittedBRDF(content), data.n_bands)
-
-    return encode
-
-
-def _neural(data: Data, source: str) -> Encode:
-    names = [material.name for material in data.materials]
-    fits = neural_fits(source, names, data.materials[0].bands)
-    return lambda i: FittedPrediction.of(fits.get(i), data.n_bands)
-
-
-def require_anchors(sources: Sequence[str], names: Sequence[str], bands: Bands) -> None:
-    """Raise, before any long work, as `neural_fits` will for one of the sources; `principled` is always there."""
-    for source in sources:
-        if source != PRINCIPLED:
-            neural_fits(source, names, bands)
+        return seen(PRINCIPLED, "principled, fitted to it", lambda B: B + 6, fit_principled)
+    return seen("neural", "neural fit of it", lambda B: NEURAL_NUMBERS, read_neural)
 
 
 def neural_fits(source: str, names: Sequence[str], bands: Bands) -> dict[int, NeuralBRDF]:

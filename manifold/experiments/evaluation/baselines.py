@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.experiments.evaluation.method import Encode, Fit
+from manifold.experiments.evaluation.cross_validation import Encode, Fit
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import Mapping, mapping_named
 from manifold.model.combination import Combination
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 _IDENTITY = mapping_named("identity")
 
 
-def fit_nearest(data: Data, training: Array) -> Encode:
+def fit_nearest(data: Data, training: Indices) -> Encode:
     """The material whose values are nearest, weighted as the linear error is."""
     G = data.gram(_IDENTITY, power=2)
 
@@ -24,7 +24,7 @@ def fit_nearest(data: Data, training: Array) -> Encode:
     return encode
 
 
-def fit_linear(data: Data, training: Array) -> Encode:
+def fit_linear(data: Data, training: Indices) -> Encode:
     """The best point between the two nearest materials (Hikichi & Iwasaki, eq. 23)."""
     G = data.gram(_IDENTITY, power=2)
 
@@ -35,7 +35,7 @@ def fit_linear(data: Data, training: Array) -> Encode:
     return encode
 
 
-def fit_oracle(data: Data, training: Array) -> Encode:
+def fit_oracle(data: Data, training: Indices) -> Encode:
     """The best point on a line between any two materials: what linear interpolation cannot beat."""
     G = data.gram(_IDENTITY, power=2)
 
@@ -49,7 +49,7 @@ def fit_pca(mapping_name: str, count: int) -> Fit:
     """Projection on the first principal components in a mapped domain, weighted by the cosines."""
     mapping = mapping_named(mapping_name)
 
-    def fit(data: Data, training: Array) -> Encode:
+    def fit(data: Data, training: Indices) -> Encode:
         S = data.gram(mapping)
         among = S[np.ix_(training, training)]
         mean = among.mean(axis=1)
@@ -69,12 +69,12 @@ def fit_pca(mapping_name: str, count: int) -> Fit:
     return fit
 
 
-def _squared_distances(G: Array, i: int, training: Array) -> Array:
+def _squared_distances(G: Array, i: int, training: Indices) -> Array:
     """From material i to the training materials, by inner products G (N, N)."""
     return G[i, i] + np.diag(G)[training] - 2.0 * G[i, training]
 
 
-def _best_mix(data: Data, G: Array, i: int, training: Array, among: Array) -> Combination:
+def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -> Combination:
     """The best point between any two of some training materials, or at one of them."""
     chosen = training[among]
     squared = _squared_distances(G, i, chosen)
@@ -90,7 +90,7 @@ def _best_mix(data: Data, G: Array, i: int, training: Array, among: Array) -> Co
     return _whole(data, training, weights, _IDENTITY)
 
 
-def _whole(data: Data, training: Array, weights: Array, mapping: Mapping) -> Combination:
+def _whole(data: Data, training: Indices, weights: Array, mapping: Mapping) -> Combination:
     """A combination of whole materials, by weights of the training materials; negative values stay."""
     spread = np.zeros(data.n_materials)
     spread[training] = weights

@@ -1,4 +1,4 @@
-"""The cross-validation loop: fit without some materials, encode these from their data.
+"""Held-out methods, and the loop of cross-validation: fit without some materials, encode these from their data.
 
 Latents fitted with the left-out material, or the reconstruction of training data, would be optimistic.
 """
@@ -14,25 +14,54 @@ from typing import Any
 import numpy as np
 
 from manifold.errors import ShapeError
-from manifold.experiments.evaluation.method import Encode, Fit, Method
+from manifold.experiments.evaluation.storage_forms import WHOLE, Storage
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.model.combination import Combination
-from manifold.records import Array
+from manifold.records import Indices
 from manifold.system.parallel import one_blas_thread
 
-Split = tuple[Array, Array]
+Encode = Callable[[int], Combination]
+"""From the index of a material to its prediction."""
+
+Fit = Callable[[Data, Indices], Encode]
+"""From data and the indices of the materials to learn from to what encodes any material."""
+
+Split = tuple[Indices, Indices]
 """Indices of the materials to learn from, and of those to predict."""
 
 
-Lap = Callable[[Callable[[], Any]], tuple[Any, float]]
-"""Does some work, and says what it gave and how long it took."""
+@dataclass(frozen=True)
+class Method:
+    """A way to predict materials, at one choice of its settings.
 
+    Attributes:
+        key: name in JSON.
+        title: for people.
+        numbers: how many numbers describe a material of B bands.
+        fit: learns from some materials, and encodes any.
+        is_held_out: whether the prediction of a material is made from the others only.
+        refits: whether every left-out material needs a fit without it; False: one fit to all serves, and
+            `fit` keeps the held-out promise itself.
+        sample_bands: bands of the measured files that predictions need, at most; None is all.
+        fits_model: whether a fit searches for latents, which takes long.
+        family: of methods, as the legend of a chart names it.
+        storage: how the measured files are stored.
+        threshold: weights below this share of the largest one are dropped.
+        is_dense: whether every material is resampled to the grid of 1,458,000 direction pairs.
+    """
 
-def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
-    """The result of some work, and its duration in seconds."""
-    start = time.perf_counter()
-    result = work()
-    return result, time.perf_counter() - start
+    key: str
+    title: str
+    numbers: Callable[[int], int]
+    fit: Fit
+    is_held_out: bool = True
+    refits: bool = True
+    sample_bands: int | None = None
+    fits_model: bool = False
+    family: str = ""
+    storage: Storage = WHOLE
+    threshold: float = 0.0
+    is_dense: bool = False
 
 
 def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
@@ -43,20 +72,16 @@ def leave_out(n_materials: int, n_folds: int | None = None) -> list[Split]:
     return [(np.setdiff1d(everything, fold), fold) for fold in folds]
 
 
-def all_as_training(n_materials: int) -> list[Split]:
-    """One split, without any held out: all materials are training materials, and all are predicted."""
-    return [(np.arange(n_materials), np.arange(n_materials))]
+def wall_clock(work: Callable[[], Any]) -> tuple[Any, float]:
+    """The result of some work, and its duration in seconds."""
+    start = time.perf_counter()
+    result = work()
+    return result, time.perf_counter() - start
 
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """Predictions of a method for every material, and their times.
-
-    Attributes:
-        combinations: the predictions, one per material that was left out, in the order of the materials.
-        fit_times: of the fits, split by split.
-        encode_times: of encoding, split by split, all its materials together.
-    """
+    """Predictions of the materials that were left out, in order; and times of fits and of encoding, split by split."""
 
     combinations: tuple[Combination, ...]
     fit_times: tuple[float, ...]
@@ -68,7 +93,7 @@ def cross_validate(
     fit: Fit,
     splits: Sequence[Split],
     *,
-    lap: Lap = wall_clock,
+    lap: Callable[[Callable[[], Any]], tuple[Any, float]] = wall_clock,
     own_tables: int = 1,
     on_material: Callable[[int], None] | None = None,
 ) -> Encoded:
@@ -78,7 +103,7 @@ def cross_validate(
         data: of all materials.
         fit: see `Method`.
         splits: each material is predicted in one of them, or in none.
-        lap: measures times.
+        lap: does the work of a fit; its result, and how long it took.
         own_tables: so many fits first map the values and multiply them anew, which is part of their time.
         on_material: called with the number of materials done.
     Raises:
@@ -90,7 +115,11 @@ def cross_validate(
         if k < own_tables:
             data = data.unmapped()
         with one_blas_thread:  # the matrices are small: a second thread costs more than it does
-            encode, seconds = lap(partial(_fit, fit, data, training))
+            try:
+                encode, seconds = lap(partial(fit, data, training))
+            except ShapeError as error:
+                known = f"learning from {len(training)} of {data.n_materials} materials"
+                raise ShapeError(f"{known}: {error}; import more that differ") from error
             fit_times.append(seconds)
             encode_times.append(0.0)
             for i in left_out.tolist():
@@ -103,14 +132,6 @@ def cross_validate(
 
 def encode_all(data: Data, method: Method, on_material: Callable[[int], None] | None = None) -> Encoded:
     """Encode every material: left out of the fit if the method refits, else all by one fit."""
-    splits = (leave_out if method.refits else all_as_training)(data.n_materials)
+    everything = np.arange(data.n_materials)
+    splits = leave_out(data.n_materials) if method.refits else [(everything, everything)]
     return cross_validate(data, method.fit, splits, on_material=on_material)
-
-
-def _fit(fit: Fit, data: Data, training: Array) -> Encode:
-    try:
-        return fit(data, training)
-    except ShapeError as error:
-        raise ShapeError(
-            f"learning from {len(training)} of {data.n_materials} materials: {error}; import more that differ"
-        ) from error

@@ -1,27 +1,41 @@
 """The registry of ways to predict a material from others: baselines, and the models of this package.
 
-A new method is one more entry.
+A new method of reports, or a new setting of charts, is one more entry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
+from manifold.experiments.evaluation import storage_forms
 from manifold.experiments.evaluation.baselines import fit_linear, fit_nearest, fit_oracle, fit_pca
+from manifold.experiments.evaluation.cross_validation import Method
 from manifold.experiments.evaluation.latent_models import (
     SAMPLE_BANDS,
     fit_monochrome,
     fit_published,
     fit_settings,
 )
-from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.nonnegative import (
     NUMBERS_PER_BAND,
+    few_numbers,
     fit_nonnegative,
-    fit_nonnegative_pair,
 )
+from manifold.experiments.evaluation.storage_forms import Storage
 from manifold.experiments.evaluation.tabulated import MAX_BANDS
 from manifold.model.settings import Settings
+
+PUBLISHED = "published"
+AS_PUBLISHED = "Hikichi & Iwasaki 2-D, as published"
+NONNEGATIVE = "samples and lobes, weights >= 0"
+BLENDS = "blends, the default"
+_FEW = "one or two materials"
+_FAMILIES = {"blend": BLENDS, "material": "GPLVM, whole materials", "monochrome": "GPLVM, monochrome samples"}
+_SAMPLES = 3  # bands per material that are samples in charts, where nothing else is said
+_COARSE = ((2, 1), (2, 2), (4, 1))  # of outgoing rows and columns, and of incidences, one in so many is kept
+
+
+# -- reports -----------------------------------------------------------------------------------------------
 
 
 def standard_methods() -> list[Method]:
@@ -35,46 +49,39 @@ def baseline_methods() -> list[Method]:
         Method("nearest", "nearest material", lambda B: 1, fit_nearest),
         Method("linear", "linear, two nearest", lambda B: 3, fit_linear),
         Method("oracle", "best mix of two (an oracle)", lambda B: 3, fit_oracle),
-        Method("pca_6_identity", "PCA, 6, identity", lambda B: 6, fit_pca("identity", 6)),
-        Method("pca_6_cube_root", "PCA, 6, cube root", lambda B: 6, fit_pca("cube-root", 6)),
-        Method("pca_6_log_relative", "PCA, 6, log-relative", lambda B: 6, fit_pca("log-relative", 6)),
-        Method("published", "Hikichi & Iwasaki, 2-D", lambda B: 2, fit_published, fits_model=True),
-        Method(
-            "nonnegative", "non-negative least squares", lambda B: NUMBERS_PER_BAND * B,
-            fit_nonnegative(SAMPLE_BANDS), sample_bands=SAMPLE_BANDS, fits_model=True,
-        ),
-    ]  # fmt: skip
+        _pca("pca_6_identity", "PCA, 6, identity", "identity", 6),
+        _pca("pca_6_cube_root", "PCA, 6, cube root", "cube-root", 6),
+        _pca("pca_6_log_relative", "PCA, 6, log-relative", "log-relative", 6),
+        Method(PUBLISHED, "Hikichi & Iwasaki, 2-D", lambda B: 2, fit_published, fits_model=True),
+        _nonnegative("non-negative least squares", SAMPLE_BANDS),
+    ]
 
 
 def gplvm_methods() -> list[Method]:
     """Models of this package at settings of their own."""
-    pair = Method(
-        "nonnegative_pair", "two samples + Lambertian", lambda B: 3 + 2 * B, fit_nonnegative_pair(SAMPLE_BANDS),
+    titles = {
+        "gplvm_2": "GPLVM, 2, cube root", "gplvm_6": "GPLVM, 6, cube root",
+        "monochrome_2_1": "monochrome, 2 + 1 per band", "monochrome_3_1": "monochrome, 3 + 1 per band",
+        "blend_2": "blend, 2 + 2 per band", "blend_3": "blend, 3 + 2 per band",
+    }  # fmt: skip
+    models = {key: _model(key, title, STANDARD[key]) for key, title in titles.items()}
+    blends = [models.pop("blend_2"), models.pop("blend_3")]
+    colours = Method(
+        "monochrome_0_2", "monochrome, 2 per band", lambda B: 2 * min(B, MAX_BANDS),
+        fit_monochrome(Settings(kind="monochrome", latent_dim=0), "decoded", n_colour=2),
         sample_bands=SAMPLE_BANDS, fits_model=True,
     )  # fmt: skip
-    return [
-        _model("gplvm_2", "GPLVM, 2, cube root", lambda B: 2, None),
-        _model("gplvm_6", "GPLVM, 6, cube root", lambda B: 6, None),
-        _model("monochrome_2_1", "monochrome, 2 + 1 per band", lambda B: 2 + B),
-        _model("monochrome_3_1", "monochrome, 3 + 1 per band", lambda B: 3 + B),
-        Method(
-            "monochrome_0_2", "monochrome, 2 per band", lambda B: 2 * min(B, MAX_BANDS),
-            fit_monochrome(Settings(kind="monochrome", latent_dim=0), "decoded", n_colour=2),
-            sample_bands=SAMPLE_BANDS, fits_model=True,
-        ),
-        pair,
-        _model("blend_2", "blend, 2 + 2 per band", lambda B: 2 + 2 * B),
-        _model("blend_3", "blend, 3 + 2 per band", lambda B: 3 + 2 * B),
-    ]  # fmt: skip
+    return [*models.values(), colours, _few_atoms(SAMPLE_BANDS), *blends]
 
 
-def _whole(latent_dim: int, prior: float) -> Settings:
-    return Settings("material", latent_dim, optimizer="l-bfgs", prior=prior, criterion="decoded")
+def _whole(latent_dim: int, mapping: str = "cube-root") -> Settings:
+    prior = 0.0 if latent_dim == 2 else 0.1
+    return Settings("material", latent_dim, mapping, optimizer="l-bfgs", prior=prior, criterion="decoded")
 
 
 STANDARD = {
-    "gplvm_2": _whole(2, 0.0),
-    "gplvm_6": _whole(6, 0.1),
+    "gplvm_2": _whole(2),
+    "gplvm_6": _whole(6),
     "monochrome_2_1": Settings("monochrome", 2, criterion="decoded"),
     "monochrome_3_1": Settings("monochrome", 3, criterion="decoded"),
     "blend_2": Settings("blend", 2),
@@ -83,9 +90,82 @@ STANDARD = {
 """Settings of the models among the methods, by key."""
 
 
-def _model(
-    key: str, title: str, numbers: Callable[[int], int], sample_bands: int | None = SAMPLE_BANDS
-) -> Method:
+def _model(key: str, title: str, s: Settings) -> Method:
+    """The model that a manifold of these settings has: a coordinate per axis, and per band a colour and a gain."""
+    Q, per_band = s.latent_dim, {"blend": 2, "material": 0, "monochrome": 1}[s.kind]
     return Method(
-        key, title, numbers, fit_settings(STANDARD[key]), sample_bands=sample_bands, fits_model=True
-    )
+        key, title, lambda B: Q + per_band * B, fit_settings(s), fits_model=True, family=_FAMILIES[s.kind],
+        sample_bands=s.sample_bands if per_band else None,
+    )  # fmt: skip
+
+
+def _pca(key: str, title: str, mapping: str, count: int) -> Method:
+    return Method(key, title, lambda B: count, fit_pca(mapping, count), family="PCA")
+
+
+def _nonnegative(title: str, sample_bands: int) -> Method:
+    return Method(
+        "nonnegative", title, lambda B: NUMBERS_PER_BAND * B, fit_nonnegative(sample_bands),
+        sample_bands=sample_bands, fits_model=True, family=NONNEGATIVE,
+    )  # fmt: skip
+
+
+def _few_atoms(sample_bands: int) -> Method:
+    return Method(
+        "few_atoms", "few samples and lobes", few_numbers, fit_nonnegative(sample_bands, few_numbers),
+        sample_bands=sample_bands, fits_model=True, family=NONNEGATIVE,
+    )  # fmt: skip
+
+
+# -- charts ------------------------------------------------------------------------------------------------
+
+
+def settings(n_bands: int) -> list[Method]:
+    """All settings that a chart compares for materials of so many bands, simplest first."""
+    mappings = ("identity", "cube-root", "log-relative")
+    pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]
+    gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _whole(Q, T)) for T in mappings for Q in (2, 4, 6)]
+    monochromes = [_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)]
+    blends = [_model(f"blend_{Q}", f"blend {Q}+2", Settings("blend", Q)) for Q in (2, 3)]
+    by_key = {setting.key: setting for setting in (*pcas, *gplvms)}
+    pca, gplvm = by_key["pca_6_cube-root"], by_key["gplvm_6_cube-root"]
+    nonnegative = _nonnegative("non-negative", _SAMPLES)
+    few_bands = [storage_forms.few_bands(r) for r in (3, 6, 12) if r < n_bands]
+    angles = [storage_forms.few_angles(outgoing=o, incident=i) for o, i in ((2, 1), (1, 2), (2, 2), (4, 1))]
+    coarse = [storage_forms.few_angles(outgoing=o, incident=i) for o, i in _COARSE]
+    return [
+        Method("nearest", "nearest", lambda B: 1, fit_nearest, family=_FEW),
+        Method("linear", "linear, two nearest", lambda B: 3, fit_linear, family=_FEW),
+        Method(PUBLISHED, AS_PUBLISHED, lambda B: 2, fit_published, family=AS_PUBLISHED, is_dense=True),
+        *pcas,
+        *gplvms,
+        *monochromes,
+        *([_monochrome(2, SAMPLE_BANDS)] if n_bands > SAMPLE_BANDS else []),
+        *blends,
+        nonnegative,
+        _few_atoms(_SAMPLES),
+        *(_sparse(pca, threshold) for threshold in (0.03, 0.1)),
+        *(_stored(gplvm, storage) for storage in few_bands),
+        *(
+            _stored(setting, storage_forms.half())
+            for setting in (pca, gplvm, monochromes[2], blends[0], nonnegative)
+        ),
+        *(_stored(gplvm, storage) for storage in angles),
+        *(_stored(s, storage) for s in (monochromes[2], blends[0], nonnegative) for storage in coarse),
+    ]
+
+
+def _monochrome(Q: int, bands: int) -> Method:
+    title = f"monochrome {Q}+1" + ("" if bands == _SAMPLES else f", {bands} bands")
+    s = Settings("monochrome", Q, sample_bands=bands, criterion="decoded")
+    return _model(f"monochrome_{Q}_1_{bands}", title, s)
+
+
+def _sparse(base: Method, threshold: float) -> Method:
+    title = f"{base.title.split(',')[0]}, weights > {100 * threshold:g} %"
+    return replace(base, key=f"{base.key}_over_{threshold:g}", title=title, threshold=threshold)
+
+
+def _stored(base: Method, storage: Storage) -> Method:
+    title = f"{base.title.split(',')[0]}, {storage.title}"
+    return replace(base, key=f"{base.key}_{storage.key}", title=title, storage=storage)

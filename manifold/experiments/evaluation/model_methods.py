@@ -5,69 +5,88 @@ from __future__ import annotations
 import numpy as np
 
 from manifold.experiments.evaluation.baselines import fit_pca
-from manifold.experiments.evaluation.latent_models import fit_settings
-from manifold.experiments.evaluation.method import Encode, Fit, Method
+from manifold.experiments.evaluation.cross_validation import Encode, Fit, Method
+from manifold.experiments.evaluation.latent_models import LatentProcess, Samples, fit_settings
 from manifold.experiments.evaluation.methods import STANDARD
-from manifold.experiments.evaluation.samples import LatentProcess, Samples
 from manifold.experiments.evaluation.tabulated import Data
+from manifold.latent.gp_weights import GPWeights
 from manifold.model.combination import Combination
 from manifold.model.manifold import Manifold
-from manifold.models.gp_weights import GPWeights
-from manifold.records import Array
+from manifold.model.material_table import MaterialTable
+from manifold.records import Indices
 
 _COMPARED_CRITERIA = ("decoded", "cube-root", "likelihood")
 
 
 def model_methods(model: Manifold) -> list[Method]:
     """Methods of one fitted model, most flattering first; refitted ones are the honest ones."""
-    numbers, count = model.space.numbers, _pca_count(model)
+    s, space, count = model.settings, model.space, _pca_count(model)
+    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
+
+    def method(key: str, title: str, fit: Fit, *, is_held_out: bool = True, refits: bool = True) -> Method:
+        fits_model = "refitted" in key
+        return Method(key, title, space.numbers, fit, is_held_out, refits, sample_bands, fits_model)
+
+    def fit_reconstruction(data: Data, training: Indices) -> Encode:
+        """The measured material, which the kernel's delta makes of every training latent."""
+        return lambda i: Combination(model.mapping, np.eye(data.n_materials)[i], is_clipped=False)
+
+    def fit_smooth(data: Data, training: Indices) -> Encode:
+        """The posterior mean at a material's own latent without the delta: what lies next to the material."""
+        process = _process(model, data, training)
+
+        def encode(i: int) -> Combination:
+            latents = space.own_latents(i)
+            return process.at(latents, process.gp.smooth_weights(latents))
+
+        return encode
+
+    def fit_latents_kept(data: Data, training: Indices) -> Encode:
+        """The posterior mean at a material's own latent, of a process on the other materials.
+
+        Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
+        form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
+        """
+        variance = _process(model, data, training).output_variance  # of all materials, this one too
+
+        def encode(i: int) -> Combination:
+            return _process(model, data, np.delete(training, i), variance).at(space.own_latents(i))
+
+        return encode
+
+    def fit_encoded(data: Data, training: Indices) -> Encode:
+        """The process on the other materials, their latents kept; the material's own is found from its data."""
+        return _process(model, data, training).encode
+
+    def fit_blend_encoded(data: Data, training: Indices) -> Encode:
+        """Blends of the other materials, which stay where they are; the material's own place is found from its data."""
+        table = MaterialTable(list(data.materials), np.arange(model.bands.count))
+        search = space.left_out_search(table, model.materials, s)
+        return lambda i: search(i)[1]
+
     reconstruction = Method(
-        "reconstruction",
-        "reconstruction",
-        numbers,
-        _fit_reconstruction(model),
-        is_held_out=False,
-        refits=False,
+        "reconstruction", "reconstruction", space.numbers, fit_reconstruction, is_held_out=False, refits=False
     )
     pca = Method(
         "pca_log_relative", f"PCA, {count}, log-relative", lambda B: count, fit_pca("log-relative", count)
     )
-    return [reconstruction, *_METHODS[model.settings.kind](model), pca]
-
-
-def _process_methods(model: Manifold) -> list[Method]:
-    """Of a Gaussian process on latents."""
-    settings = model.settings
-    return [
-        _method(model, "smooth", "reconstruction, smooth", _fit_smooth(model), held_out=False, refits=False),
-        _method(model, "gp_latents_kept", "GP, latents kept", _fit_latents_kept(model), refits=False),
-        _method(model, "gp_encoded", "GP, encoded, others kept", _fit_encoded(model)),
-        _method(model, "gp_refitted", "GP, refitted without it", fit_settings(settings)),
-        *(
-            _method(
-                model, f"gp_refitted_{criterion.replace('-', '_')}", f"GP, refitted, {criterion}",
-                fit_settings(settings, criterion),
-            )
-            for criterion in _COMPARED_CRITERIA
-            if criterion != settings.criterion
-        ),
-    ]  # fmt: skip
-
-
-def _blend_methods(model: Manifold) -> list[Method]:
-    """Of a map of blends, whose places are found in one way."""
-    return [_method(model, "blend_refitted", "blend, refitted without it", fit_settings(model.settings))]
-
-
-_METHODS = {"blend": _blend_methods, "material": _process_methods, "monochrome": _process_methods}
-
-
-def _method(
-    model: Manifold, key: str, title: str, fit: Fit, *, held_out: bool = True, refits: bool = True
-) -> Method:
-    space = model.space
-    sample_bands = None if space.sample_bands is None else len(space.sample_bands)
-    return Method(key, title, space.numbers, fit, held_out, refits, sample_bands, "refitted" in key)
+    if s.kind == "blend":  # whose places are found in one way
+        own = [
+            method("blend_encoded", "blend, encoded, others kept", fit_blend_encoded, refits=False),
+            method("blend_refitted", "blend, refitted without it", fit_settings(s)),
+        ]
+    else:
+        own = [
+            method("smooth", "reconstruction, smooth", fit_smooth, is_held_out=False, refits=False),
+            method("gp_latents_kept", "GP, latents kept", fit_latents_kept, refits=False),
+            method("gp_encoded", "GP, encoded, others kept", fit_encoded),
+            method("gp_refitted", "GP, refitted without it", fit_settings(s)),
+        ]
+        for by in _COMPARED_CRITERIA:
+            if by != s.criterion:
+                key = f"gp_refitted_{by.replace('-', '_')}"
+                own.append(method(key, f"GP, refitted, {by}", fit_settings(s, by)))
+    return [reconstruction, *own, pca]
 
 
 def replaced_keys(model: Manifold) -> set[str]:
@@ -81,60 +100,8 @@ def _pca_count(model: Manifold) -> int:
     return min(model.gp.X.shape[1], len(model.names) - 2)
 
 
-def _fit_reconstruction(model: Manifold) -> Fit:
-    """The measured material, which the kernel's delta makes of every training latent."""
-
-    def fit(data: Data, training: Array) -> Encode:
-        return lambda i: Combination(model.mapping, np.eye(data.n_materials)[i], is_clipped=False)
-
-    return fit
-
-
-def _fit_smooth(model: Manifold) -> Fit:
-    """The posterior mean at a material's own latent without the delta: what lies next to the material."""
-
-    def fit(data: Data, training: Array) -> Encode:
-        process = _process(model, data, training)
-
-        def encode(i: int) -> Combination:
-            latents = model.space.own_latents(i)
-            return process.at(latents, process.gp.smooth_weights(latents))
-
-        return encode
-
-    return fit
-
-
-def _fit_latents_kept(model: Manifold) -> Fit:
-    """The posterior mean at a material's own latent, of a process on the other materials.
-
-    Latents were fitted with the material, so the error is optimistic. Of whole materials it is the closed
-    form of leave-one-out (Rasmussen & Williams 2006, eq. 5.12).
-    """
-
-    def fit(data: Data, training: Array) -> Encode:
-        variance = _process(model, data, training).output_variance  # of all materials, this one too
-
-        def encode(i: int) -> Combination:
-            process = _process(model, data, np.delete(training, i), variance)
-            return process.at(model.space.own_latents(i))
-
-        return encode
-
-    return fit
-
-
-def _fit_encoded(model: Manifold) -> Fit:
-    """The process on the other materials, their latents kept; the material's own is found from its data."""
-
-    def fit(data: Data, training: Array) -> Encode:
-        return _process(model, data, training).encode
-
-    return fit
-
-
 def _process(
-    model: Manifold, data: Data, materials: Array, output_variance: float | None = None
+    model: Manifold, data: Data, materials: Indices, output_variance: float | None = None
 ) -> LatentProcess:
     """The process on the latents of some materials of the model."""
     space = model.space

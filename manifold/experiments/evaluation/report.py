@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,59 +11,53 @@ import numpy as np
 
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.experiments.evaluation.anchors import anchor, require_anchors
-from manifold.experiments.evaluation.ball_errors import BallErrors
-from manifold.experiments.evaluation.cross_validation import (
-    Encoded,
-    encode_all,
-    wall_clock,
+from manifold.brdf.plausibility import Plausibility
+from manifold.experiments.evaluation.anchors import PRINCIPLED, anchor, neural_fits
+from manifold.experiments.evaluation.cross_validation import Encoded, Method, encode_all, wall_clock
+from manifold.experiments.evaluation.errors import (
+    BallErrors,
+    ColourResult,
+    MedianAndP90,
+    PredictionErrors,
+    colour_results,
+    measure_errors,
+    plausibility_results,
+    standardised_error,
 )
-from manifold.experiments.evaluation.errors import MedianAndP90, measure_errors, standardised_error
 from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS
-from manifold.experiments.evaluation.method import Method
 from manifold.experiments.evaluation.methods import baseline_methods, gplvm_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
-from manifold.experiments.evaluation.report_measures import (
-    ColourResult,
-    colour_results,
-    measured_blocks,
-    needed_bytes,
-    plausibility_results,
-    tabulated_blocks,
-)
-from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
+from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data, block_pairs
+from manifold.experiments.results import finite
+from manifold.latent.gp_weights import IsolatedLatentsWarning
+from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
+from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
-from manifold.models.gp_weights import IsolatedLatentsWarning
-from manifold.records import Array, Progress, evenly_spaced
+from manifold.records import Array, Indices, Progress, evenly_spaced
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
+_BYTES_PER_NUMBER = 8
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Results of one method over all materials.
+    """Results of one method over all materials; errors also as median and 90th percentile (`median_`, `p90_`).
 
     Attributes:
         key, title, is_held_out: as in `Method`.
         numbers: that describe one material.
         bytes: of all measured values that predictions need, and of the numbers of all materials.
-        fit_seconds: wall-clock time of one fit.
-        encode_seconds: wall-clock time of encoding one material.
+        fit_seconds, encode_seconds: wall-clock times of one fit, and of encoding one material.
         predict_seconds: wall-clock time of predicting one material on the whole grid, in the bands of errors.
         rmse: eq. 22 of Hikichi & Iwasaki per material, in 1/sr: summed over all bands, as those of errors have it.
-        relative_error: linear, cosine-weighted, per material.
-        median_relative_error, p90_relative_error: over materials.
-        cube_root_error, median_cube_root_error, p90_cube_root_error: of cube roots, likewise; see `metrics`.
-        ball_delta_e, median_ball_delta_e, p90_ball_delta_e: mean CIEDE2000 of the ball, likewise.
-        ball_delta_e_itp, median_ball_delta_e_itp, p90_ball_delta_e_itp: mean Delta E_ITP of the ball, likewise.
-        negative_share: share of predicted values below zero.
-        clipped_share: share of values that were below zero before the method cut them to 0.
-        reciprocity_error: worst over materials, in the tabulated bands; see `plausibility`.
-        max_albedo: worst over materials, in the tabulated bands.
-        colour: per illuminant; see `colour_difference`.
+        relative_error, cube_root_error: linear, cosine-weighted, and of cube roots, per material; see `metrics`.
+        ball_delta_e, ball_delta_e_itp: mean CIEDE2000 and Delta E_ITP of the ball, per material.
+        negative_share, clipped_share: of predicted values, below zero; or before the method cut them to 0.
+        reciprocity_error, max_albedo: worst over materials, in the tabulated bands; see `plausibility`.
+        colour: per illuminant.
         standardised_error: z per material, None where the method gives no variance; see
             `errors.standardised_error`.
         rms_standardised_error: root mean square of z; about 1 where the method's variance is right.
@@ -138,7 +132,7 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values, with the program's version; numbers that are not finite become None."""
-        return {"program": f"manifold {__version__}", **_finite(asdict(self))}
+        return {"program": f"manifold {__version__}", **finite(asdict(self))}
 
 
 def make_report(
@@ -167,7 +161,8 @@ def make_report(
         LibraryError: a material cannot be read.
     """
     grid = RusinkiewiczGrid.named(grid_name)
-    require_anchors(anchors, model.names, model.bands)
+    for source in {*anchors} - {PRINCIPLED}:
+        neural_fits(source, model.names, model.bands)  # refused before any long work
     replaced = replaced_keys(model)
     own = [*model_methods(model), *(m for m in baseline_methods() if m.key not in replaced)]
     others = [m for m in gplvm_methods() if m.key not in replaced]
@@ -178,10 +173,22 @@ def make_report(
     encoded, encode = wall_clock(lambda: _encode(data, chosen, on_progress))
     bands = np.arange(model.bands.count) if all_bands else data.bands
     reuse = grid_name == "default" and not all_bands
-    blocks = tabulated_blocks(data) if reuse else measured_blocks(materials, bands, grid, on_progress)
-    results, evaluate = wall_clock(
-        lambda: _results(model, materials, data, chosen, encoded, blocks, bands, grid.n_pairs)
-    )
+    blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid, on_progress)
+
+    def evaluate_all() -> tuple[MethodResult, ...]:
+        predictions = [each.combinations for each in encoded]
+        errors = measure_errors(predictions, bands, blocks)
+        physical = plausibility_results(materials, data.bands, predictions)
+        colours = colour_results(materials, predictions)
+        balls = BallErrors(materials, data.bands)
+        # Eq. 22 sums over bands: those measured stand for all.
+        n_counted = grid.n_pairs * len(bands) / model.bands.count
+        return tuple(
+            _result(model, data, *each, balls, n_counted)
+            for each in zip(chosen, encoded, errors, physical, colours, strict=True)
+        )
+
+    results, evaluate = wall_clock(evaluate_all)
     return Report(
         names=model.names,
         latents=tuple(tuple(float(v) for v in row) for row in model.X),
@@ -214,11 +221,7 @@ def _tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: P
     if model.space.sample_bands is not None:
         bands = np.union1d(bands, model.space.sample_bands)
 
-    def step(done: int, total: int) -> None:
-        if on_progress is not None:
-            on_progress(done, total, "direction pairs")
-
-    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands, step)
+    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands, on_progress)
 
 
 def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None) -> list[Encoded]:
@@ -236,58 +239,63 @@ def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None)
     return encoded
 
 
-def _results(
-    model: Manifold,
-    materials: Sequence[MeasuredBRDF],
-    data: Data,
-    methods: Sequence[Method],
-    encoded: Sequence[Encoded],
-    blocks: Iterable[Values],
-    bands: Array,
-    n_pairs: int,
-) -> tuple[MethodResult, ...]:
-    """All that is measured of all methods."""
-    predictions = [each.combinations for each in encoded]
-    errors = measure_errors(predictions, bands, blocks)
-    physical = plausibility_results(materials, data.bands, predictions)
-    colours = colour_results(materials, predictions)
-    balls = BallErrors(materials, data.bands)
-    n_counted = (
-        n_pairs * len(bands) / model.bands.count
-    )  # eq. 22 sums over bands: those measured stand for all
-    results = []
-    for k, (method, sums) in enumerate(zip(methods, errors, strict=True)):
-        ciede2000, itp = balls.with_itp(predictions[k])
-        results.append(
-            MethodResult(
-                key=method.key,
-                title=method.title,
-                is_held_out=method.is_held_out,
-                numbers=method.numbers(model.bands.count),
-                bytes=needed_bytes(model.library, model.names, method),
-                fit_seconds=float(np.mean(encoded[k].fit_times)),
-                encode_seconds=sum(encoded[k].encode_times) / data.n_materials,
-                predict_seconds=sums.seconds / data.n_materials,
-                rmse=_floats(sums.rmse(n_counted)),
-                **_summary("relative_error", sums.linear),
-                **_summary("cube_root_error", sums.cube_root),
-                **_summary("ball_delta_e", ciede2000),
-                **_summary("ball_delta_e_itp", itp),
-                negative_share=0.0 if sums.is_clipped else sums.negative_share,
-                clipped_share=sums.negative_share if sums.is_clipped else 0.0,
-                reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical[k]])),
-                max_albedo=float(np.nanmax([p.max_albedo for p in physical[k]])),
-                colour=colours[k],
-                **_calibration(data, method, encoded[k]),
-            )
-        )
-    return tuple(results)
+def _measured_blocks(
+    materials: Sequence[MeasuredBRDF], bands: Indices, grid: RusinkiewiczGrid, on_progress: Progress | None
+) -> Iterator[Values]:
+    """Measured values on a grid in some bands, block by block."""
+    selected = [material.select_bands(bands.tolist()) for material in materials]
+    size = block_pairs(len(materials), len(bands))
+    total = -(-grid.n_pairs // size)
+    for done, (wi, wo, f) in enumerate(gram.value_blocks(selected, grid, size), start=1):
+        yield Values(f, wi, wo)
+        if on_progress is not None:
+            on_progress(done, total, "direction pairs")
+
+
+def _result(
+    model: Manifold, data: Data, method: Method, encoded: Encoded, errors: PredictionErrors,
+    physical: Sequence[Plausibility], colour: tuple[ColourResult, ...], balls: BallErrors, n_counted: float,
+) -> MethodResult:  # fmt: skip
+    """All that is measured of one method."""
+    n_bands, negative = model.bands.count, errors.negative_share
+    ciede2000, itp = balls.of(encoded.combinations)
+    return MethodResult(
+        key=method.key,
+        title=method.title,
+        is_held_out=method.is_held_out,
+        numbers=method.numbers(n_bands),
+        bytes=_needed_bytes(model.library, model.names, method),
+        fit_seconds=float(np.mean(encoded.fit_times)),
+        encode_seconds=sum(encoded.encode_times) / data.n_materials,
+        predict_seconds=errors.seconds / data.n_materials,
+        rmse=tuple(errors.rmse(n_counted).tolist()),
+        **_summary("relative_error", errors.linear),
+        **_summary("cube_root_error", errors.cube_root),
+        **_summary("ball_delta_e", ciede2000),
+        **_summary("ball_delta_e_itp", itp),
+        negative_share=0.0 if errors.is_clipped else negative,
+        clipped_share=negative if errors.is_clipped else 0.0,
+        reciprocity_error=float(np.nanmax([p.reciprocity_error for p in physical])),
+        max_albedo=float(np.nanmax([p.max_albedo for p in physical])),
+        colour=colour,
+        **_calibration(data, method, encoded),
+    )
+
+
+def _needed_bytes(library: Library, names: Sequence[str], method: Method) -> int:
+    """Bytes needed to predict: files, or their warps and sample bands, and the numbers of all materials."""
+    n_bands = library.bands.count
+    unused = 1.0 - min(method.sample_bands or n_bands, n_bands) / n_bands
+    files = [library.attributes(name) for name in names]
+    return _BYTES_PER_NUMBER * method.numbers(n_bands) * len(names) + sum(
+        info.bytes - round(unused * 4 * int(np.prod(info.shape))) for info in files
+    )
 
 
 def _summary(name: str, errors: Array) -> dict[str, Any]:
     """Errors per material, their median and 90th percentile, as `MethodResult` names them."""
     median, p90 = MedianAndP90.of(errors)
-    return {name: _floats(errors), f"median_{name}": median, f"p90_{name}": p90}
+    return {name: tuple(errors.tolist()), f"median_{name}": median, f"p90_{name}": p90}
 
 
 def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]:
@@ -295,16 +303,4 @@ def _calibration(data: Data, method: Method, encoded: Encoded) -> dict[str, Any]
     if not method.is_held_out or any(c.variance is None for c in encoded.combinations):
         return {"standardised_error": None, "rms_standardised_error": None}
     z = np.array([standardised_error(data, i, c) for i, c in enumerate(encoded.combinations)])
-    return {"standardised_error": _floats(z), "rms_standardised_error": float(np.sqrt(np.mean(z**2)))}
-
-
-def _floats(values: Array) -> tuple[float, ...]:
-    return tuple(float(v) for v in values)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return {"standardised_error": tuple(z.tolist()), "rms_standardised_error": float(np.sqrt(np.mean(z**2)))}

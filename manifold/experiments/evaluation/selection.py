@@ -6,9 +6,7 @@ and is judged by what it decodes; up to twenty materials every fold holds one, w
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,15 +14,15 @@ import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.errors import UsageError
-from manifold.experiments.evaluation.ball_errors import BallErrors
-from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out
-from manifold.experiments.evaluation.errors import MedianAndP90, measure_errors
+from manifold.experiments.evaluation.cross_validation import cross_validate, leave_out, wall_clock
+from manifold.experiments.evaluation.errors import BallErrors, MedianAndP90, measure_errors
 from manifold.experiments.evaluation.latent_models import fit_settings
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import MAPPINGS
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.settings import Settings
 from manifold.records import Progress, evenly_spaced
+from manifold.system.names import counted
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
 MAX_BANDS = 12  # evenly spaced, besides those that are samples
@@ -43,7 +41,7 @@ class Candidate:
         mapping, latent_dim: the setting.
         error: geometric mean over materials of the linear error, which the choice is made by.
         linear, cube_root, ball: the three errors over materials; see `PredictionErrors` and `BallErrors`.
-        seconds: for all folds.
+        seconds: of fitting and encoding all folds.
         is_chosen: whether it won.
     """
 
@@ -82,26 +80,23 @@ def choose(
     Raises:
         UsageError: there are fewer than four materials.
     """
-    count = len(materials)
-    if count < 4:
+    if len(materials) < 4:
         raise UsageError(
-            f"found {count} material{'s' * (count != 1)}, expected at least 4 to choose by held-out error; "
-            "give --mapping and --latent-dim, or import more"
+            f"found {counted(len(materials), 'material')}, expected at least 4 to choose by held-out error; "
+            "choose mapping and dimensions yourself, or import more"
         )
     trials = _Trials(materials, settings)
     most = min(MAX_DIMENSIONS, len(materials) - 2)
-    tried: list[Candidate] = []
-    mappings = _mappings(settings) if mapping else [settings.mapping]
+    tried: dict[tuple[str, int], Candidate] = {}
+    mappings = list(MAPPINGS) if mapping and settings.kind != "blend" else [settings.mapping]
     total = len(mappings) * mapping + most * latent_dim
 
     def attempt(name: str, count: int) -> Candidate:
-        for known in tried:
-            if (known.mapping, known.latent_dim) == (name, count):
-                return known
-        tried.append(trials.run(name, count))
-        if on_progress is not None:
-            on_progress(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
-        return tried[-1]
+        if (name, count) not in tried:
+            tried[name, count] = trials.run(name, count)
+            if on_progress is not None:
+                on_progress(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
+        return tried[name, count]
 
     start = min(settings.latent_dim, most)
     best = min((attempt(name, start) for name in mappings), key=lambda c: c.error)
@@ -114,16 +109,7 @@ def choose(
             elif count > best.latent_dim + 1:
                 break  # two in a row that did not pay
     chosen = replace(settings, mapping=best.mapping, latent_dim=best.latent_dim)
-    return chosen, [replace(c, is_chosen=c is best) for c in tried]
-
-
-def _mappings(settings: Settings) -> list[str]:
-    """Mappings that manifolds of this kind take."""
-    taken = []
-    for name in MAPPINGS:
-        with suppress(UsageError):
-            taken.append(replace(settings, mapping=name).mapping)
-    return taken
+    return chosen, [replace(c, is_chosen=c is best) for c in tried.values()]
 
 
 class _Trials:
@@ -139,16 +125,11 @@ class _Trials:
 
     def run(self, name: str, latent_dim: int) -> Candidate:
         """Held-out errors of one setting."""
-        start = time.perf_counter()
         fit = fit_settings(replace(self._settings, mapping=name, latent_dim=latent_dim), tolerance=_TOLERANCE)
-        found = cross_validate(self._data, fit, self._splits).combinations
-        errors = measure_errors([found], self._data.bands, [self._data])[0]
-        return Candidate(
-            mapping=name,
-            latent_dim=latent_dim,
-            error=float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12))))),
-            linear=MedianAndP90.of(errors.linear),
-            cube_root=MedianAndP90.of(errors.cube_root),
-            ball=MedianAndP90.of(self._balls.of(found)),
-            seconds=time.perf_counter() - start,
-        )
+        encoded, seconds = wall_clock(lambda: cross_validate(self._data, fit, self._splits))
+        found = encoded.combinations
+        (errors,) = measure_errors([found], self._data.bands, [self._data])
+        mean = float(np.exp(np.mean(np.log(np.maximum(errors.linear, 1e-12)))))
+        linear, cube_root = MedianAndP90.of(errors.linear), MedianAndP90.of(errors.cube_root)
+        ball = MedianAndP90.of(self._balls.of(found)[0])
+        return Candidate(name, latent_dim, mean, linear, cube_root, ball, seconds)

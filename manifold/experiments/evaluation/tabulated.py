@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
+from manifold.latent.decoder import PAIR_STRIDE, EncodingPairs
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import gram
 from manifold.model.combination import Values
-from manifold.models.decoder import PAIR_STRIDE, EncodingPairs
-from manifold.records import Array, evenly_spaced
+from manifold.records import Array, Indices, Progress, evenly_spaced
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
+_BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +34,12 @@ class Data(Values):
         materials: that were evaluated, for methods that look at other direction pairs too.
     """
 
-    bands: Array = field(default=None)  # type: ignore[arg-type]
+    bands: Indices = field(default=None)  # type: ignore[arg-type]
     n_bands: int = 0
     full_values: Callable[[int], Array] = field(default=None, repr=False)  # type: ignore[assignment]
     stride: int = PAIR_STRIDE
     materials: Sequence[MeasuredBRDF] = field(default=(), repr=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, repr=False, kw_only=True)
-    _grams: dict[tuple[str, float, tuple[int, ...] | None], Array] = field(
-        default_factory=dict, repr=False, kw_only=True
-    )
 
     def __post_init__(self) -> None:
         if self.bands is None:
@@ -55,8 +53,8 @@ class Data(Values):
         cls,
         materials: Sequence[MeasuredBRDF],
         grid: RusinkiewiczGrid,
-        bands: Array | None = None,
-        on_block: Callable[[int, int], None] | None = None,
+        bands: Indices | None = None,
+        on_progress: Progress | None = None,
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
@@ -66,7 +64,7 @@ class Data(Values):
             materials: N of them, of the same bands.
             grid: direction pairs.
             bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
-            on_block: called with (done, total) blocks of direction pairs.
+            on_progress: called with (done, total, what).
             stride: see `Data`.
         """
         n_bands = materials[0].bands.count
@@ -74,23 +72,25 @@ class Data(Values):
         selected = [material.select_bands(bands.tolist()) for material in materials]
         blocks = []
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
-        for wi, wo, f in gram.value_blocks(selected, grid):
-            blocks.append((f, wi, wo))
-            if on_block is not None:
-                on_block(len(blocks), total)
+        for block in gram.value_blocks(selected, grid):
+            blocks.append(block)
+            if on_progress is not None:
+                on_progress(len(blocks), total, "direction pairs")
+        wi, wo, f = zip(*blocks, strict=True)
         pairs = EncodingPairs.of_grid(grid.suited_to(all_isotropic(materials)), stride)
         return cls(
-            np.concatenate([f for f, _, _ in blocks], axis=1),
-            np.concatenate([wi for _, wi, _ in blocks]),
-            np.concatenate([wo for _, _, wo in blocks]),
-            bands,
-            n_bands,
-            lambda i: materials[i].eval(pairs.wi, pairs.wo),
-            stride,
-            materials,
-        )
+            np.concatenate(f, axis=1), np.concatenate(wi), np.concatenate(wo), bands, n_bands,
+            lambda i: materials[i].eval(pairs.wi, pairs.wo), stride, materials,
+        )  # fmt: skip
 
-    def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def blocks(self) -> Iterator[Values]:
+        """The values, some direction pairs at a time."""
+        size = block_pairs(self.n_materials, len(self.bands))
+        for start in range(0, self.f.shape[1], size):
+            some = slice(start, start + size)
+            yield Values(self.f[:, some], self.wi[some], self.wo[some])
+
+    def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
@@ -112,7 +112,7 @@ class Data(Values):
         """D: direction pairs times bands."""
         return self.f.shape[1] * self.f.shape[2]
 
-    def gram(self, mapping: Mapping, bands: Array | None = None, *, power: float = 1.0) -> Array:
+    def gram(self, mapping: Mapping, bands: Indices | None = None, *, power: float = 1.0) -> Array:
         """Inner products of samples over direction pairs, weighted by cosines^power, and whatever bands a sample has.
 
         Args:
@@ -121,15 +121,17 @@ class Data(Values):
         Returns:
             Shape (N, N) of whole materials, (N * B_s, N * B_s) of single bands.
         """
-        key = (repr(mapping), power, None if bands is None else tuple(int(b) for b in bands))
-        if key not in self._grams:
-            weight = np.sqrt(self.cosines**power)
-            columns = np.repeat(weight, self.f.shape[2]) if bands is None else weight
-            flat = self.samples(mapping, bands) * columns
-            self._grams[key] = flat @ flat.T
-        return self._grams[key]
 
-    def samples(self, mapping: Mapping, bands: Array | None = None) -> Array:
+        def products() -> Array:
+            weight = np.sqrt(self.cosines**power)
+            flat = self.samples(mapping, bands) * (
+                np.repeat(weight, self.f.shape[2]) if bands is None else weight
+            )
+            return flat @ flat.T
+
+        return self.cached((repr(mapping), power, None if bands is None else tuple(bands.tolist())), products)
+
+    def samples(self, mapping: Mapping, bands: Indices | None = None) -> Array:
         """T(f), sample by sample.
 
         Args:
@@ -143,7 +145,7 @@ class Data(Values):
             return self.mapped(mapping).reshape(self.n_materials, -1)
         return self.mapped_samples(mapping, np.searchsorted(self.bands, bands))
 
-    def available_bands(self, count: int) -> Array:
+    def available_bands(self, count: int) -> Indices:
         """At most `count` of the bands here, as evenly spaced over all bands as they can be."""
         wanted = evenly_spaced(self.n_bands, count)
         nearest = np.abs(self.bands[None] - wanted[:, None]).argmin(axis=1)
@@ -159,3 +161,8 @@ class Data(Values):
     def relative_error(self, i: int, predicted: Array) -> float:
         """Of a prediction (P, B') of material i, weighted by the cosines."""
         return relative_error(self.f[i], predicted, self.cosines)
+
+
+def block_pairs(n_materials: int, n_bands: int) -> int:
+    """Direction pairs of a block of values."""
+    return int(np.clip(_BLOCK_VALUES // (n_materials * n_bands), 64, 16384))

@@ -9,6 +9,10 @@ import numpy as np
 from scipy.linalg import qr
 
 from manifold.colour import ball_colours
+from manifold.completion.atoms import LibraryAtoms
+from manifold.completion.complete import complete_at
+from manifold.completion.residual import coordinates
+from manifold.completion.suggest import readings_to_take
 from manifold.errors import UsageError
 from manifold.fitting import fit_json
 from manifold.fitting.fit_samples import FitSamples
@@ -16,12 +20,7 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.formats.readings import Readings
 from manifold.metrics import cosine_weight
-from manifold.model.completion.complete import complete_at
-from manifold.model.completion.expected import in_sample_bands, sample_axis
-from manifold.model.completion.samples import LibrarySamples
-from manifold.model.completion.suggest import readings_to_take
-from manifold.models.nearby import places
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 _RIDGE = 1e-3  # of the mean variance: of 0.01, 0.001 and 0.0001 the best on the ball
 
@@ -31,21 +30,21 @@ class Task:
     """A left-out material to be completed.
 
     Attributes:
-        others: samples of the other materials.
+        others: atoms of the other materials.
         at: their cube roots at the directions to choose from, shape (n + 1, D).
         roots: the material's cube roots there, shape (B_s, D).
         wi, wo: these directions, shape (D, 3).
     """
 
-    others: LibrarySamples
+    others: LibraryAtoms
     at: Array
     roots: Array
     wi: Array
     wo: Array
 
-    def readings(self, chosen: Array) -> Readings:
+    def readings(self, chosen: Indices) -> Readings:
         """The material read at some of the directions."""
-        nm = sample_axis(self.others).wavelengths_nm
+        nm = self.others.band_axis.wavelengths_nm
         return Readings(
             "left out", "library", self.wi[chosen], self.wo[chosen], None if nm is None else np.array(nm),
             self.roots[:, chosen].T ** 3,
@@ -53,75 +52,69 @@ class Task:
 
 
 Predicted = tuple[Array, Array]
-"""f on the grid and on the ball in the sample bands, shapes (P_g, B_s) and (P_b, B_s)."""
+"""f on the grid and on the ball in the bands of the atoms, shapes (P_g, B_s) and (P_b, B_s)."""
 
 
 @dataclass(frozen=True)
 class ReadingMethod:
-    """A way to complete readings.
+    """A way to complete readings: which directions to read first, what it predicts from them, and how many it needs.
 
-    Attributes:
-        key: name in JSON.
-        title: for people.
-        order: from a task the directions in which to read, best first, at least `count`.
-        predict: from a task and the directions read.
-        least: readings that it needs.
+    `order` gives at least as many directions as it is asked for, best first.
     """
 
     key: str
     title: str
-    order: Callable[[Task, int], Array]
-    predict: Callable[[Task, Array], Predicted]
+    order: Callable[[Task, int], Indices]
+    predict: Callable[[Task, Indices], Predicted]
     least: int = 1
 
 
-def _from_weights(samples: LibrarySamples, weights: Array) -> Predicted:
+def _from_weights(atoms: LibraryAtoms, weights: Array) -> Predicted:
     """Predictions of weights (B_s, n + 1) of cube roots; negative cube roots are cut to 0."""
-    on_grid, on_ball = samples.directions[:, : samples.n_grid], samples.ball
-    return tuple(np.maximum(weights @ roots, 0.0).T ** 3 for roots in (on_grid, on_ball))
+    on_grid, on_ball = atoms.directions[:, : atoms.n_grid], atoms.ball
+    return np.maximum(weights @ on_grid, 0.0).T ** 3, np.maximum(weights @ on_ball, 0.0).T ** 3
 
 
-def _own_order(task: Task, count: int) -> Array:
-    return readings_to_take(task.others, task.at, places(task.wi, task.wo), count)
+def _own_order(task: Task, count: int) -> Indices:
+    return readings_to_take(task.others, task.at, coordinates(task.wi, task.wo), count)
 
 
-def _completed(task: Task, chosen: Array) -> Predicted:
-    held = in_sample_bands(task.others)
-    found = complete_at(held, task.readings(chosen), task.at[:, chosen])
-    return found.on_grid, found.on_ball
+def _completed(task: Task, chosen: Indices) -> Predicted:
+    made = complete_at(task.others.in_atom_bands(), task.readings(chosen), task.at[:, chosen])
+    return made.on_grid, made.on_ball
 
 
 def _amplitude(task: Task) -> Array:
     return np.cbrt(cosine_weight(task.wi, task.wo))
 
 
-def _well_conditioned(task: Task, count: int) -> Array:
+def _well_conditioned(task: Task, count: int) -> Indices:
     """Directions at which principal components are told apart best: pivots of a QR factorisation.
 
     Source: Nielsen et al. 2015, section 4 (least condition number); here greedily, by Businger & Golub 1965.
     """
-    samples = task.at[:-1]
-    _, _, pivots = qr((samples - samples.mean(axis=0)) * _amplitude(task), pivoting=True, mode="economic")
-    return pivots[:count]
+    atoms = task.at[: task.others.n_measured]
+    _, _, pivots = qr((atoms - atoms.mean(axis=0)) * _amplitude(task), pivoting=True, mode="economic")
+    return np.asarray(pivots[:count], dtype=np.intp)
 
 
-def _ridge(task: Task, chosen: Array) -> Predicted:
-    """Ridge regression on all principal components of the samples' cube roots. Source: Nielsen et al. 2015, eq. 9."""
-    n = len(task.at) - 1
-    samples, amplitude = task.at[:n, chosen], _amplitude(task)[chosen]
-    X = (samples - samples.mean(axis=0)) * amplitude
+def _ridge(task: Task, chosen: Indices) -> Predicted:
+    """Ridge regression on all principal components of the atoms' cube roots. Source: Nielsen et al. 2015, eq. 9."""
+    n = task.others.n_measured
+    atoms, amplitude = task.at[:n, chosen], _amplitude(task)[chosen]
+    X = (atoms - atoms.mean(axis=0)) * amplitude
     inner = X @ X.T
-    y = (task.roots[:, chosen] - samples.mean(axis=0)) * amplitude
+    y = (task.roots[:, chosen] - atoms.mean(axis=0)) * amplitude
     shares = np.linalg.solve(inner + _RIDGE * np.trace(inner) / n * np.eye(n), X @ y.T).T
-    weights = np.zeros((len(shares), n + 1))
+    weights = np.zeros((len(shares), len(task.at)))
     weights[:, :n] = shares + (1.0 - shares.sum(axis=1, keepdims=True)) / n
     return _from_weights(task.others, weights)
 
 
-def _nearest(task: Task, chosen: Array) -> Predicted:
+def _nearest(task: Task, chosen: Indices) -> Predicted:
     """The material of the library that differs least at the readings."""
     N, amplitude = len(task.others.names), _amplitude(task)[chosen]
-    read = task.at[:-1, chosen].reshape(N, -1, len(chosen))
+    read = task.at[: task.others.n_measured, chosen].reshape(N, -1, len(chosen))
     apart = np.sum(((read - task.roots[:, chosen]) * amplitude) ** 2, axis=(1, 2))
     own = np.flatnonzero(task.others.material_of == int(np.argmin(apart)))
     weights = np.zeros((len(own), len(task.at)))
@@ -129,7 +122,7 @@ def _nearest(task: Task, chosen: Array) -> Predicted:
     return _from_weights(task.others, weights)
 
 
-def _principled(task: Task, chosen: Array) -> Predicted:
+def _principled(task: Task, chosen: Indices) -> Predicted:
     """Mitsuba's principled BSDF fitted to the readings; NaN where they do not make a fit."""
     grid, ball = task.others.grid, ball_colours.ball()
     read = task.readings(chosen)

@@ -7,7 +7,9 @@ import re
 import tempfile
 from collections.abc import Sequence
 
-from manifold.experiments.stability.trials import OUTCOMES, WRONG, Mode, Row, Stability
+from manifold.experiments.stability.trials import FINE, OUTCOMES, WRONG, Mode, Row, Stability
+from manifold.model.settings import KINDS
+from manifold.system.names import counted
 
 COLUMNS = ("failure mode", "method", "undetected", "limit", "outcome")
 _MODE_WIDTH, _METHOD_WIDTH = 21, 15
@@ -15,9 +17,9 @@ FALSE_ALARM = "false alarm"
 
 
 def table(made: Stability) -> list[list[str]]:
-    """A row per mode and method: the largest error about which nothing was said, its limit, and what happened.
+    """A row per mode and method: the largest error without a message, its limit, and what happened.
 
-    Rows fit into 80 columns; a mode is named in its first row only.
+    A mode is named in its first row only.
     """
     rows, previous = [], None
     for row in made.rows:
@@ -43,13 +45,40 @@ def outcomes(row: Row) -> str:
     return ", ".join(dict.fromkeys(one.outcome for one in row.results))
 
 
+def conclusion(made: Stability) -> str:
+    """What to conclude, and which kind of map to choose where several were tried in the same modes."""
+    said = (
+        "Results without a message can be trusted in these modes: every error above its limit was announced."
+    )
+    if made.wrong:
+        wrong = ", ".join(f"{row.method} ({row.mode})" for row in made.wrong)
+        said = f"Wrong without a message, so check these by other means: {wrong}."
+    tried = {kind: {row.mode: row for row in made.rows if row.method == kind} for kind in KINDS}
+    kinds = [kind for kind, rows in tried.items() if rows]
+    shared = set.intersection(*(set(tried[kind]) for kind in kinds)) if kinds[1:] else set()
+    if shared:
+        fine = {
+            kind: sum(one.outcome == FINE for mode in shared for one in tried[kind][mode].results)
+            for kind in kinds
+        }
+        if len({*fine.values()}) == 1:
+            return f"{said} All kinds of map are fine equally often: choose by accuracy."
+        best = max(kinds, key=lambda kind: fine[kind])
+        others = ", ".join(f"{kind} {fine[kind]}" for kind in kinds if kind != best)
+        trials = sum(len(tried[best][mode].results) for mode in shared)
+        said += (
+            f" Kind of map to choose: {best}, fine in {fine[best]} of {counted(trials, 'trial')} ({others})."
+        )
+    return said
+
+
 def summary(made: Stability) -> str:
     """The number of trials of each outcome, in one line."""
     trials = [one.outcome for row in made.rows for one in row.results]
     modes = len({row.mode for row in made.rows})
     counts = ", ".join(f"{trials.count(outcome)} {outcome}" for outcome in OUTCOMES)
     return (
-        f"{modes} failure mode{'s' * (modes != 1)}, {len(trials)} trials: {counts}; "
+        f"{counted(modes, 'failure mode')}, {len(trials)} trials: {counts}; "
         f"{len(made.false_alarms)} false alarms in {len(made.rows)} rows, {made.early_warnings} early warnings"
     )
 
@@ -70,6 +99,8 @@ def markdown(made: Stability, modes: Sequence[Mode], picture: str | None = None)
         "an *early warning*. *Undetected* is the largest error without a warning or an error message.",
         "",
         *(() if picture is None else (f"![Error against severity of every failure mode]({picture})", "")),
+        conclusion(made),
+        "",
         summary(made) + ".",
         "",
     ]

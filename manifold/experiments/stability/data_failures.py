@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,17 +12,17 @@ from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import mirrored_quadrature
 from manifold.directions import from_spherical
-from manifold.experiments.stability.limits import SAME_RESULT
 from manifold.experiments.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, named, plastic, predict
-from manifold.experiments.stability.trials import Limit, Measurement, Mode
+from manifold.experiments.stability.trials import SAME_RESULT, Limit, Measurement, Mode
 from manifold.fitting.principled import fit_bsdf
-from manifold.io_rgl import write_bsdf
 from manifold.metrics import relative_error
-from manifold.model import predicted_file
+from manifold.model.diagnostics import diagnose
+from manifold.model.latents import Place
 from manifold.model.located import locate
 from manifold.model.manifold import Manifold
-from manifold.records import Array, BsdfFile
-from manifold.system import temporary
+from manifold.model.output_file import OutputOptions, output_file
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import BsdfFile, Mask
 
 _AS_A_FILE = Limit(
     "relative difference to the result of whole files (of the roughness for the fit)",
@@ -32,7 +33,7 @@ _AS_A_FILE = Limit(
 _PAIR = (named(ALPHAS[1], 1), named(ALPHAS[2], 1))
 
 
-def lost_cells(file: BsdfFile, share: float) -> Array:
+def lost_cells(file: BsdfFile, share: float) -> Mask:
     """Cells of a few round patches per incidence that cover a share of the measured ones, bool, shape (P, T, H, W)."""
     rng = np.random.default_rng(5)
     measured = file.measured_mask
@@ -46,18 +47,18 @@ def lost_cells(file: BsdfFile, share: float) -> Array:
     return lost
 
 
-def _times(file: BsdfFile, cells: Array, factor: float) -> BsdfFile:
+def _times(file: BsdfFile, cells: Mask, factor: float) -> BsdfFile:
     """The file with cells (P, T, H, W) multiplied."""
     scale = np.where(cells, factor, 1.0).astype(np.float32)
     return replace(file, spectra=file.spectra * scale[:, :, None])
 
 
-def _marked(file: BsdfFile, cells: Array, version: tuple[int, int]) -> BsdfFile:
+def _marked(file: BsdfFile, cells: Mask, version: tuple[int, int]) -> BsdfFile:
     """The file, as a pipeline of a version writes it, with cells (P, T, H, W) marked as not measured."""
     return replace(file, version=version, valid=goniometer.pack_valid(file.measured_mask & ~cells, version))
 
 
-Spoil = Callable[[BsdfFile, float], BsdfFile]
+Degrade = Callable[[BsdfFile, float], BsdfFile]
 
 
 def _zeroed(file: BsdfFile, share: float) -> BsdfFile:
@@ -78,65 +79,49 @@ def middle_of_family(bed: TestBed) -> list[BsdfFile]:
     ]
 
 
-def _whole(bed: TestBed) -> Manifold:
+def _of_whole_files(bed: TestBed) -> Manifold:
     """The manifold of the six."""
-    return bed.once("six", lambda: bed.fit(middle_of_family(bed), "material"))
+    return bed.cached("six", lambda: bed.fit(middle_of_family(bed), "material"))
 
 
-def _spoilt(bed: TestBed, spoil: Spoil, severity: float) -> Manifold:
-    """The manifold of the six, every file spoilt."""
-    key = ("six", spoil.__name__, severity)
-    return bed.once(
-        key, lambda: bed.fit([spoil(file, severity) for file in middle_of_family(bed)], "material")
+def _degraded(bed: TestBed, degrade: Degrade, severity: float) -> Manifold:
+    """The manifold of the six, every file degraded."""
+    key = ("six", degrade.__name__, severity)
+    return bed.cached(
+        key, lambda: bed.fit([degrade(file, severity) for file in middle_of_family(bed)], "material")
     )
 
 
-def _predicted(spoil: Spoil, t: float) -> Callable[[TestBed, float], Measurement]:
-    """On the line between two materials of a library of spoilt files, beside the same of whole files."""
-
-    def trial(bed: TestBed, severity: float) -> Measurement:
-        model = _spoilt(bed, spoil, severity)
-        x = model.between(*_PAIR, t)
-        with temporary.folder() as folder:
-            made = predicted_file.predict(
-                model, x, folder / "predicted_spec.bsdf", resolution=16, n_theta_i=6, force=True
-            )
-        whole = _whole(bed).interpolate(*_PAIR, t)
-        return Measurement(bed.error(model.predict(x), whole), made.diagnostics)
-
-    return trial
+def _predicted(degrade: Degrade, t: float, bed: TestBed, severity: float) -> Measurement:
+    """On the line between two materials of a library of degraded files, beside the same of whole files."""
+    model = _degraded(bed, degrade, severity)
+    x = model.between(*_PAIR, t)
+    clipped = ClippedBRDF(model.predict(x))
+    _, found = output_file(clipped, "predicted", OutputOptions(resolution=16, incidences=6))
+    made = diagnose(model, Place(x), clipped, found=found, negative_share=clipped.clipped_share)
+    undamaged = _of_whole_files(bed)
+    whole = undamaged.predict(undamaged.between(*_PAIR, t))
+    return Measurement(bed.error(model.predict(x), whole), made.diagnostics)
 
 
-def _embedded(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
-    """A spoilt file embedded in a whole library, beside the same file whole."""
-
-    def trial(bed: TestBed, severity: float) -> Measurement:
-        model, file = _whole(bed), bed.file(MIDDLE, COLOURS[1])
-        with temporary.folder() as folder:
-            model.save(folder / "model.h5")
-            write_bsdf(folder / "spoilt_rgb.bsdf", spoil(file, severity))
-            found = locate(folder / "model.h5", folder / "spoilt_rgb.bsdf")
-        whole = bed.once("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
-        there = model.predict(np.array(found.latent))
-        return Measurement(bed.error(there, model.predict(whole)), found.reconstruction.diagnostics)
-
-    return trial
+def _embedded(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
+    """A degraded file embedded in a library of whole files, beside the same file whole."""
+    model, file = _of_whole_files(bed), bed.file(MIDDLE, COLOURS[1])
+    found = locate(model, degrade(file, severity))
+    whole = bed.cached("embedded", lambda: model.embed(MeasuredBRDF(file)).latent)
+    return Measurement(bed.error(model.predict(found.latent), model.predict(whole)), found.diagnostics)
 
 
-def _fitted(spoil: Spoil) -> Callable[[TestBed, float], Measurement]:
-    """Roughness of a Principled BSDF fitted to a spoilt file, beside the same file whole, as a ratio less 1."""
-
-    def trial(bed: TestBed, severity: float) -> Measurement:
-        file = bed.file(MIDDLE)
-        whole = bed.once("fitted", lambda: fit_bsdf(file))
-        found = fit_bsdf(spoil(file, severity))
-        ratio = float(np.asarray(found.values["roughness"]) / np.asarray(whole.values["roughness"]))
-        return Measurement(abs(ratio - 1.0))
-
-    return trial
+def _fitted(degrade: Degrade, bed: TestBed, severity: float) -> Measurement:
+    """Roughness of a Principled BSDF fitted to a degraded file, beside the same file whole, as a ratio less 1."""
+    file = bed.file(MIDDLE)
+    whole = bed.cached("fitted", lambda: fit_bsdf(file))
+    found = fit_bsdf(degrade(file, severity))
+    ratio = float(np.asarray(found.values["roughness"]) / np.asarray(whole.values["roughness"]))
+    return Measurement(abs(ratio - 1.0))
 
 
-def _unmeasured(key: str, concerns: str, spoil: Spoil, advice: str) -> Mode:
+def _unmeasured(key: str, concerns: str, degrade: Degrade, advice: str) -> Mode:
     return Mode(
         key=key,
         concerns=concerns,
@@ -144,10 +129,10 @@ def _unmeasured(key: str, concerns: str, spoil: Spoil, advice: str) -> Mode:
         severities=(0.0, 0.1, 0.3),
         limit=_AS_A_FILE,
         methods={
-            "prediction between materials": _predicted(spoil, 0.5),
-            "prediction at a material": _predicted(spoil, 0.0),
-            "embedding a file": _embedded(spoil),
-            "Principled fit": _fitted(spoil),
+            "prediction between materials": partial(_predicted, degrade, 0.5),
+            "prediction at a material": partial(_predicted, degrade, 0.0),
+            "embedding a file": partial(_embedded, degrade),
+            "Principled fit": partial(_fitted, degrade),
         },
         advice=advice,
     )
@@ -166,7 +151,7 @@ def _grazing_file(bed: TestBed, degrees: float) -> Measurement:
 
 
 def _grazing_prediction(bed: TestBed, degrees: float) -> Measurement:
-    model = _whole(bed)
+    model = _of_whole_files(bed)
     truth = plastic(MIDDLE, COLOURS[1])
     there, messages = predict(model, model.between(*_PAIR, 0.5))
     return Measurement(_albedo_error(there, truth, np.deg2rad(degrees)), messages)
@@ -192,15 +177,6 @@ def _coarse(file: BsdfFile, nodes: float) -> BsdfFile:
     if (ALPHAS.index(float(alpha)) + int(colour)) % 2:
         return file
     return goniometer.measure(plastic(float(alpha), COLOURS[int(colour)]), file.name, resolution=int(nodes))
-
-
-def _misread_mask(bed: TestBed, share: float) -> Measurement:
-    """Files of both meanings of the bits: the largest share of cells that are read the wrong way round."""
-    file = bed.file(MIDDLE)
-    lost = lost_cells(file, share)
-    known = file.measured_mask & ~lost
-    misread = [np.mean(_marked(file, lost, version).measured_mask != known) for version in ((3, 1), (3, 2))]
-    return Measurement(float(max(misread)))
 
 
 def _rounded(file: BsdfFile, bits: float) -> BsdfFile:
@@ -248,21 +224,10 @@ MODES: tuple[Mode, ...] = (
         "nodes per axis of the coarse files", (32.0, 16.0),
         replace(_AS_A_FILE, quantity="relative difference to the result of a library of 32 nodes"),
         {
-            "prediction between materials": _predicted(_coarse, 0.5),
-            "prediction at a material": _predicted(_coarse, 0.0),
+            "prediction between materials": partial(_predicted, _coarse, 0.5),
+            "prediction at a material": partial(_predicted, _coarse, 0.0),
         },
         "Resolutions can be mixed from 16 nodes upwards; a prediction has the resolution of the files around it.",
-    ),
-    Mode(
-        "mixed_versions", "files of pipelines whose `valid` bits mean measured, or not measured",
-        "share of the measured cells that are marked as not measured", (0.0, 0.15, 0.3),
-        Limit(
-            "share of the cells whose mask is inverted",
-            0.01,
-            "masks of real files are inconsistent in as many cells",
-        ),
-        {"mask": _misread_mask},
-        "Keep the version that the pipeline wrote; files of all versions can share a library.",
     ),
     Mode(
         "single_precision", "values in fewer bits than single precision (13 fewer are half precision)",
@@ -272,9 +237,9 @@ MODES: tuple[Mode, ...] = (
             quantity="relative difference to the result of all bits (of the roughness for the fit)",
         ),
         {
-            "prediction between materials": _predicted(_rounded, 0.5),
-            "embedding a file": _embedded(_rounded),
-            "Principled fit": _fitted(_rounded),
+            "prediction between materials": partial(_predicted, _rounded, 0.5),
+            "embedding a file": partial(_embedded, _rounded),
+            "Principled fit": partial(_fitted, _rounded),
         },
         "Single precision exceeds the accuracy of measurements; half precision suffices for storage.",
     ),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.experiments.stability.limits import BALL, HALF_OF_NEAREST
 from manifold.experiments.stability.model_failures import held_out
 from manifold.experiments.stability.testbed import ALPHAS, TestBed, named, predict
-from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
+from manifold.experiments.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode
 from manifold.model.prediction import PredictedBRDF
 
 _RAYS = 6
@@ -19,36 +19,30 @@ Places = Callable[[TestBed, float], Iterator[tuple[PredictedBRDF, tuple[str, ...
 """Predictions at a distance outside the materials, with their diagnostics."""
 
 
-def _from_outermost(kind: str, mapping: str = "cube-root") -> Places:
+def _from_outermost(
+    kind: str, mapping: str, bed: TestBed, distance: float
+) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """From the outermost material in each of several directions further in that direction."""
-
-    def places(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
-        model = bed.model(kind, mapping)
-        angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
-        for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
-            outermost = model.X[np.argmax(model.X @ ray)]
-            yield predict(model, outermost + distance * model.space.kernel.length_scale * ray)
-
-    return places
+    model = bed.model(kind, mapping)
+    angles = 2.0 * np.pi * np.arange(_RAYS) / _RAYS
+    for ray in np.stack([np.cos(angles), np.sin(angles)], axis=1):
+        outermost = model.X[np.argmax(model.X @ ray)]
+        yield predict(model, outermost + distance * model.space.kernel.length_scale * ray)
 
 
 def _brighter(bed: TestBed, distance: float) -> Iterator[tuple[PredictedBRDF, tuple[str, ...]]]:
     """At materials' own structures, in colours moved up."""
     model = bed.model("monochrome")
-    for x, colours in zip(model.X[::3], model.space.colour_table()[0][::3], strict=True):
+    for x, colours in zip(model.X[::3], model.space.own_colours[::3], strict=True):
         yield predict(model, x, colours + distance * model.space.kernel.length_scale)
 
 
-def _outside(places: Places) -> Trial:
+def _outside(places: Places, bed: TestBed, distance: float) -> list[Measurement]:
     """Differences between the balls of predictions and of the nearest plastic, wherever its latent would be."""
-
-    def trial(bed: TestBed, distance: float) -> list[Measurement]:
-        return [
-            Measurement(bed.ball_difference_to_plastics(brdf), messages)
-            for brdf, messages in places(bed, distance)
-        ]
-
-    return trial
+    return [
+        Measurement(bed.ball_difference_to_plastics(brdf), messages)
+        for brdf, messages in places(bed, distance)
+    ]
 
 
 def _across(ratio: float) -> tuple[str, str, float]:
@@ -58,18 +52,24 @@ def _across(ratio: float) -> tuple[str, str, float]:
     return named(smooth, 1), named(rough, 1), float(np.sqrt(smooth * rough))
 
 
-def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF]) -> Trial:
+def _on_the_path(kind: str, bed: TestBed, a: str, b: str, t: float) -> BRDF:
+    """What lies between two materials on a map."""
+    model = bed.model(kind)
+    return model.predict(model.between(a, b, t))
+
+
+def _on_the_walk(bed: TestBed, a: str, b: str, t: float) -> BRDF:
+    return bed.model("blend").interpolate(a, b, t)
+
+
+def _on_the_way(walk: Callable[[TestBed, str, str, float], BRDF], bed: TestBed, ratio: float) -> Measurement:
     """The best of nine places on the way from one material to another, beside the plastic halfway."""
-
-    def trial(bed: TestBed, ratio: float) -> Measurement:
-        a, b, middle = _across(ratio)
-        truth = held_out(bed, middle)
-        ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
-        nearest = min(bed.error(end, truth) for end in ends)
-        found = min(bed.error(walk(bed, a, b, float(t)), truth) for t in np.linspace(0.1, 0.9, 9))
-        return Measurement(found / nearest)
-
-    return trial
+    a, b, middle = _across(ratio)
+    truth = held_out(bed, middle)
+    ends = [MeasuredBRDF(file) for file in bed.family if file.name in (a, b)]
+    nearest = min(bed.error(end, truth) for end in ends)
+    found = min(bed.error(walk(bed, a, b, float(t)), truth) for t in np.linspace(0.1, 0.9, 9))
+    return Measurement(found / nearest)
 
 
 MODES: tuple[Mode, ...] = (
@@ -79,26 +79,26 @@ MODES: tuple[Mode, ...] = (
         Limit("CIEDE2000 between the balls of the prediction and of the nearest "
         "plastic", BALL.value, BALL.reason),
         {
-            "material": _outside(_from_outermost("material")),
-            "raw values": _outside(_from_outermost("material", "identity")),
-            "monochrome": _outside(_from_outermost("monochrome")),
-            "blend": _outside(_from_outermost("blend")),
-            "brighter": _outside(_brighter),
+            "material": partial(_outside, partial(_from_outermost, "material", "cube-root")),
+            "raw values": partial(_outside, partial(_from_outermost, "material", "identity")),
+            "monochrome": partial(_outside, partial(_from_outermost, "monochrome", "cube-root")),
+            "blend": partial(_outside, partial(_from_outermost, "blend", "cube-root")),
+            "brighter": partial(_outside, _brighter),
         },
-        "Stay between the materials, or use --physical, which clips negative values, scales the albedo and makes "
-        "f reciprocal.",
+        "Stay between the materials, or write a physical file: negative values are clipped, the albedo is scaled, "
+        "and f made reciprocal.",
     ),
     Mode(
         "across_classes", "path between a smooth and a rough material", "ratio of roughness",
         (ALPHAS[3] / ALPHAS[2], ALPHAS[3] / ALPHAS[1], ALPHAS[3] / ALPHAS[0]),
         HALF_OF_NEAREST,
         {
-            "GP, material": _on_the_way(lambda bed, a, b, t: bed.model("material").interpolate(a, b, t)),
-            "GP, monochrome": _on_the_way(lambda bed, a, b, t: bed.model("monochrome").interpolate(a, b, t)),
-            "blend": _on_the_way(lambda bed, a, b, t: bed.model("blend").interpolate(a, b, t)),
-            "linear": _on_the_way(lambda bed, a, b, t: bed.model("material").blend(a, b, t)),
+            "GP, material": partial(_on_the_way, partial(_on_the_path, "material")),
+            "GP, monochrome": partial(_on_the_way, partial(_on_the_path, "monochrome")),
+            "blend": partial(_on_the_way, partial(_on_the_path, "blend")),
+            "walk": partial(_on_the_way, _on_the_walk),
         },
-        "Use `interpolate`; a linear mix of a narrow and a wide lobe has both lobes, not one of intermediate "
-        "width.",
+        "Use `interpolate`: a straight path of latents may pass other materials, and an average of a narrow and a "
+        "wide lobe has both lobes, not one of intermediate width.",
     ),
 )  # fmt: skip

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.brdf.measured import BRDF
 from manifold.brdf.plausibility import mirrored_quadrature
-from manifold.brdf.synthetic.ggx import GGX
-from manifold.brdf.synthetic.microfacet import RoughConductor
 from manifold.colour.conversion import to_srgb
 from manifold.directions import from_spherical
 from manifold.experiments.stability.testbed import TestBed
-from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
+from manifold.experiments.stability.trials import Limit, Measurement, Mode
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import PRINCIPLED_DEFAULT, BsdfFamily, principled
 from manifold.fitting.fit_samples import FitSamples, from_brdf
@@ -61,14 +61,7 @@ def _pairs(grid: RusinkiewiczGrid) -> Pairs:
     return wi[keep], wo[keep]
 
 
-@cache
-def _dense() -> Pairs:
-    return _pairs(RusinkiewiczGrid(16, 10, 8))
-
-
-@cache
-def _denser() -> Pairs:
-    return _pairs(RusinkiewiczGrid(24, 15, 10))
+_DENSE, _DENSER = _pairs(RusinkiewiczGrid(16, 10, 8)), _pairs(RusinkiewiczGrid(24, 15, 10))
 
 
 def _old_instrument() -> Pairs:
@@ -92,44 +85,37 @@ def _samples(values: Mapping[str, Any], pairs: Pairs, noise: float = 0.0, floor:
 
 def _error(found: FitResult, values: Mapping[str, Any]) -> float:
     """Relative error of a fitted BSDF over all directions."""
-    truth = _values(principled(values), values, _dense())
-    return relative_error(truth, _values(found.family, found.values, _dense()), np.sqrt(_dense()[0][:, 2]))
+    truth = _values(principled(values), values, _DENSE)
+    return relative_error(truth, _values(found.family, found.values, _DENSE), np.sqrt(_DENSE[0][:, 2]))
 
 
 def _messages(found: FitResult, *kinds: str) -> tuple[str, ...]:
-    """Notes of a fit of some kinds, that it did not converge, and every value that it is not sure of."""
+    """Notes of a fit of some kinds, that it did not converge, and every value that the samples do not determine."""
     notes = [note for note in found.notes if any(kind in note for kind in kinds)]
     notes += ["not converged"] * (not found.minima[0].converged)
     return (*notes, *(f"{s.name}: {s}" for s in found.statements if s.state != DETERMINED))
 
 
-def _minima(method: str) -> Trial:
-    def trial(bed: TestBed, n_free: float) -> Measurement:
-        names = PRINCIPLED_DEFAULT[: int(n_free)]
-        truth = {name: _TRUTH[name] for name in names}
-        found = fit_bsdf(_samples(truth, _dense()), principled(names), method=method)
-        return Measurement(_error(found, truth), _messages(found, "ambiguous", "diffuse", "not a minimum"))
-
-    return trial
+def _minima(method: str, bed: TestBed, n_free: float) -> Measurement:
+    names = PRINCIPLED_DEFAULT[: int(n_free)]
+    truth = {name: _TRUTH[name] for name in names}
+    found = fit_bsdf(_samples(truth, _DENSE), principled(names), method=method)
+    return Measurement(_error(found, truth), _messages(found, "ambiguous", "diffuse", "not a minimum"))
 
 
-def _roughness(method: str, truth: Mapping[str, Any]) -> Trial:
+def _roughness(method: str, truth: Mapping[str, Any], bed: TestBed, n_pairs: float) -> Measurement:
     """Error of the roughness from the directions of an old instrument, or from many."""
-
-    def trial(bed: TestBed, n_pairs: float) -> Measurement:
-        pairs = next(p for p in (_old_instrument(), _dense(), _denser()) if len(p[0]) == n_pairs)
-        found = fit_bsdf(_samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05)
-        error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
-        unsure = [s for s in found.statements if s.name == "roughness" and s.state != DETERMINED]
-        notes = [note for note in found.notes if "ambiguous" in note]
-        return Measurement(error, (*notes, *(f"{s.name}: {s}" for s in unsure)))
-
-    return trial
+    pairs = next(p for p in (_old_instrument(), _DENSE, _DENSER) if len(p[0]) == n_pairs)
+    found = fit_bsdf(_samples(truth, pairs, 0.05, 0.003), method=method, noise=0.05)
+    error = float(np.abs(np.asarray(found.values["roughness"]) - truth["roughness"]))
+    undetermined = [s for s in found.statements if s.name == "roughness" and s.state != DETERMINED]
+    notes = [note for note in found.notes if "ambiguous" in note]
+    return Measurement(error, (*notes, *(f"{s.name}: {s}" for s in undetermined)))
 
 
 def _few(bed: TestBed, n_pairs: float) -> Measurement:
-    rows = np.random.default_rng(5).permutation(len(_dense()[0]))[: int(n_pairs)]
-    return _fit_to(_dense()[0][rows], _dense()[1][rows])
+    rows = np.random.default_rng(5).permutation(len(_DENSE[0]))[: int(n_pairs)]
+    return _fit_to(_DENSE[0][rows], _DENSE[1][rows])
 
 
 def _incidences(bed: TestBed, count: float) -> Measurement:
@@ -149,21 +135,13 @@ def _fit_to(wi: Array, wo: Array) -> Measurement:
     return Measurement(_error(found, _TRUTH), _messages(found, "ambiguous", "not determined"))
 
 
-def _unreached(brdf: Callable[[float], BRDF]) -> Trial:
+def _unreached(brdf: Callable[[float], BRDF], bed: TestBed, severity: float) -> Measurement:
     """The residual of a fit of a material that its parameters cannot represent."""
-
-    def trial(bed: TestBed, severity: float) -> Measurement:
-        found = fit_bsdf(
-            replace(from_brdf(brdf(severity)), is_isotropic=True)
-        )  # as the default is for others
-        ends = [
-            s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))
-        ]
-        kinds = ("diffuse", "does not fit", *(["end of the range"] * bool(ends)))
-        notes = [note for note in found.notes if any(kind in note for kind in kinds)]
-        return Measurement(found.residuals["linear"], tuple(notes))
-
-    return trial
+    found = fit_bsdf(replace(from_brdf(brdf(severity)), is_isotropic=True))  # as the default is for others
+    ends = [s.name for s in found.statements if s.at_bound and s.name.startswith(("roughness", "base_color"))]
+    kinds = ("diffuse", "does not fit", *(["end of the range"] * bool(ends)))
+    notes = [note for note in found.notes if any(kind in note for kind in kinds)]
+    return Measurement(found.residuals["linear"], tuple(notes))
 
 
 def _metal(alpha_x: float, alpha_y: float) -> BRDF:
@@ -179,38 +157,34 @@ def brushed(ratio: float) -> BRDF:
     return _metal(0.05 * ratio, 0.05)
 
 
-def _colour(method: str) -> Trial:
+def _colour(method: str, bed: TestBed, width: float) -> Measurement:
     """Distance of a fitted colour from that of a narrow band of reflectance around 530 nm."""
-
-    def trial(bed: TestBed, width: float) -> Measurement:
-        nm = np.linspace(400.0, 700.0, 31)
-        bands = Bands(tuple(nm))
-        green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))
-        values = {"base_color": green, "roughness": 0.6}
-        family = principled(values, wide_colours=True)
-        f = _values(family, values, _dense(), 31) / _dense()[1][:, 2:]
-        found = fit_bsdf(FitSamples.from_arrays(*_dense(), f, bands=bands), family, method=method)
-        error = np.abs(np.array(found.values["base_color"]) - to_srgb(green, bands)).max()
-        return Measurement(float(error), _messages(found, "Rec. 709", "not a minimum"))
-
-    return trial
+    nm = np.linspace(400.0, 700.0, 31)
+    bands = Bands(tuple(nm))
+    green = 0.02 + 0.9 * np.exp(-(((nm - 530.0) / width) ** 2))
+    values = {"base_color": green, "roughness": 0.6}
+    family = principled(values, wide_colours=True)
+    f = _values(family, values, _DENSE, 31) / _DENSE[1][:, 2:]
+    found = fit_bsdf(FitSamples.from_arrays(*_DENSE, f, bands=bands), family, method=method)
+    error = np.abs(np.array(found.values["base_color"]) - to_srgb(green, bands)).max()
+    return Measurement(float(error), _messages(found, "Rec. 709", "not a minimum"))
 
 
 MODES: tuple[Mode, ...] = (
     Mode(
         "local_minima", "fits of samples that the BSDF can represent exactly", "free parameters",
-        (1.0, 3.0, 7.0), _AS_MEASURED, {method: _minima(method) for method in METHODS},
+        (1.0, 3.0, 7.0), _AS_MEASURED, {method: partial(_minima, method) for method in METHODS},
         "Use gauss-newton, which starts from several points and lists every minimum found.",
     ),
     Mode(
         "rough_or_smooth",
         "rough black and smooth grey, with noise, in the directions of an old instrument",
-        "direction pairs", tuple(float(len(pairs[0])) for pairs in (_denser(), _dense(), _old_instrument())),
+        "direction pairs", tuple(float(len(pairs[0])) for pairs in (_DENSER, _DENSE, _old_instrument())),
         Limit("error of the roughness", 0.1, "the difference between the highlights of satin and matt paint"),
         {
-            "gauss-newton, rough black": _roughness("gauss-newton", _ROUGH_BLACK),
-            "gauss-newton, smooth grey": _roughness("gauss-newton", _SMOOTH_GREY),
-            "swarm, rough black": _roughness("swarm", _ROUGH_BLACK),
+            "gauss-newton, rough black": partial(_roughness, "gauss-newton", _ROUGH_BLACK),
+            "gauss-newton, smooth grey": partial(_roughness, "gauss-newton", _SMOOTH_GREY),
+            "swarm, rough black": partial(_roughness, "swarm", _ROUGH_BLACK),
         },
         "Measure near the mirror direction and at grazing angles; otherwise choose among the listed solutions.",
     ),
@@ -226,13 +200,13 @@ MODES: tuple[Mode, ...] = (
     ),
     Mode(
         "mirror_fit", "fits to metals smoother than the smoothest parameter", "GGX roughness alpha",
-        (0.1, 0.001, 0.0001), _HALF_OF_VALUES, {"gauss-newton": _unreached(_mirror)},
+        (0.1, 0.001, 0.0001), _HALF_OF_VALUES, {"gauss-newton": partial(_unreached, _mirror)},
         "For materials smoother than alpha 0.001 use Mitsuba's `conductor`, an ideal mirror.",
     ),
     Mode(
         "brushed_fit", "fits of isotropic parameters to brushed metals", "ratio of the two roughnesses",
-        (1.0, 5.0, 10.0), _HALF_OF_VALUES, {"gauss-newton": _unreached(brushed)},
-        "Free `anisotropic` too (`--free`), or keep the measured file.",
+        (1.0, 5.0, 10.0), _HALF_OF_VALUES, {"gauss-newton": partial(_unreached, brushed)},
+        "Free `anisotropic` too, or keep the measured file.",
     ),
     Mode(
         "out_of_gamut", "colours outside the sRGB gamut (negative linear components)",
@@ -240,7 +214,7 @@ MODES: tuple[Mode, ...] = (
         Limit(
             "error of the fitted colour, in linear sRGB", 0.02, "twice the tolerance of a colour parameter"
         ),
-        {method: _colour(method) for method in METHODS},
+        {method: partial(_colour, method) for method in METHODS},
         "Render in spectral mode, where the fit keeps the reflectance of every band.",
     ),
 )  # fmt: skip

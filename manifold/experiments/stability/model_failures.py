@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.directions import from_spherical
-from manifold.experiments.stability.limits import BALL, HALF_OF_NEAREST
 from manifold.experiments.stability.testbed import ALPHAS, COLOURS, MIDDLE, TestBed, in_space, predict
-from manifold.experiments.stability.trials import Limit, Measurement, Mode, Trial
+from manifold.experiments.stability.trials import BALL, HALF_OF_NEAREST, Limit, Measurement, Mode, Trial
 from manifold.model.decoding import REFLECTANCE_INCIDENCE_DEG
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile
@@ -31,7 +31,7 @@ def held_out(bed: TestBed, alpha: float = MIDDLE) -> MeasuredBRDF:
 def in_error_of_nearest(bed: TestBed, found: BRDF) -> float:
     """Error of a prediction of the held-out plastic over that of the nearest material of the family."""
     truth = held_out(bed)
-    nearest = bed.once(
+    nearest = bed.cached(
         "error of the nearest", lambda: min(bed.error(MeasuredBRDF(file), truth) for file in bed.family)
     )
     return bed.error(found, truth) / nearest
@@ -44,24 +44,20 @@ def _held_out_in(bed: TestBed, model: Manifold) -> Measurement:
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
-def _of_kinds(trial: Callable[[TestBed, float, str], Measurement]) -> dict[str, Trial]:
+def _of_kinds(trial: Callable[[str, TestBed, float], Measurement]) -> dict[str, Trial]:
     """A trial for each kind of manifold."""
-
-    def of(kind: str) -> Trial:
-        return lambda bed, severity: trial(bed, severity, kind)
-
-    return {kind: of(kind) for kind in KINDS}
+    return {kind: partial(trial, kind) for kind in KINDS}
 
 
-def _fitted(trial: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
-    """The held-out plastic in a model of each kind, fitted to the files that a trial makes."""
-    return _of_kinds(lambda bed, severity, kind: _held_out_in(bed, bed.fit(trial(bed, severity), kind)))
+def _fitted(files: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
+    """The held-out plastic in a model of each kind, fitted to files that depend on the severity."""
+    return _of_kinds(lambda kind, bed, severity: _held_out_in(bed, bed.fit(files(bed, severity), kind)))
 
 
 # -- the kernel --------------------------------------------------------------------------------------------
 
 
-def _rescaled(bed: TestBed, length_scale: float, kind: str) -> Measurement:
+def _rescaled(kind: str, bed: TestBed, length_scale: float) -> Measurement:
     """The held-out plastic at its latent, under a length scale that the latents were not fitted for."""
     truth, fitted = held_out(bed), bed.model(kind)
     known = fitted.embed(truth)
@@ -71,12 +67,12 @@ def _rescaled(bed: TestBed, length_scale: float, kind: str) -> Measurement:
     return Measurement(in_error_of_nearest(bed, brdf), messages)
 
 
-def _with_prior(bed: TestBed, length_scale: float, kind: str) -> Measurement:
+def _with_prior(kind: str, bed: TestBed, length_scale: float) -> Measurement:
     """The held-out plastic under a length scale that the prior keeps the latents from following."""
     return _held_out_in(bed, bed.fit(bed.family, kind, prior=1.0, length_scale=length_scale))
 
 
-def _with_noise(bed: TestBed, power: float, kind: str) -> Measurement:
+def _with_noise(kind: str, bed: TestBed, power: float) -> Measurement:
     return _held_out_in(bed, bed.fit(bed.family, kind, mu=10.0**-power))
 
 
@@ -100,19 +96,19 @@ def _with_outlier(bed: TestBed, factor: float) -> list[BsdfFile]:
     return [*bed.family, _scaled(bed.family[4], factor, "outlier")]
 
 
-def _of_few(bed: TestBed, left_out: float, kind: str) -> Measurement:
-    # The smoothest go first: what is held out comes to lie outside.
+def _of_few(kind: str, bed: TestBed, left_out: float) -> Measurement:
+    # The smoothest are left out first: what is held out comes to lie outside.
     files = bed.family[int(left_out) :]
     truth, model = held_out(bed), bed.fit(files, kind, latent_dim=2 if len(files) > 2 else 1)
     brdf, messages = bed.embed(model, truth)
     return Measurement(bed.ball_difference(brdf, truth), messages)
 
 
-def _in_dimensions(bed: TestBed, count: float, kind: str) -> Measurement:
+def _in_dimensions(kind: str, bed: TestBed, count: float) -> Measurement:
     return _held_out_in(bed, bed.fit(bed.family, kind, latent_dim=int(count)))
 
 
-def _sharper(bed: TestBed, ratio: float, kind: str) -> Measurement:
+def _sharper(kind: str, bed: TestBed, ratio: float) -> Measurement:
     """A lobe sharper than any of the library, by a factor of roughness."""
     truth = held_out(bed, ALPHAS[0] / ratio)
     brdf, messages = bed.embed(bed.model(kind), truth)
@@ -122,16 +118,16 @@ def _sharper(bed: TestBed, ratio: float, kind: str) -> Measurement:
 # -- colours -----------------------------------------------------------------------------------------------
 
 
-def _asked_for(bed: TestBed, reflectance: float) -> list[Measurement]:
-    """A grey of a reflectance, asked for of every structure."""
+def _requested(bed: TestBed, reflectance: float) -> list[Measurement]:
+    """A grey of a reflectance, requested of every structure."""
     model = bed.model("monochrome")
-    asked = np.full(model.bands.count, reflectance)
+    requested = np.full(model.bands.count, reflectance)
     found = []
     for x in model.X[::3]:
-        colours, claimed = model.colours.of_reflectance(x, asked)
-        brdf, messages = predict(model, x, colours, float(np.abs(claimed - asked).max()))
+        colours, claimed = model.colours.of_reflectance(x, requested)
+        brdf, messages = predict(model, x, colours, float(np.abs(claimed - requested).max()))
         reached = brdf.albedo(from_spherical(np.deg2rad(REFLECTANCE_INCIDENCE_DEG), 0.0))
-        found.append(Measurement(float(np.abs(reached - asked).max()), messages))
+        found.append(Measurement(float(np.abs(reached - requested).max()), messages))
     return found
 
 
@@ -151,7 +147,7 @@ MODES: tuple[Mode, ...] = (
     Mode(
         "no_noise", "the observation noise mu of a fit", "-log10 mu", (3.0, 10.0, 11.0), HALF_OF_NEAREST,
         _of_kinds(_with_noise),
-        "Keep the default --mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
+        "Keep the default mu; below 1e-10 the covariance cannot be factorised, and the fit is refused.",
     ),
     Mode(
         "duplicates", "copies of one material in the library", "copies", (1, 6), HALF_OF_NEAREST,
@@ -197,7 +193,7 @@ MODES: tuple[Mode, ...] = (
             "difference between the requested and the predicted reflectance", 0.05,
             "a step of 3 to 6 in CIELAB lightness between reflectances of 0.6 and 0.2",
         ),
-        {"monochrome": _asked_for},
+        {"monochrome": _requested},
         "Request a reflectance between those of the surrounding materials; the warning gives the error of the "
         "nearest one.",
     ),

@@ -7,37 +7,35 @@ virtual goniometer. Between two measured members lies a third one, of which ever
 from __future__ import annotations
 
 import operator
-import tempfile
 from collections.abc import Callable, Hashable, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any
 
 import numpy as np
 
 from manifold.brdf import goniometer
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.microfacet import Plastic
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import plausibility
-from manifold.brdf.synthetic.ggx import GGX
-from manifold.brdf.synthetic.microfacet import Plastic
 from manifold.colour import ball_colours
-from manifold.colour.ball_colours import Ball
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.experiments.evaluation.tabulated import Data
 from manifold.io_rgl import write_bsdf
+from manifold.latent.decoder import EncodingPairs
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import diagnostics
 from manifold.model.latent_space import LatentSpace
-from manifold.model.manifold import Manifold, Settings
+from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
-from manifold.models.decoder import EncodingPairs
+from manifold.model.settings import Settings
 from manifold.records import Array, Bands, BsdfFile
-from manifold.system import temporary
 
 BANDS = Bands((450.0, 550.0, 650.0))
 ALPHAS = (0.1, 0.17, 0.29, 0.5)
@@ -66,16 +64,15 @@ class TestBed:
 
     def __init__(self) -> None:
         self._made: dict[Hashable, Any] = {}
-        self._folders = ExitStack()
-        self._folder = self._folders.enter_context(temporary.folder())
+        self._folder = TemporaryDirectory()
 
     def __enter__(self) -> TestBed:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folders.close()
+        self._folder.cleanup()
 
-    def once(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
@@ -84,7 +81,7 @@ class TestBed:
     def file(self, alpha: float, colour: Sequence[float] = GREY, name: str = "held_out") -> BsdfFile:
         """A member of the family as the goniometer measures it."""
         key = ("file", alpha, tuple(colour))
-        return replace(self.once(key, lambda: goniometer.measure(plastic(alpha, colour), name)), name=name)
+        return replace(self.cached(key, lambda: goniometer.measure(plastic(alpha, colour), name)), name=name)
 
     @cached_property
     def family(self) -> tuple[BsdfFile, ...]:
@@ -95,7 +92,7 @@ class TestBed:
 
     def library(self, files: Sequence[BsdfFile]) -> Path:
         """A new library of files."""
-        folder = Path(tempfile.mkdtemp(dir=self._folder))
+        folder = Path(mkdtemp(dir=self._folder.name))
         for file in files:
             write_bsdf(folder / f"{file.name}_spec.bsdf", file)
         import_files(folder / "library.zarr", [folder])
@@ -104,14 +101,12 @@ class TestBed:
     def fit(self, files: Sequence[BsdfFile], kind: str, **settings: Any) -> Manifold:
         """A manifold of a new library of files; of one library for all where they are the family."""
         is_family = len(files) == len(self.family) and all(map(operator.is_, files, self.family))
-        path = (
-            self.once("family's library", lambda: self.library(files)) if is_family else self.library(files)
-        )
-        return Manifold.fit(Library.open(path), Settings(kind=kind, **settings))
+        path = self.cached("library", lambda: self.library(files)) if is_family else self.library(files)
+        return Manifold.fit(Library.open(path), Settings(kind=kind, **settings), calibrate=False)
 
     def model(self, kind: str, mapping: str = "cube-root") -> Manifold:
         """The manifold of the family; do not change it."""
-        return self.once(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
+        return self.cached(("model", kind, mapping), lambda: self.fit(self.family, kind, mapping=mapping))
 
     @cached_property
     def data(self) -> Data:
@@ -129,18 +124,17 @@ class TestBed:
         wi, wo = self.pairs.wi, self.pairs.wo
         return relative_error(truth.eval(wi, wo), found.eval(wi, wo), self.pairs.cosines)
 
-    def ball_difference(self, found: BRDF, truth: BRDF) -> float:
-        """Mean CIEDE2000 between two materials of the family's bands in a light that no diagnostic looks at."""
-        return _difference(ball_colours.ball(is_turned=True), found, truth)
+    def ball_difference(self, found: BRDF, truth: BRDF, *, is_turned: bool = True) -> float:
+        """Mean CIEDE2000 between two materials of the family's bands; turned, in a light that no diagnostic uses."""
+        ball = ball_colours.ball(turned_deg=180.0 * is_turned)
+        return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)
 
     def embed(self, model: Manifold, material: BRDF) -> tuple[PredictedBRDF, tuple[str, ...]]:
         """The prediction of a manifold for a new material, and its diagnostics."""
         found = model.embed(material)
         brdf, messages = predict(model, found.latent, found.colours)
-        outside = diagnostics.of_embedding(
-            found.relative_error, _difference(ball_colours.ball(), brdf, material)
-        )
-        return brdf, outside + messages
+        difference = self.ball_difference(brdf, material, is_turned=False)
+        return brdf, diagnostics.of_embedding(found.relative_error, difference) + messages
 
     @cached_property
     def _plastics(self) -> list[tuple[Array, Array]]:
@@ -167,10 +161,6 @@ class TestBed:
         return float(delta_e_2000(ball.xyz(f, BANDS)[None], xyz, white).mean(axis=1).min())
 
 
-def _difference(ball: Ball, found: BRDF, truth: BRDF) -> float:
-    return ball.difference(found.eval(ball.wi, ball.wo), truth.eval(ball.wi, ball.wo), BANDS)
-
-
 def in_space(model: Manifold, space: LatentSpace) -> Manifold:
     """A manifold of the same materials with other latents, or another kernel on them."""
     settings = replace(model.settings, length_scale=space.kernel.length_scale, mu=space.kernel.mu)
@@ -178,9 +168,9 @@ def in_space(model: Manifold, space: LatentSpace) -> Manifold:
 
 
 def predict(
-    model: Manifold, x: Array, colours: Array | None = None, missed: float = 0.0
+    model: Manifold, x: Array, colours: Array | None = None, residual: float = 0.0
 ) -> tuple[PredictedBRDF, tuple[str, ...]]:
-    """The prediction of a manifold at a latent, and its diagnostics; `missed` as in `diagnostics`."""
+    """The prediction of a manifold at a latent, and its diagnostics; `residual` as in `diagnostics`."""
     brdf = model.predict(x, colours)
     is_extrapolation = bool(model.is_extrapolation(x, colours))
-    return brdf, diagnostics.of_prediction(is_extrapolation, plausibility(brdf), missed)
+    return brdf, diagnostics.of_prediction(is_extrapolation, plausibility(brdf), residual)

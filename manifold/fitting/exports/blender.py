@@ -2,54 +2,45 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_dielectric
+from manifold.brdf.analytic.fresnel import fresnel_dielectric
 from manifold.fitting.exports import lobes, openpbr
 from manifold.fitting.exports.document import Export
 from manifold.fitting.exports.layers import zeltner_layer
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
 from manifold.fitting.exports.thin_film import film_over_f82, film_over_index_cycles
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "Base Color": [0.8, 0.8, 0.8],
-    "Metallic": 0.0,
-    "Roughness": 0.5,
-    "IOR": 1.5,
-    "Specular IOR Level": 0.5,
-    "Specular Tint": [1.0, 1.0, 1.0],
-    "Anisotropic": 0.0,
-    "Coat Weight": 0.0,
-    "Coat Roughness": 0.03,
-    "Coat IOR": 1.5,
-    "Sheen Weight": 0.0,
-    "Sheen Roughness": 0.5,
-    "Sheen Tint": [1.0, 1.0, 1.0],
-    "Thin Film Thickness": 0.0,
-    "Thin Film IOR": 1.33,
+PARAMETERS = {
+    "Base Color": Parameter([0.8, 0.8, 0.8], is_free=True),
+    "Metallic": Parameter(0.0, is_free=True),
+    "Roughness": Parameter(0.5, is_free=True, low=0.02),
+    "IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "Specular IOR Level": Parameter(0.5),
+    "Specular Tint": Parameter([1.0, 1.0, 1.0]),
+    "Anisotropic": Parameter(0.0),
+    "Coat Weight": Parameter(0.0, is_free=True),
+    "Coat Roughness": Parameter(0.03, is_free=True, low=0.02),
+    "Coat IOR": Parameter(1.5, low=1.0, high=2.0),
+    "Sheen Weight": Parameter(0.0, is_free=True),
+    "Sheen Roughness": Parameter(0.5, is_free=True, low=openpbr.FUZZ_ROUGHNESS),
+    "Sheen Tint": Parameter([1.0, 1.0, 1.0]),
+    "Thin Film Thickness": Parameter(0.0, low=50.0, high=1200.0),
+    "Thin Film IOR": Parameter(1.33, low=1.0, high=2.5),
 }
-"""Every socket that exports may set, with its default; colours without alpha."""
+"""Every socket that exports may set; colours without alpha."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("Coat Weight", "Coat Roughness")
 SHEEN = ("Sheen Weight", "Sheen Tint", "Sheen Roughness")
 FILM = ("Thin Film Thickness", "Thin Film IOR")
-FREE = (
-    "Base Color",
-    "Metallic",
-    "Roughness",
-    "IOR",
-    "Coat Weight",
-    "Coat Roughness",
-    "Sheen Weight",
-    "Sheen Roughness",
-)
-"""Parameters that a direct fit changes."""
 
 _SCRIPT = '''"""{sentence}
 
@@ -100,13 +91,8 @@ def parameters(material: Principled) -> dict[str, Any]:
     }
     if material.metallic == 0.0:  # for metals it is the edge's colour
         made["Specular Tint"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
-    if material.coat_weight > 0.0:
-        made["Coat Weight"] = material.coat_weight
-        made["Coat Roughness"] = material.coat_roughness
-    if np.any(material.sheen_colour > 0.0):
-        made["Sheen Weight"], made["Sheen Tint"] = material.scaled_sheen(openpbr.FUZZ_SCALE)
-        made["Sheen Roughness"] = openpbr.FUZZ_ROUGHNESS
-    return made
+    made |= material.scaled_sheen(*SHEEN, openpbr.FUZZ_SCALE, openpbr.FUZZ_ROUGHNESS)
+    return made | material.coat(*COAT)
 
 
 def script(export: Export) -> str:
@@ -115,11 +101,6 @@ def script(export: Export) -> str:
     sentence = export.sentence().replace("\\", "/").replace('"', "'")
     name = export.label.encode()[:_NAME_BYTES].decode(errors="ignore")
     return _SCRIPT.format(sentence=sentence, name=repr(name), values=values)
-
-
-def document(export: Export) -> str:
-    """The same as JSON."""
-    return json.dumps(export.to_json(), indent=2, allow_nan=False) + "\n"
 
 
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
@@ -136,7 +117,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
     alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect
     f0 = min(2.0 * values["Specular IOR Level"] * ior_to_f0(values["IOR"]), 0.99)
-    f = np.broadcast_to(base / np.pi, (len(view), 3))
+    f: Array = np.broadcast_to(base / np.pi, (len(view), 3))
     thickness_nm, film_ior = (values[name] for name in FILM)
     film = (film_ior, thickness_nm) if thickness_nm else None
     if f0 > 0.0 or film is not None:
@@ -175,15 +156,17 @@ def _interface(
 
     mean = (ior - 1.0) / (4.08567 + 1.00071 * ior)  # over the hemisphere: Kulla & Conty 2017
     scattered, single = _scattered(pairs, between(max((mean - real) / (1.0 - real), 0.0)), alpha_x, alpha_y)
+    fresnel: Array
+    albedo: Array
     if film is None:
         fresnel = between((fresnel_dielectric(pairs.cos_d, np.array([ior])) - real) / (1.0 - real))
         share = lobes.dielectric_share(np.sqrt(alpha_x * alpha_y), ior, pairs.cos_v)[:, None]
         albedo = between(share) * scattered * single
     else:  # its albedo is taken as a mirror's
         fresnel, albedo = filmed(pairs.cos_d, film), filmed(pairs.cos_v, film)
-    albedo = albedo.max(axis=1, keepdims=True)
+    most: Array = albedo.max(axis=1, keepdims=True)
     lobe = lobes.specular_joint(pairs, alpha_x, alpha_y)[:, None] * fresnel * scattered
-    return weight * lobe + (1.0 - weight * albedo) * below
+    return weight * lobe + (1.0 - weight * most) * below
 
 
 def _scattered(pairs: Pairs, mean: Array, alpha_x: float, alpha_y: float) -> tuple[Array, Array]:

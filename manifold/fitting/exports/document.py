@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from manifold import __version__
+from manifold.fitting.fit_metrics import BallDifference
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,10 @@ class Export:
         target: name of the target.
         parameters: of the target, all that it knows; colours are linear sRGB from 0 to 1.
         source: where the parameters come from, plain values.
-        method: `mapping`, from the parameters of `principled`; or `direct`, a fit of the target's own model.
-        loss: mean CIEDE2000 on the ball of the target's own model, against what `loss_against` names.
-        principled_loss: the same of Mitsuba's `principled`; None where that is what `loss_against` names.
-        loss_against: `measured file`, `prediction` or `fit`.
+        method: `direct`, a fit of the target's own model; or `mapping`, from the parameters of `principled`.
+        ball: difference of the target's own model from what `against` names.
+        principled_ball: that of Mitsuba's `principled`; None where that is what `against` names.
+        against: `measured file`, `prediction` or `fit`.
     """
 
     name: str
@@ -29,9 +30,9 @@ class Export:
     parameters: Mapping[str, Any]
     source: Mapping[str, Any]
     method: str
-    loss: float
-    principled_loss: float | None
-    loss_against: str
+    ball: BallDifference
+    principled_ball: BallDifference | None
+    against: str
 
     @property
     def label(self) -> str:
@@ -46,16 +47,19 @@ class Export:
             "target": self.target,
             "source": dict(self.source),
             "method": self.method,
-            "ciede2000": self.loss,
-            "principled_ciede2000": self.principled_loss,
-            "against": self.loss_against,
+            "ciede2000": self.ball.unseen_light,
+            "ciede2000_in_fitted_light": self.ball.fitted_light,
+            "principled_ciede2000": None
+            if self.principled_ball is None
+            else self.principled_ball.unseen_light,
+            "against": self.against,
         }
 
     def sentence(self) -> str:
         """One line for people."""
         return (
             f"{self.label}: Exported by manifold {__version__} for {self.target}; "
-            f"mean CIEDE2000 {self.loss:.2f} on the ball, against the {self.loss_against}"
+            f"mean CIEDE2000 {self.ball.unseen_light:.2f} on the ball, against the {self.against}"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -11,42 +11,36 @@ import numpy as np
 from manifold.directions import from_spherical
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
 from manifold.fitting.exports.thin_film import film_over_f0
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "baseColorFactor": [1.0, 1.0, 1.0],
-    "metallicFactor": 1.0,
-    "roughnessFactor": 1.0,
-    "ior": 1.5,
-    "specularFactor": 1.0,
-    "specularColorFactor": [1.0, 1.0, 1.0],
-    "clearcoatFactor": 0.0,
-    "clearcoatRoughnessFactor": 0.0,
-    "sheenColorFactor": [0.0, 0.0, 0.0],
-    "sheenRoughnessFactor": 0.0,
-    "anisotropyStrength": 0.0,
-    "iridescenceFactor": 0.0,
-    "iridescenceIor": 1.3,
-    "iridescenceThicknessMaximum": 400.0,
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/exports.md
+
+PARAMETERS = {
+    "baseColorFactor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "metallicFactor": Parameter(1.0, is_free=True),
+    "roughnessFactor": Parameter(1.0, is_free=True, low=0.02),
+    "ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "specularFactor": Parameter(1.0),
+    "specularColorFactor": Parameter([1.0, 1.0, 1.0]),
+    "clearcoatFactor": Parameter(0.0, is_free=True),
+    "clearcoatRoughnessFactor": Parameter(0.0, is_free=True, low=0.02),
+    "sheenColorFactor": Parameter([0.0, 0.0, 0.0], is_free=True),
+    "sheenRoughnessFactor": Parameter(0.0, is_free=True, low=SHEEN_ROUGHNESS),
+    "anisotropyStrength": Parameter(0.0),
+    "iridescenceFactor": Parameter(0.0),
+    "iridescenceIor": Parameter(1.3, low=1.0, high=2.5),
+    "iridescenceThicknessMaximum": Parameter(400.0, low=50.0, high=1200.0),
 }
-"""Every parameter that exports may set, with the specification's default."""
+"""Every parameter that exports may set, with the specification's defaults."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("clearcoatFactor", "clearcoatRoughnessFactor")
 SHEEN = ("sheenColorFactor", "sheenRoughnessFactor")
 FILM = ("iridescenceFactor", "iridescenceThicknessMaximum", "iridescenceIor")
-FREE = (
-    "baseColorFactor",
-    "metallicFactor",
-    "roughnessFactor",
-    "ior",
-    "clearcoatFactor",
-    "clearcoatRoughnessFactor",
-    "sheenColorFactor",
-    "sheenRoughnessFactor",
-)
-"""Parameters that a direct fit changes."""
 
 EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_ior": ("ior",),
@@ -57,7 +51,6 @@ EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_iridescence": FILM,
 }
 
-SHEEN_SCALE, SHEEN_ROUGHNESS = 0.124, 0.375  # nearest in directional albedo, docs/exports.md
 _LAMBDA_ROUGH = np.array([21.5473, 3.82987, 0.19823, -1.97760, -4.32054])
 _LAMBDA_SMOOTH = np.array([25.3245, 3.32435, 0.16801, -1.27393, -4.85967])
 
@@ -74,9 +67,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         made["ior"] = material.ior
         made["specularFactor"] = 0.0 if material.is_diffuse else 1.0
         made["specularColorFactor"] = material.specular_tint.tolist()
-    if material.coat_weight > 0.0:
-        made["clearcoatFactor"] = material.coat_weight
-        made["clearcoatRoughnessFactor"] = material.coat_roughness
+    made |= material.coat(*COAT)
     if np.any(material.sheen_colour > 0.0):
         made["sheenColorFactor"] = np.clip(SHEEN_SCALE * material.sheen_colour, 0.0, 1.0).tolist()
         made["sheenRoughnessFactor"] = SHEEN_ROUGHNESS
@@ -124,7 +115,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     bare = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
     fresnel = _filmed(values, pairs, bare, f0 * strength)
     dielectric = (1.0 - fresnel.max(axis=1, keepdims=True)) * base / np.pi + fresnel * specular
-    f = dielectric + values["metallicFactor"] * (metal - dielectric)
+    f: Array = dielectric + values["metallicFactor"] * (metal - dielectric)
     f = _sheen(values, pairs, f)
     if values["clearcoatFactor"]:
         coat_alpha = values["clearcoatRoughnessFactor"] ** 2
@@ -136,18 +127,18 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
 
 def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> Array:
     """A Fresnel term (P, 3) with the share of the thin film."""
-    weight, thickness_nm, ior = (values[name] for name in FILM)
+    weight, thickness_nm, ior = (float(values[name]) for name in FILM)
     if not weight:
         return bare
     return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_d) - bare)
 
 
 def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:
-    colour = np.asarray(values["sheenColorFactor"])
+    colour: Array = np.asarray(values["sheenColorFactor"])
     if not np.any(colour):
         return base
     roughness = values["sheenRoughnessFactor"]
-    scale = np.minimum(
+    scale: Array = np.minimum(
         1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_v),
         1.0 - colour.max() * _sheen_albedo(roughness, pairs.cos_l),
     )
@@ -165,7 +156,7 @@ def _lambda(cosine: Array, alpha: float) -> Array:
     a, b, c, d, e = _LAMBDA_ROUGH + (1.0 - alpha) ** 2 * (_LAMBDA_SMOOTH - _LAMBDA_ROUGH)
 
     def fit(x: Array | float) -> Array:
-        return a / (1.0 + b * np.power(x, c)) + d * np.asarray(x) + e
+        return np.asarray(a / (1.0 + b * np.power(x, c)) + d * np.asarray(x) + e)
 
     return np.exp(np.where(cosine < 0.5, fit(cosine), 2.0 * fit(0.5) - fit(np.maximum(1.0 - cosine, 0.0))))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_dielectric
+from manifold.brdf.analytic.fresnel import fresnel_dielectric
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.principled_values import ior_to_f0
@@ -74,6 +74,5 @@ def zeltner_layer(pairs: Pairs, below: Array, weight: float, colour: Array, roug
     aside = tangent[:, 0] * pairs.light[:, 1] - tangent[:, 1] * pairs.light[:, 0]
     squared = (a * along + b * pairs.cos_l) ** 2 + (a * aside) ** 2 + pairs.cos_l**2
     density = pairs.cos_l / np.pi * (a / squared) ** 2  # of light, times its cosine
-    return (
-        weight * colour * (albedo * density / pairs.cos_l)[:, None] + (1.0 - weight * albedo[:, None]) * below
-    )
+    lobe: Array = weight * colour * (albedo * density / pairs.cos_l)[:, None]
+    return lobe + (1.0 - weight * albedo[:, None]) * below

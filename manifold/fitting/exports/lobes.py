@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_dielectric
+from manifold.brdf.analytic.fresnel import fresnel_dielectric
 from manifold.directions import normalize
 from manifold.records import Array
 
@@ -53,13 +53,13 @@ class Pairs:
 def ggx(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
     """GGX (Trowbridge-Reitz) distribution of half vectors, (P,). Source: Burley 2012, eq. 13."""
     ax, ay = max(alpha_x, _LEAST_ALPHA), max(alpha_y, _LEAST_ALPHA)
-    x, y, z = pairs.half.T
+    x, y, z = (pairs.half[:, k] for k in range(3))
     return 1.0 / (np.pi * ax * ay * ((x / ax) ** 2 + (y / ay) ** 2 + z * z) ** 2)
 
 
 def smith_g1(direction: Array, alpha_x: float, alpha_y: float) -> Array:
     """Smith's masking of GGX in one direction, (P,). Source: Walter et al. 2007, eq. 34."""
-    x, y, z = direction.T
+    x, y, z = (direction[:, k] for k in range(3))
     slope = ((alpha_x * x) ** 2 + (alpha_y * y) ** 2) / np.maximum(z * z, 1e-12)
     return 2.0 / (1.0 + np.sqrt(1.0 + slope))
 

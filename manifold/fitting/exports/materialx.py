@@ -38,7 +38,8 @@ def mtlx(export: Export) -> bytes:
     material = ET.SubElement(root, "surfacematerial", name=name, type="material")
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{name}_shader")
     ET.indent(root)
-    return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+    document: str = ET.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{document}\n'.encode()
 
 
 def _number(value: float) -> str:

@@ -11,44 +11,35 @@ from scipy.optimize import brentq
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.layers import dielectric_layer, metal, zeltner_layer
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "base_weight": 1.0,
-    "base_color": [0.8, 0.8, 0.8],
-    "base_metalness": 0.0,
-    "specular_weight": 1.0,
-    "specular_color": [1.0, 1.0, 1.0],
-    "specular_roughness": 0.3,
-    "specular_ior": 1.5,
-    "specular_roughness_anisotropy": 0.0,
-    "coat_weight": 0.0,
-    "coat_roughness": 0.0,
-    "coat_ior": 1.6,
-    "coat_darkening": 1.0,
-    "fuzz_weight": 0.0,
-    "fuzz_color": [1.0, 1.0, 1.0],
-    "fuzz_roughness": 0.5,
+FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
+
+PARAMETERS = {
+    "base_weight": Parameter(1.0),
+    "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
+    "base_metalness": Parameter(0.0, is_free=True),
+    "specular_weight": Parameter(1.0, is_free=True),
+    "specular_color": Parameter([1.0, 1.0, 1.0]),
+    "specular_roughness": Parameter(0.3, is_free=True, low=0.02),
+    "specular_ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "specular_roughness_anisotropy": Parameter(0.0, low=0.02),
+    "coat_weight": Parameter(0.0, is_free=True),
+    "coat_roughness": Parameter(0.0, is_free=True, low=0.02),
+    "coat_ior": Parameter(1.6, low=1.0, high=2.0),
+    "coat_darkening": Parameter(1.0),
+    "fuzz_weight": Parameter(0.0, is_free=True),
+    "fuzz_color": Parameter([1.0, 1.0, 1.0]),
+    "fuzz_roughness": Parameter(0.5, is_free=True, low=FUZZ_ROUGHNESS),
 }
-"""Every parameter that exports may set, with its default."""
+"""Every parameter that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("coat_weight", "coat_roughness", "coat_ior", "coat_darkening")
 SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
-FREE = (
-    "base_color",
-    "base_metalness",
-    "specular_weight",
-    "specular_roughness",
-    "specular_ior",
-    "coat_weight",
-    "coat_roughness",
-    "fuzz_weight",
-    "fuzz_roughness",
-)
-"""Parameters that a direct fit changes."""
-
-FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
 
 
 def parameters(material: Principled) -> dict[str, Any]:
@@ -68,17 +59,10 @@ def parameters(material: Principled) -> dict[str, Any]:
         made["specular_roughness_anisotropy"] = 1.0 - ratio
         made["specular_roughness"] = float(min(np.sqrt(alpha_x / np.sqrt(2.0 / (1.0 + ratio**2))), 1.0))
     if material.coat_weight > 0.0:
-        made |= {
-            "coat_weight": material.coat_weight,
-            "coat_roughness": material.coat_roughness,
-            "coat_ior": 1.5,
-            "coat_darkening": 0.0,  # principled's coat does not darken what is below
-        }
+        made |= material.coat(*COAT[:2])
+        made |= {"coat_ior": 1.5, "coat_darkening": 0.0}  # principled's coat does not darken what is below
         made["specular_roughness"] = _below_coat(made)
-    if np.any(material.sheen_colour > 0.0):
-        made["fuzz_weight"], made["fuzz_color"] = material.scaled_sheen(FUZZ_SCALE)
-        made["fuzz_roughness"] = FUZZ_ROUGHNESS
-    return made
+    return made | material.scaled_sheen(*SHEEN, FUZZ_SCALE, FUZZ_ROUGHNESS)
 
 
 def _below_coat(values: Mapping[str, Any]) -> float:
@@ -87,14 +71,14 @@ def _below_coat(values: Mapping[str, Any]) -> float:
     def excess(roughness: float) -> float:
         return _roughened(roughness, values["coat_roughness"], values["coat_weight"]) - wanted
 
-    wanted = values["specular_roughness"]
+    wanted = float(values["specular_roughness"])
     if excess(wanted) <= 0.0:
         return wanted
     return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, wanted, xtol=1e-9))
 
 
 def _roughened(roughness: float, coat_roughness: float, weight: float) -> float:
-    below = min(roughness**4 + 2.0 * coat_roughness**4, 1.0) ** 0.25
+    below: float = min(roughness**4 + 2.0 * coat_roughness**4, 1.0) ** 0.25
     return (1.0 - weight) * roughness + weight * below
 
 
@@ -143,6 +127,6 @@ def _darkening(values: Mapping[str, Any], base: Array) -> Array:
     """Factor by which reflections between coat and base darken the base, (3,)."""
     kept = 1.0 - (1.0 - ior_to_f0(values["coat_ior"])) / values["coat_ior"] ** 2
     m = values["base_metalness"]
-    albedo = base * ((1.0 - m) + m * values["specular_weight"])
-    share = values["coat_weight"] * values["coat_darkening"]
-    return 1.0 + share * ((1.0 - kept) / (1.0 - albedo * kept) - 1.0)
+    albedo: Array = base * ((1.0 - m) + m * values["specular_weight"])
+    share: float = values["coat_weight"] * values["coat_darkening"]
+    return np.asarray(1.0 + share * ((1.0 - kept) / (1.0 - albedo * kept) - 1.0))

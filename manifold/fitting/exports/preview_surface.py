@@ -9,28 +9,23 @@ import numpy as np
 
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "useSpecularWorkflow": 0,
-    "diffuseColor": [0.18, 0.18, 0.18],
-    "specularColor": [0.0, 0.0, 0.0],
-    "roughness": 0.5,
-    "clearcoat": 0.0,
-    "clearcoatRoughness": 0.01,
+PARAMETERS = {
+    "useSpecularWorkflow": Parameter(0),
+    "diffuseColor": Parameter([0.18, 0.18, 0.18], is_free=True),
+    "specularColor": Parameter([0.0, 0.0, 0.0], is_free=True),
+    "roughness": Parameter(0.5, is_free=True, low=0.02),
+    "clearcoat": Parameter(0.0, is_free=True),
+    "clearcoatRoughness": Parameter(0.01, is_free=True, low=0.02),
 }
-"""Every parameter that exports may set, with its default."""
+"""Every parameter that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("clearcoat", "clearcoatRoughness")
-FREE = (
-    "diffuseColor",
-    "specularColor",
-    "roughness",
-    "clearcoat",
-    "clearcoatRoughness",
-)
-"""Parameters that a direct fit changes."""
 
 _IOR = 1.5  # the default, which here is the coat's alone
 
@@ -43,16 +38,16 @@ def parameters(material: Principled) -> dict[str, Any]:
     base, m = np.asarray(material.base_color), material.metallic
     f0 = 0.0 if material.is_diffuse else ior_to_f0(material.ior)
     tinted = f0 * material.specular_tint
-    made = DEFAULTS | {
-        "useSpecularWorkflow": 1,
-        "diffuseColor": ((1.0 - m) * base).tolist(),
-        "specularColor": np.clip((1.0 - m) * tinted + m * base, 0.0, 1.0).tolist(),
-        "roughness": material.roughness,
-    }
-    if material.coat_weight > 0.0:
-        made["clearcoat"] = material.coat_weight
-        made["clearcoatRoughness"] = material.coat_roughness
-    return made
+    return (
+        DEFAULTS
+        | material.coat(*COAT)
+        | {
+            "useSpecularWorkflow": 1,
+            "diffuseColor": ((1.0 - m) * base).tolist(),
+            "specularColor": np.clip((1.0 - m) * tinted + m * base, 0.0, 1.0).tolist(),
+            "roughness": material.roughness,
+        }
+    )
 
 
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
@@ -68,11 +63,12 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     white = np.ones(3)
     fresnel = lobes.schlick(np.asarray(values["specularColor"]), white, pairs.cos_d)
     coat = lobes.schlick(ior_to_f0(_IOR) * white, white, pairs.cos_d)
-    return (
+    f: Array = (
         np.asarray(values["diffuseColor"]) / np.pi * (1.0 - fresnel)
         + fresnel * _lobe(pairs, values["roughness"])
         + values["clearcoat"] * coat * _lobe(pairs, values["clearcoatRoughness"])
     )
+    return f
 
 
 def _lobe(pairs: Pairs, roughness: float) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.records import Array
 
-_END = 1e-4  # how near to an end of its range a value stands for the end
+_END = 1e-4  # values nearer than this to an end of their range are set to the end
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169])  # of linear sRGB, as Mitsuba's
 
 
@@ -53,9 +53,7 @@ class Principled:
         if bsdf["type"] == "diffuse":
             return cls(_colour(known["reflectance"]), specular=0.0, is_diffuse=True)
         if bsdf["type"] != "principled":
-            raise UsageError(
-                f"a fit of {bsdf['type']} has no counterpart in engines; fit principled (manifold fit without --bsdf)"
-            )
+            raise UsageError(f"a fit of {bsdf['type']} has no counterpart in engines; fit principled")
         if known.get("spec_trans", 0.0):
             raise UsageError("a fit with spec_trans transmits light, which exports leave out; fit without it")
         numbers: dict[str, Any] = {
@@ -121,10 +119,25 @@ class Principled:
         x, y = self.alphas
         return float(np.sqrt(min(0.5 * (x + y), 1.0))), (x - y) / (x + y)
 
-    def scaled_sheen(self, scale: float) -> tuple[float, list[float]]:
-        """Weight, at most 1, and colour of the sheen of targets that have both; no sheen is white."""
+    def coat(self, weight: str, roughness: str) -> dict[str, float]:
+        """Values of a target's coat by the names of its parameters; empty where there is none."""
+        return {weight: self.coat_weight, roughness: self.coat_roughness} if self.coat_weight > 0.0 else {}
+
+    def scaled_sheen(
+        self, weight: str, colour: str, roughness: str, scale: float, target_roughness: float
+    ) -> dict[str, Any]:
+        """Values of a target's sheen by the names of its parameters; empty where there is none.
+
+        Args:
+            weight, colour, roughness: the names.
+            scale: of the target's sheen to Mitsuba's; the weight is at most 1.
+            target_roughness: nearest to Mitsuba's sheen.
+        """
         most = float(self.sheen_colour.max())
-        return min(scale * most, 1.0), (self.sheen_colour / most).tolist() if most > 0.0 else [1.0, 1.0, 1.0]
+        if most <= 0.0:
+            return {}
+        colours = (self.sheen_colour / most).tolist()
+        return {weight: min(scale * most, 1.0), colour: colours, roughness: target_roughness}
 
 
 def _colour(value: Any) -> tuple[float, float, float]:

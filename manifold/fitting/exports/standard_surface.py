@@ -7,51 +7,42 @@ from typing import Any
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_conductor
+from manifold.brdf.analytic.fresnel import fresnel_conductor
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.layers import dielectric_layer, imageworks_layer, metal
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled
 from manifold.fitting.exports.thin_film import film_over_index
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "base": 1.0,
-    "base_color": [0.8, 0.8, 0.8],
-    "metalness": 0.0,
-    "specular": 1.0,
-    "specular_color": [1.0, 1.0, 1.0],
-    "specular_roughness": 0.2,
-    "specular_IOR": 1.5,
-    "specular_anisotropy": 0.0,
-    "sheen": 0.0,
-    "sheen_color": [1.0, 1.0, 1.0],
-    "sheen_roughness": 0.3,
-    "coat": 0.0,
-    "coat_roughness": 0.1,
-    "coat_IOR": 1.5,
-    "thin_film_thickness": 0.0,
-    "thin_film_IOR": 1.5,
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
+
+PARAMETERS = {
+    "base": Parameter(1.0),
+    "base_color": Parameter([0.8, 0.8, 0.8], is_free=True),
+    "metalness": Parameter(0.0, is_free=True),
+    "specular": Parameter(1.0, is_free=True),
+    "specular_color": Parameter([1.0, 1.0, 1.0]),
+    "specular_roughness": Parameter(0.2, is_free=True, low=0.02),
+    "specular_IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
+    "specular_anisotropy": Parameter(0.0),
+    "coat": Parameter(0.0, is_free=True),
+    "coat_roughness": Parameter(0.1, is_free=True, low=0.02),
+    "coat_IOR": Parameter(1.5, low=1.0, high=2.0),
+    "sheen": Parameter(0.0, is_free=True),
+    "sheen_color": Parameter([1.0, 1.0, 1.0]),
+    "sheen_roughness": Parameter(0.3, is_free=True, low=SHEEN_ROUGHNESS),
+    "thin_film_thickness": Parameter(0.0, low=50.0, high=1200.0),
+    "thin_film_IOR": Parameter(1.5, low=1.0, high=2.5),
 }
-"""Every parameter that exports may set, with its default."""
+"""Every parameter that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("coat", "coat_roughness")
 SHEEN = ("sheen", "sheen_color", "sheen_roughness")
 FILM = ("thin_film_thickness", "thin_film_IOR")
-FREE = (
-    "base_color",
-    "metalness",
-    "specular",
-    "specular_roughness",
-    "specular_IOR",
-    "coat",
-    "coat_roughness",
-    "sheen",
-    "sheen_roughness",
-)
-"""Parameters that a direct fit changes."""
-
-SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
 
 
 def parameters(material: Principled) -> dict[str, Any]:
@@ -67,12 +58,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         made["specular_color"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
     if material.anisotropic > 0.0:  # the same aspect: alpha / sqrt(1 - a), alpha * sqrt(1 - a)
         made["specular_anisotropy"] = 0.9 * material.anisotropic
-    if material.coat_weight > 0.0:
-        made["coat"], made["coat_roughness"] = material.coat_weight, material.coat_roughness
-    if np.any(material.sheen_colour > 0.0):
-        made["sheen"], made["sheen_color"] = material.scaled_sheen(SHEEN_SCALE)
-        made["sheen_roughness"] = SHEEN_ROUGHNESS
-    return made
+    return made | material.coat(*COAT) | material.scaled_sheen(*SHEEN, SHEEN_SCALE, SHEEN_ROUGHNESS)
 
 
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:

@@ -9,6 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from manifold.errors import UsageError
 from manifold.fitting.exports import (
     blender,
@@ -23,8 +25,9 @@ from manifold.fitting.exports import (
     usd,
 )
 from manifold.fitting.exports.document import Export
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled
-from manifold.records import Array
+from manifold.records import Array, Bands
 
 Brdf = Callable[[Mapping[str, Any], Array, Array], Array]
 Content = Callable[[Export, Principled], bytes]
@@ -37,27 +40,48 @@ class Target:
     Attributes:
         name: as users say it.
         suffix: of its files; several targets share `.json`.
-        defaults: every parameter that exports may set.
-        parameters: those of a material.
+        title: in words.
+        entries: every parameter that exports may set, by name.
+        parameters: values of all of them for a material.
         brdf: the target's own shading model, f in 1/sr of parameters, view and light.
         content: the file of an export.
-        title: in words.
-        free: parameters that a direct fit changes.
-        coat, sheen: those of the coat and of the sheen, the weight first; empty where there is none.
+        coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
         film: those of the thin film, the thickness in nm and the index last; empty where there is none.
     """
 
     name: str
     suffix: str
-    defaults: Mapping[str, Any]
+    title: str
+    entries: Mapping[str, Parameter]
     parameters: Callable[[Principled], dict[str, Any]]
     brdf: Brdf
     content: Content
-    title: str
-    free: tuple[str, ...]
     coat: tuple[str, ...]
     sheen: tuple[str, ...]
     film: tuple[str, ...]
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """The target's value of every parameter that is not set."""
+        return defaults(self.entries)
+
+
+@dataclass(frozen=True)
+class TargetBRDF:
+    """A target's own model with values of its parameters, as a BRDF in linear sRGB."""
+
+    target: Target
+    values: Mapping[str, Any]
+    bands: Bands = Bands(None)  # noqa: RUF009
+    is_isotropic: bool = True
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., 3), for unit vectors that broadcast, wi to the viewer; 0 below the horizon."""
+        wi, wo = np.broadcast_arrays(wi, wo)
+        f = np.zeros(wi.shape)
+        above = (wi[..., 2] > 0.0) & (wo[..., 2] > 0.0)
+        f[above] = self.target.brdf(self.values, wi[above], wo[above])
+        return f
 
 
 def _json(conventions: Mapping[str, str]) -> Content:
@@ -70,6 +94,10 @@ def _json(conventions: Mapping[str, str]) -> Content:
     return content
 
 
+def _usd_materialx(export: Export, material: Principled) -> bytes:
+    return usd.usda(export, openpbr.parameters(material)).encode()
+
+
 _BLENDER = {
     "Base Color": "scene-linear Rec. 709 (sRGB primaries), 0 to 1",
     "Roughness": "0 to 1; GGX alpha is its square; Coat Roughness alike",
@@ -77,68 +105,60 @@ _BLENDER = {
 }
 
 
-def _target(name: str, suffix: str, model: ModuleType, content: Content, title: str) -> Target:
+def _target(name: str, suffix: str, title: str, model: ModuleType, content: Content) -> Target:
     """A target whose parameters and shading model are those of a module."""
-    sheen, film = (getattr(model, name, ()) for name in ("SHEEN", "FILM"))
+    sheen, film = (getattr(model, names, ()) for names in ("SHEEN", "FILM"))
     return Target(
-        name, suffix, model.DEFAULTS, model.parameters, model.brdf, content, title,
-        model.FREE, model.COAT, sheen, film,
-    )  # fmt: skip
+        name, suffix, title, model.PARAMETERS, model.parameters, model.brdf, content, model.COAT, sheen, film
+    )
 
 
 _ALL = (
-    _target("gltf", ".glb", gltf, lambda export, _: glb.glb(export), "glTF 2.0, metallic-roughness and extensions"),
-    _target("openpbr", ".mtlx", openpbr, lambda export, _: materialx.mtlx(export), "MaterialX, open_pbr_surface"),
+    _target("gltf", ".glb", "glTF 2.0, metallic-roughness and extensions", gltf, lambda e, _: glb.glb(e)),
+    _target("openpbr", ".mtlx", "MaterialX, open_pbr_surface", openpbr, lambda e, _: materialx.mtlx(e)),
     _target(
-        "standard-surface", ".mtlx", standard_surface, lambda export, _: materialx.mtlx(export),
-        "MaterialX, standard_surface",
+        "standard-surface", ".mtlx", "MaterialX, standard_surface", standard_surface,
+        lambda e, _: materialx.mtlx(e),
+    ),
+    _target("usd", ".usda", "USD, UsdPreviewSurface", preview_surface, lambda e, _: usd.usda(e).encode()),
+    _target(
+        "usd-materialx", ".usda", "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+        preview_surface, _usd_materialx,
     ),
     _target(
-        "usd", ".usda", preview_surface, lambda export, _: usd.usda(export).encode(), "USD, UsdPreviewSurface"
+        "blender", ".py", "Blender 4 and later, Principled BSDF, a script", blender,
+        lambda e, _: blender.script(e).encode(),
     ),
+    _target("blender-json", ".json", "Blender 4 and later, Principled BSDF, values", blender, _json(_BLENDER)),
     _target(
-        "usd-materialx", ".usda", preview_surface,
-        lambda export, material: usd.usda(export, openpbr.parameters(material)).encode(),
-        "USD, UsdPreviewSurface with OpenPBR beside it for MaterialX renderers",
+        "unreal", ".json", "Unreal Engine 5, Default Lit or Clear Coat", unreal, _json(unreal.CONVENTIONS)
     ),
-    _target(
-        "blender", ".py", blender, lambda export, _: blender.script(export).encode(),
-        "Blender 4 and later, Principled BSDF, a script",
-    ),
-    _target("blender-json", ".json", blender, _json(_BLENDER), "Blender 4 and later, Principled BSDF, values"),
-    _target("unreal", ".json", unreal, _json(unreal.CONVENTIONS), "Unreal Engine 5, Default Lit or Clear Coat"),
-    _target("unity", ".json", unity, _json(unity.CONVENTIONS), "Unity, High Definition pipeline, Lit"),
+    _target("unity", ".json", "Unity, High Definition pipeline, Lit", unity, _json(unity.CONVENTIONS)),
 )  # fmt: skip
 
 TARGETS: Mapping[str, Target] = {target.name: target for target in _ALL}
 """The targets by name."""
 
 
-def target_of(name: str | None, path: Path, fitted: str | None = None) -> Target:
-    """The target of that name, or the one that a file's suffix tells.
+def target_of(name: str | None, path: Path) -> Target:
+    """The target of that name, or the one of a file's suffix.
 
-    Args:
-        name: of the target, if it was named.
-        path: of the file.
-        fitted: name of the target whose model a fit has: among those of the suffix, it or one of the same model.
     Raises:
         UsageError: there is none, or the suffix is another's.
     """
-    if name is not None and name not in TARGETS:
-        raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
-    if name is None:
-        fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
-        if not fitting:
-            known = ", ".join(dict.fromkeys(target.suffix for target in _ALL))
-            raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected one of {known}")
-        if (own := TARGETS.get(fitted or "")) is not None:
-            alike = [target for target in fitting if target.brdf is own.brdf]
-            fitting = [own] if own in alike else alike or fitting
-        if path.suffix.lower() == ".json" and len(fitting) > 1:
-            names = ", ".join(target.name for target in fitting)
-            raise UsageError(f"{path}: several targets are JSON; say which with --target: {names}")
-        return fitting[0]
-    target = TARGETS[name]
-    if path.suffix.lower() != target.suffix:
-        raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected {target.suffix} for {name}")
-    return target
+    if name is not None:
+        if name not in TARGETS:
+            raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
+        target = TARGETS[name]
+        if path.suffix.lower() != target.suffix:
+            found = path.suffix or "missing"
+            raise UsageError(f"{path}: suffix {found!r}, expected {target.suffix} for {name}")
+        return target
+    fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
+    if not fitting:
+        known = ", ".join(dict.fromkeys(target.suffix for target in _ALL))
+        raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected one of {known}")
+    if path.suffix.lower() == ".json":
+        names = ", ".join(target.name for target in fitting)
+        raise UsageError(f"{path}: several targets are JSON; name one of {names}")
+    return fitting[0]

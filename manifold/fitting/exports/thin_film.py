@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from manifold.brdf.synthetic.fresnel import fresnel_polarised
+from manifold.brdf.analytic.fresnel import fresnel_polarised
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.fitting.exports.lobes import artistic_index, fresnel_f82, schlick
@@ -150,20 +150,20 @@ def _interference(
 
 
 def _gltf(path_nm: Array, shift: Array) -> Array:
-    return _gaussians(path_nm, shift) @ _FROM_XYZ_GLTF.T
+    return _gaussians(path_nm, shift, _FROM_XYZ_GLTF)
 
 
 def _materialx(path_nm: Array, shift: Array) -> Array:
-    return _gaussians(path_nm, shift) @ _FROM_XYZ_MATERIALX.T
+    return _gaussians(path_nm, shift, _FROM_XYZ_MATERIALX)
 
 
-def _gaussians(path_nm: Array, shift: Array) -> Array:
+def _gaussians(path_nm: Array, shift: Array, from_xyz: Array) -> Array:
     phase = 2e-9 * np.pi * path_nm[:, None]
     shifts = np.concatenate([shift, shift[..., :1]], axis=-1)
-    waves = _HEIGHT * np.sqrt(2.0 * np.pi * _VARIANCE) * np.cos(_WAVE_NUMBER * phase + shifts)
+    waves: Array = _HEIGHT * np.sqrt(2.0 * np.pi * _VARIANCE) * np.cos(_WAVE_NUMBER * phase + shifts)
     waves = waves * np.exp(-_VARIANCE * phase**2) / _NORM
     waves[:, 0] += waves[:, 3]
-    return waves[:, :3]
+    return waves[:, :3] @ from_xyz.T
 
 
 def _cycles(path_nm: Array, shift: Array) -> Array:

@@ -10,21 +10,22 @@ import numpy as np
 from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "_BaseColor": [1.0, 1.0, 1.0],
-    "_Metallic": 0.0,
-    "_Smoothness": 0.5,
-    "_Anisotropy": 0.0,
-    "_CoatMask": 0.0,
+PARAMETERS = {
+    "_BaseColor": Parameter([1.0, 1.0, 1.0], is_free=True),
+    "_Metallic": Parameter(0.0, is_free=True),
+    "_Smoothness": Parameter(0.5, is_free=True, high=0.98),
+    "_Anisotropy": Parameter(0.0),
+    "_CoatMask": Parameter(0.0, is_free=True),
 }
-"""Every property that exports may set, with its default."""
+"""Every property that exports may set."""
+
+DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("_CoatMask",)
-FREE = ("_BaseColor", "_Metallic", "_Smoothness", "_CoatMask")
-"""Parameters that a direct fit changes."""
 
 CONVENTIONS: dict[str, str] = {
     "_BaseColor": "sRGB-encoded, 0 to 1, as Unity's colour properties are",
@@ -68,16 +69,17 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     below_air = f0 * (0.326846 + (0.978946 - 0.283835 * f0) * f0) - 0.0256868  # below the coat's index of 1.5
     f0 = f0 + coat * (np.clip(below_air, 0.0, 1.0) - f0)
     a = values["_Anisotropy"]
-    specular = lobes.specular_joint(pairs, alpha * (1.0 + a), alpha * (1.0 - a))[:, None]
+    specular: Array = lobes.specular_joint(pairs, alpha * (1.0 + a), alpha * (1.0 - a))[:, None]
     specular = specular * lobes.schlick(f0, f90, pairs.cos_d)
-    diffuse = (1.0 - m) * base * _burley(pairs, float(np.sqrt(alpha)))
+    diffuse: Array = (1.0 - m) * base * _burley(pairs, float(np.sqrt(alpha)))
     if coat:
         fresnel = coat * lobes.schlick(_F0, 1.0, pairs.cos_d)
         layer = lobes.specular_joint(pairs, _COAT_ALPHA, _COAT_ALPHA)[:, None]
         specular = specular * (1.0 - fresnel) ** 2 + fresnel * layer
         diffuse = diffuse * (1.0 - coat * fresnel)
     single, _ = lobes.single_scattering(alpha, pairs.cos_v)
-    return diffuse + specular * (1.0 + f0 * (1.0 / single - 1.0))
+    specular = specular * (1.0 + f0 * (1.0 / single - 1.0))
+    return diffuse + specular
 
 
 def _narrowing(coat: float) -> float:

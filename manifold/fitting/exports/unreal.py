@@ -9,30 +9,24 @@ import numpy as np
 
 from manifold.fitting.exports import lobes
 from manifold.fitting.exports.lobes import Pairs
+from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled
 from manifold.records import Array
 
-DEFAULTS: dict[str, Any] = {
-    "BaseColor": [0.5, 0.5, 0.5],
-    "Metallic": 0.0,
-    "Specular": 0.5,
-    "Roughness": 0.5,
-    "Anisotropy": 0.0,
-    "ClearCoat": 0.0,
-    "ClearCoatRoughness": 0.1,
+PARAMETERS = {
+    "BaseColor": Parameter([0.5, 0.5, 0.5], is_free=True),
+    "Metallic": Parameter(0.0, is_free=True),
+    "Specular": Parameter(0.5, is_free=True),
+    "Roughness": Parameter(0.5, is_free=True, low=0.02),
+    "Anisotropy": Parameter(0.0),
+    "ClearCoat": Parameter(0.0, is_free=True),
+    "ClearCoatRoughness": Parameter(0.1, is_free=True, low=0.02),
 }
 """Every input that exports may set, with the value that an unconnected one has."""
 
+DEFAULTS = defaults(PARAMETERS)
+
 COAT = ("ClearCoat", "ClearCoatRoughness")
-FREE = (
-    "BaseColor",
-    "Metallic",
-    "Specular",
-    "Roughness",
-    "ClearCoat",
-    "ClearCoatRoughness",
-)
-"""Parameters that a direct fit changes."""
 
 CONVENTIONS: dict[str, str] = {
     "BaseColor": "linear Rec. 709 (sRGB primaries), 0 to 1; encode as sRGB for an sRGB texture",
@@ -53,17 +47,17 @@ def shading_model(values: Mapping[str, Any]) -> str:
 def parameters(material: Principled) -> dict[str, Any]:
     """Inputs of a material, all of `DEFAULTS`; sheen and tints have no counterpart."""
     roughness, anisotropy = material.around_mean
-    made = DEFAULTS | {
-        "BaseColor": list(material.base_color),
-        "Metallic": material.metallic,
-        "Specular": 0.0 if material.is_diffuse else material.specular,
-        "Roughness": roughness,
-        "Anisotropy": anisotropy,
-    }
-    if material.coat_weight > 0.0:
-        made["ClearCoat"] = material.coat_weight
-        made["ClearCoatRoughness"] = material.coat_roughness
-    return made
+    return (
+        DEFAULTS
+        | material.coat(*COAT)
+        | {
+            "BaseColor": list(material.base_color),
+            "Metallic": material.metallic,
+            "Specular": 0.0 if material.is_diffuse else material.specular,
+            "Roughness": roughness,
+            "Anisotropy": anisotropy,
+        }
+    )
 
 
 def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
@@ -80,7 +74,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base
     f90 = np.minimum(50.0 * f0[1], 1.0)  # nothing below 2 % is a surface: shadowing
     specular = lobes.specular_correlated(pairs, max(alpha * (1.0 + a), 1e-3), max(alpha * (1.0 - a), 1e-3))
-    f = (1.0 - m) * base / np.pi + specular[:, None] * lobes.schlick(f0, f90, pairs.cos_d)
+    f: Array = (1.0 - m) * base / np.pi + specular[:, None] * lobes.schlick(f0, f90, pairs.cos_d)
     if values["ClearCoat"]:
         coat_alpha = values["ClearCoatRoughness"] ** 2
         fresnel = values["ClearCoat"] * lobes.schlick(0.04, 1.0, pairs.cos_d)

@@ -5,24 +5,26 @@ Nothing of a request becomes a path but a plain name, and no shell is between.
 
 from __future__ import annotations
 
-import os
+import itertools
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from jsonschema import Draft202012Validator
+
 from manifold.errors import UsageError
 from manifold.fitting.exports import TARGETS
-from manifold.model.latents import on_path
+from manifold.model.latents import parse_path
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
-_COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
 _ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".fit.json", "export": ""}
 _MOST_ROWS = 5000  # of a spectrum
-_MOST_COPIES = 1000
 _MOST_SAMPLE = 200  # characters of a sample's name
+_NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.float_info.max}
 
 
 @dataclass(frozen=True)
@@ -55,24 +57,18 @@ class Action:
         arguments: of `manifold`.
         output: the file that it writes, if any.
         picture: the picture among what it writes, if any.
-        spectrum: text of a reflectance file whose path takes the place of `SPECTRUM` among the arguments, if any.
+        input: a temporary file that it reads, if any, removed at its end.
     """
 
     title: str
     arguments: tuple[str, ...]
     output: Path | None = None
     picture: Path | None = None
-    spectrum: str | None = None
-
-
-SPECTRUM = "--reflectance=SPECTRUM"
+    input: Path | None = None
 
 
 def action(
-    kind: str,
-    request: Mapping[str, Any],
-    context: Context,
-    is_taken: Callable[[Path], bool] = os.path.lexists,
+    kind: str, request: Mapping[str, Any], context: Context, inputs: Path, is_taken: Callable[[Path], bool]
 ) -> Action:
     """The action that a request asks for.
 
@@ -83,143 +79,65 @@ def action(
             `replace`, whether a file of that name may be replaced; of an export also `target`, and `direct`, a
             boolean.
         context: of the page.
+        inputs: temporary folder of what the commands read.
         is_taken: whether something is, or will be, at a path.
     Raises:
         UsageError: it is anything else.
     """
     if kind not in _ENDINGS:
         raise UsageError(f"no action '{kind[:40]}', expected {', '.join(_ENDINGS)}")
-    expected = {
-        "name",
-        "latent",
-        "like",
-        "srgb",
-        "spectrum",
-        "replace",
-        *(["target", "direct"] if kind == "export" else []),
-    }
-    unknown = set(request) - expected
-    if unknown:
-        raise UsageError(
-            f"found {sorted(unknown)[0][:40]!r} in the request, expected name, latent, and a colour"
-        )
-    ending = _ENDINGS[kind]
-    options: tuple[str, ...] = ()
+    name = plain_name(request.get("name"))
+    _require_valid(request, kind, context)
+    ending, options = _ENDINGS[kind], [f"--latent={_latent(request['latent'], context)}"]
     if kind == "predict":
-        ending = f"_{'rgb' if context.is_rgb else 'spec'}{ending}"
+        ending = _bsdf_ending(context)
     elif kind == "export":
-        ending, options = _export(request)
-    replace = request.get("replace", False)
-    if not isinstance(replace, bool):
-        raise UsageError("replace: expected true or false")
-    output = _output(request.get("name"), ending, context, _never if replace else is_taken)
-    colour, spectrum = _colour(request, context)
-    arguments = (
-        kind, f"--latent={_latent(request.get('latent'), context)}", *colour, f"--output={output}", *_model(context),
-        *options,
+        ending = TARGETS[request["target"]].suffix
+        options += [
+            f"--target={request['target']}",
+            *["--mapped"] * (not request.get("direct", True)),
+            "--json=-",
+        ]
+    options += [f"--{key}={request[key]}" for key in ("like", "srgb") if key in request]
+    spectrum = _write_spectrum(request["spectrum"], inputs) if "spectrum" in request else None
+    if spectrum is not None:
+        options.append(f"--reflectance={spectrum}")
+    output = _output(name, ending, context, request.get("replace", False), is_taken)
+    return Action(
+        f"{kind} {output.name}", (kind, *options, f"--output={output}", *_model(context)), output,
+        output if kind == "render" else None, spectrum,
     )  # fmt: skip
-    picture = output if kind == "render" else None
-    return Action(f"{kind} {output.name}", arguments, output, picture, spectrum)
 
 
 def complete(
-    path: Path, name: Any, sample: str, context: Context, is_taken: Callable[[Path], bool], *, replace: bool = False
-) -> Action:  # fmt: skip
+    path: Path, sample: str, context: Context, is_taken: Callable[[Path], bool], *, replace: bool = False
+) -> Action:
     """Complete the readings of a file that was dropped, and render the ball of what is found.
 
     Args:
-        path: the file.
-        name: of what is written, without its ending.
+        path: the file; its name is that of what is written, without its ending.
         sample: which of a file's samples; may be empty.
         context, is_taken: as of `action`.
         replace: whether a file of that name may be replaced.
     Raises:
-        UsageError: a name is none.
+        UsageError: the sample's name is too long or has control characters.
     """
     if len(sample) > _MOST_SAMPLE or not sample.isprintable():
         raise UsageError(f"sample: expected at most {_MOST_SAMPLE} printable characters")
-    ending = f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
-    taken = _never if replace else lambda p: is_taken(p) or is_taken(p.with_suffix(".png"))
-    output = _output(name, ending, context, taken)
-    _require_no_link(output.with_suffix(".png"))
+    output = _output(
+        path.name, _bsdf_ending(context), context, replace,
+        lambda p: is_taken(p) or is_taken(p.with_suffix(".png")),
+    )  # fmt: skip
     arguments = (
         "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
         *([f"--sample={sample}"] if sample else []),
     )  # fmt: skip
-    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"))
-
-
-def _export(request: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    """Ending and options of an export."""
-    target, direct = request.get("target"), request.get("direct", False)
-    if not isinstance(target, str) or target not in TARGETS:
-        raise UsageError(f"target: expected one of {', '.join(TARGETS)}")
-    if not isinstance(direct, bool):
-        raise UsageError("direct: expected true or false")
-    options = (f"--target={target}", *["--direct"] * direct, "--json=-")
-    return TARGETS[target].suffix, options
+    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"), path)
 
 
 def locate(path: Path, context: Context) -> Action:
-    """Find the place of a file that was dropped."""
-    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)))
-
-
-def _model(context: Context) -> tuple[str, ...]:
-    return (f"--model={context.model}", f"--library={context.library}")
-
-
-def _latent(latent: Any, context: Context) -> str:
-    if isinstance(latent, str):
-        path = on_path(latent, context.names)
-        if path is None or not {path.start, path.end} <= set(context.names):
-            raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
-        return latent
-    if not isinstance(latent, list) or len(latent) != context.latent_dim or not all(map(_is_number, latent)):
-        raise UsageError(f"latent: expected {context.latent_dim} finite numbers")
-    return ",".join(repr(float(v)) for v in latent)
-
-
-def _is_number(value: Any) -> bool:
-    return (
-        isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-    )
-
-
-def _colour(request: Mapping[str, Any], context: Context) -> tuple[tuple[str, ...], str | None]:
-    """Options of the colour, and the text of a spectrum file."""
-    given = [key for key in ("like", "srgb", "spectrum") if request.get(key) is not None]
-    if len(given) > 1:
-        raise UsageError(f"found {' and '.join(given)}, expected one of them; a material has one colour")
-    if "like" in given:
-        if request["like"] not in context.names:
-            raise UsageError("like: no such material in this model")
-        return (f"--like={request['like']}",), None
-    if "srgb" in given:
-        if not (isinstance(request["srgb"], str) and _COLOUR.fullmatch(request["srgb"])):
-            raise UsageError("srgb: expected #rrggbb")
-        return (f"--srgb={request['srgb']}",), None
-    if "spectrum" in given:
-        return (SPECTRUM,), _spectrum(request["spectrum"])
-    return (), None
-
-
-def _spectrum(rows: Any) -> str:
-    is_table = isinstance(rows, list) and 2 <= len(rows) <= _MOST_ROWS
-    if not is_table or not all(isinstance(r, list) and len(r) == 2 and all(map(_is_number, r)) for r in rows):
-        raise UsageError(f"spectrum: expected 2 to {_MOST_ROWS} rows of wavelength in nm and reflectance")
-    return "".join(f"{float(nm)!r} {float(value)!r}\n" for nm, value in rows)
-
-
-def _never(path: Path) -> bool:
-    """No name counts as taken: the command itself refuses to replace a file that it did not write."""
-    return False
-
-
-def _require_no_link(path: Path) -> None:
-    """Raise UsageError for a link: the file that it names would be replaced, which may lie elsewhere."""
-    if path.is_symlink():
-        raise UsageError(f"name: {path.name} is a link; choose another")
+    """Find the latent of a file that was dropped."""
+    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)), input=path)
 
 
 def plain_name(name: Any) -> str:
@@ -233,13 +151,59 @@ def plain_name(name: Any) -> str:
     return name
 
 
-def _output(name: Any, ending: str, context: Context, is_taken: Callable[[Path], bool]) -> Path:
-    """A path in the folder that nothing is at: a number is added to a name that is taken."""
-    name = plain_name(name)
-    for copy in range(1, _MOST_COPIES):
-        number = f"-{copy}" if copy > 1 else ""
-        path = context.folder / f"{name}{number}{ending}"
-        if not is_taken(path):
-            _require_no_link(path)
-            return path
-    raise UsageError(f"name: {_MOST_COPIES} files are called {name}; choose another")
+def _require_valid(request: Mapping[str, Any], kind: str, context: Context) -> None:
+    """Raise UsageError unless a request has the fields of its kind, of the right types and within range."""
+    row = {"type": "array", "items": _NUMBER, "minItems": 2, "maxItems": 2}
+    fields: dict[str, Any] = {
+        "name": {},
+        "latent": {
+            "type": ["array", "string"],
+            "items": _NUMBER,
+            "minItems": context.latent_dim,
+            "maxItems": context.latent_dim,
+        },
+        "like": {"enum": list(context.names)},
+        "srgb": {"type": "string", "pattern": r"\A#[0-9a-fA-F]{6}\Z"},
+        "spectrum": {"type": "array", "items": row, "minItems": 2, "maxItems": _MOST_ROWS},
+        "replace": {"type": "boolean"},
+    }
+    if kind == "export":
+        fields |= {"target": {"enum": list(TARGETS)}, "direct": {"type": "boolean"}}
+    required = ["name", "latent", *["target"] * (kind == "export")]
+    schema = {"properties": fields, "required": required, "additionalProperties": False}
+    for error in Draft202012Validator(schema).iter_errors(request):
+        raise UsageError(f"request: {'.'.join(map(str, error.path))}: {error.message:.200}")
+    if len({"like", "srgb", "spectrum"} & set(request)) > 1:
+        raise UsageError("request: expected one of like, srgb and spectrum")
+
+
+def _latent(latent: list[float] | str, context: Context) -> str:
+    if isinstance(latent, list):
+        return ",".join(repr(float(v)) for v in latent)
+    path = parse_path(latent, context.names)
+    if path is None or not set(path[:2]) <= set(context.names):
+        raise UsageError("latent: expected FROM:TO:T, of two materials of this model")
+    return latent
+
+
+def _write_spectrum(rows: Sequence[Sequence[float]], inputs: Path) -> Path:
+    path = Path(tempfile.mkdtemp(dir=inputs), "reflectance.txt")
+    path.write_text("".join(f"{float(nm)!r} {float(value)!r}\n" for nm, value in rows))
+    return path
+
+
+def _model(context: Context) -> tuple[str, ...]:
+    return (f"--model={context.model}", f"--library={context.library}")
+
+
+def _bsdf_ending(context: Context) -> str:
+    return f"_{'rgb' if context.is_rgb else 'spec'}.bsdf"
+
+
+def _output(
+    name: str, ending: str, context: Context, replace: bool, is_taken: Callable[[Path], bool]
+) -> Path:
+    """A path in the folder; unless it may be replaced, a number is added to a name that is taken."""
+    numbered = (f"{name}{f'-{copy}' if copy > 1 else ''}{ending}" for copy in itertools.count(1))
+    paths = (context.folder / name for name in numbered)
+    return next(path for path in paths if replace or not is_taken(path))

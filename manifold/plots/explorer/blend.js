@@ -49,8 +49,9 @@ export class BlendRenderer {
 
   static _layout(gl, { data, count, nComponents }) {
     const [h, d, columns] = data.grid.shape, rows = h * d, groups = Math.ceil(nComponents / 4);
-    const across = Math.min(Math.floor(gl.getParameter(gl.MAX_TEXTURE_SIZE) / (columns * groups)), count);
-    return { rows, columns, groups, across, height: rows * Math.ceil(count / across) };
+    const places = count + 1; // the last is for the step of a walk
+    const across = Math.min(Math.floor(gl.getParameter(gl.MAX_TEXTURE_SIZE) / (columns * groups)), places);
+    return { rows, columns, groups, across, height: rows * Math.ceil(places / across) };
   }
 
   constructor(gl, materials) {
@@ -67,16 +68,27 @@ export class BlendRenderer {
   }
 
   _upload() {
-    const { gl, materials } = this, { rows, columns, groups, across, height } = this.layout;
+    const { gl, materials } = this, { columns, groups, across, height } = this.layout;
     const options = { filter: gl.NEAREST, wrap: gl.CLAMP_TO_EDGE };
     this.components = makeTexture(gl, across * groups * columns, height, null, options);
-    for (let i = 0; i < materials.count; i++) {
-      const [x, y] = this._corner(i);
-      for (let g = 0; g < groups; g++) {
-        const texels = materials.gridComponents(i, 4 * g);
-        gl.texSubImage2D(gl.TEXTURE_2D, 0, x + g * columns, y, columns, rows, gl.RGBA, gl.FLOAT, texels);
-      }
+    for (let i = 0; i < materials.count; i++) this._fill(i, (first) => materials.gridComponents(i, first));
+  }
+
+  /** Write the bound texture's block i, four components at a time. */
+  _fill(i, texelsFrom) {
+    const { gl } = this, { rows, columns, groups } = this.layout, [x, y] = this._corner(i);
+    for (let g = 0; g < groups; g++) {
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, x + g * columns, y, columns, rows, gl.RGBA, gl.FLOAT, texelsFrom(4 * g));
     }
+  }
+
+  /** Components first to first + 3 of a step of a walk on the grid, (nGrid, 4). */
+  _texels(walked, first) {
+    const { nGrid } = this.materials, out = new Float32Array(4 * nGrid);
+    walked.slice(first, first + 4).forEach((row, c) => {
+      for (let p = 0; p < nGrid; p++) out[4 * p + c] = row[p];
+    });
+    return out;
   }
 
   _corner(i) {
@@ -91,12 +103,18 @@ export class BlendRenderer {
   }
 
   /** Fill a table by a prediction under an illuminant; coarse: without the materials of least share. */
-  draw(table, { outputs, toNodes, u }, illuminant, isCoarse) {
+  draw(table, { outputs, toNodes, u, walked }, illuminant, isCoarse) {
     const { gl, layout } = this, { toSrgb } = this.materials.data;
     const parts = outputs === null ? 0 : Math.ceil(outputs.length / 4), used = parts || layout.groups;
     if (!this.programs.has(parts)) this.programs.set(parts, this._program(parts, toNodes.length));
     const { at, handle, stride } = this.programs.get(parts);
-    const all = outputs === null ? new Map(u.entries()) : sizes(outputs, this.materials);
+    let all = outputs === null ? new Map(u.entries()) : sizes(outputs, this.materials);
+    if (walked) {
+      gl.activeTexture(gl.TEXTURE0);
+      gl.bindTexture(gl.TEXTURE_2D, this.components);
+      this._fill(this.materials.count, (first) => this._texels(walked, first));
+      all = new Map([[this.materials.count, 1]]);
+    }
     const { shares, scale } = largest(all, isCoarse ? LEAST_SHARE : 0, Math.floor(this.capacity / stride));
     const texels = new Float32Array(4 * stride * shares.length);
     shares.forEach(([i], k) => texels.set(this._corner(i), 4 * stride * k));

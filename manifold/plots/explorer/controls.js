@@ -347,7 +347,7 @@ export const controls = {
         none.setAttribute("aria-disabled", "true");
         none.textContent = "no material has such a name";
         list.append(none);
-        if (input.value.trim()) this.say(none.textContent);
+        if (input.value.trim()) this.announce(none.textContent);
       }
       list.hidden = !input.value.trim();
       input.setAttribute("aria-expanded", String(!list.hidden));

@@ -65,7 +65,7 @@ class AngleGrid:
 
 def largest_theta_d(theta_h: Array, phi_d: Array) -> Array:
     """theta_d at which one of the directions reaches the horizon, in radians."""
-    return np.arctan2(1.0, np.tan(theta_h) * np.abs(np.cos(phi_d)))
+    return np.asarray(np.arctan2(1.0, np.tan(theta_h) * np.abs(np.cos(phi_d))))
 
 
 @dataclass(frozen=True, eq=False)

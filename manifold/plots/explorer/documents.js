@@ -1,4 +1,4 @@
-// What leaves the page: links and files; methods of the page.
+// Links and saved files; methods of the page.
 
 import { isBetween } from "./state.js";
 
@@ -7,7 +7,7 @@ export const documents = {
     this.commit();
     try {
       await navigator.clipboard.writeText(this.link.address());
-      this.say("Link copied");
+      this.announce("Link copied");
       this.byId("link").textContent = "Copied";
     } catch {
       this.byId("link").textContent = "See the address";

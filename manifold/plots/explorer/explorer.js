@@ -12,17 +12,17 @@ import { facts } from "./facts.js";
 
 const THUMBNAIL = 96;
 const REST = 600; // ms without a change, after which the ball is lit more finely
-const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; all else works.";
+const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; everything else works.";
 const THEMES = {
-  light: { name: "light", sure: [253, 253, 251], unsure: [191, 192, 189], ink: "#1d1f21", panel: "#ffffff",
+  light: { name: "light", certain: [253, 253, 251], uncertain: [191, 192, 189], ink: "#1d1f21", panel: "#ffffff",
     rule: "#b9b9b4", point: "#0b62a8", pin: "#c2187a" },
-  dark: { name: "dark", sure: [52, 56, 61], unsure: [23, 24, 26], ink: "#e9e9e6", panel: "#202225",
+  dark: { name: "dark", certain: [52, 56, 61], uncertain: [23, 24, 26], ink: "#e9e9e6", panel: "#202225",
     rule: "#55585e", point: "#6db8f2", pin: "#ff7cc0" },
 };
 
 export class Explorer {
   /**
-   * root: the document, or a shadow root, that holds the page's elements; element: what bears the theme; link: where
+   * root: the document, or a shadow root, that holds the page's elements; element: the one that has the theme; link: where
    * the state is kept, {read, write, listen, address}.
    */
   constructor(data, materials, { root, element, link }) {
@@ -32,17 +32,17 @@ export class Explorer {
     this.state = fromFragment(link.read(), data);
     this.history = new History(this.state);
     this.map = new MapView(this.byId("map"), data);
-    this.spectra = []; // that were dropped; the state says which one is meant
+    this.spectra = []; // dropped ones; the state has the index of the one in use
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
     this.balls = BallRenderer.create(this.byId("ball"), materials);
-    if (!this.balls) this.problem(`${this.lacks()}, so balls are not drawn; everything else works.`);
+    if (!this.balls) this.problem(`${this.missingGraphics()}, so balls are not drawn; everything else works.`);
     this.pendingThumbnails = data.names.map((_, k) => k);
     this.extent = Math.max(...[0, 1].map((q) => this.map.high[q] - this.map.low[q]));
   }
 
   /** Why no balls can be drawn. */
-  lacks() {
+  missingGraphics() {
     const hasWebGL = document.createElement("canvas").getContext("webgl2") !== null;
     return hasWebGL ? "This browser's WebGL2 cannot hold these materials" : "This browser has no WebGL2, or it is switched off";
   }
@@ -57,7 +57,7 @@ export class Explorer {
     this.nextThumbnail();
   }
 
-  /** The graphics are gone, as after a driver's reset; a browser gives them back where this is said. */
+  /** The WebGL context was lost, as after a driver's reset; the browser restores it if the default is prevented. */
   loseBalls(event) {
     event.preventDefault();
     this.balls = null;
@@ -112,7 +112,7 @@ export class Explorer {
     this.request();
   }
 
-  /** As the page was without a link. */
+  /** The page as without a link. */
   reset() {
     this.history = new History(fromFragment("", this.data));
     this.restore(fromFragment("", this.data));
@@ -132,8 +132,8 @@ export class Explorer {
     });
   }
 
-  /** Reflectance at the nodes that a colour choice asks for; null blends materials whole. */
-  asked({ colour, like, srgb, spectrum }) {
+  /** Reflectance at the nodes for a choice of colour; null blends materials whole. */
+  requestedReflectance({ colour, like, srgb, spectrum }) {
     const { data } = this;
     if (colour === "like") return data.reflectances[data.names.indexOf(like)];
     if (colour === "file") return this.spectra[spectrum].reflectance;
@@ -146,9 +146,9 @@ export class Explorer {
       Math.min(Math.max(linear.reduce((sum, v, c) => sum + v * data.fromSrgb[c][j], 0), 0), 1));
   }
 
-  /** The prediction of a state or pin: of a path in the colours between its ends, unless a colour is chosen. */
+  /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
-    return isBetween(state) ? this.materials.between(state.path, state.x) : this.materials.predict(state.x, this.asked(state));
+    return isBetween(state) ? this.materials.between(state.path) : this.materials.predict(state.x, this.requestedReflectance(state));
   }
 
   // -- pictures ----------------------------------------------------------------------------------------------
@@ -206,7 +206,7 @@ export class Explorer {
   drawPlots() {
     const { illuminant } = this.state, other = this.pinned.prediction;
     this.slices = this.prediction.slices(illuminant);
-    const compared = this.state.pin && this.words(this.state.pin);
+    const compared = this.state.pin && this.describe(this.state.pin);
     drawSlices(this.byId("slices"), this.slices, other?.slices(illuminant), compared);
     this.reflectance = this.prediction.reflectance();
     drawReflectance(this.byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance(), compared);

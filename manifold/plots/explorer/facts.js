@@ -1,14 +1,14 @@
-// What is known of a place, in words; methods of the page.
+// Descriptions of the shown latent as text; methods of the page.
 
 import { deepestValley, fieldAt } from "./numerics.js";
 import { fixed, percent } from "./elements.js";
 import { isBetween } from "./state.js";
 
 const NEAREST = 6;
-const SILENCE = 400; // ms without a change, after which the place is said
+const SILENCE = 400; // ms without a change, after which screen readers announce the latent
 const VALLEY = 0.1; // a measured highlight has none deeper than 8 %
 const ANISOTROPIC = 0.01; // share of anisotropic materials
-const MISSED = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
+const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
   /** Expected error, 0 at a material; null where it is unknown. */
@@ -29,8 +29,8 @@ export const facts = {
     }
     const valley = Math.max(...this.slices.map(deepestValley));
     if (valley > VALLEY) found.push(`dark hole or ring near the mirror direction: ${percent(valley)} deep`);
-    if (prediction.missed > MISSED) {
-      found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.missed.toFixed(2)}`);
+    if (prediction.residual > RESIDUAL) {
+      found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.residual.toFixed(2)}`);
     }
     const most = Math.max(...this.reflectance);
     if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);
@@ -53,7 +53,7 @@ export const facts = {
       .sort((a, b) => b.weight - a.weight || a.distance - b.distance).slice(0, NEAREST);
   },
 
-  errorInWords(error) {
+  errorText(error) {
     const { unit } = this.data.error ?? {};
     return error === 0 ? "none: a measured material" : `${error.toFixed(unit?.startsWith("CIE") ? 1 : 2)} (${unit})`;
   },
@@ -61,7 +61,7 @@ export const facts = {
   showFacts() {
     const { data, state } = this, error = this.error();
     const beyond = data.error ? "outside the map" : "not computed above three dimensions";
-    this.byId("error-value").textContent = error === null ? beyond : this.errorInWords(error);
+    this.byId("error-value").textContent = error === null ? beyond : this.errorText(error);
     const found = this.diagnostics();
     this.byId("diagnostics").replaceChildren(...(found.length ? found : ["none"]).map((text) => {
       const item = document.createElement("li");
@@ -86,34 +86,34 @@ export const facts = {
       share.textContent = percent(weight);
       away.textContent = distance.toFixed(2);
     });
-    this.byId("caption").textContent = this.words(state);
-    this.byId("pin-caption").textContent = state.pin ? this.words(state.pin) : "";
-    const place = `${this.words(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
+    this.byId("caption").textContent = this.describe(state);
+    this.byId("pin-caption").textContent = state.pin ? this.describe(state.pin) : "";
+    const place = `${this.describe(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
     const known = error === null || !data.error ? "" : `${data.error.what} ${error.toFixed(2)}. `;
     this.labels = { map: `Map of ${data.names.length} materials. ${place}`, ball: `Ball of the material at ${place}` };
     this.showLabels();
-    clearTimeout(this.saying);
-    this.saying = setTimeout(() => this.sayPlace(`${place}${known}${found.join(". ")}`), SILENCE);
+    clearTimeout(this.announcing);
+    this.announcing = setTimeout(() => this.announcePlace(`${place}${known}${found.join(". ")}`), SILENCE);
   },
 
-  /** The names of the canvases; not of the one that has the focus, which screen readers would read beside what is said. */
+  /** The names of the canvases; not of the one that has the focus, which screen readers would read besides the announcement. */
   showLabels() {
     for (const [id, label] of Object.entries(this.labels)) {
       if (this.byId(id) !== this.root.activeElement) this.byId(id).setAttribute("aria-label", label);
     }
   },
 
-  sayPlace(words) {
-    if (words !== this.said) this.say(words); // not again where only the light has changed
-    this.said = words;
+  announcePlace(text) {
+    if (text !== this.announced) this.announce(text); // not again where only the light has changed
+    this.announced = text;
   },
 
-  /** Let a screen reader say something. */
-  say(words) {
-    this.byId("live").textContent = words;
+  /** Announce a text to screen readers. */
+  announce(text) {
+    this.byId("live").textContent = text;
   },
 
-  words(state) {
+  describe(state) {
     const { x, at, colour, like, srgb, spectrum, path } = state;
     if (isBetween(state)) return `${percent(path.t)} of the way from ${path.from} to ${path.to}`;
     const place = at ?? x.map((v) => fixed(v, 2)).join(", ");

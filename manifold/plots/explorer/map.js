@@ -1,11 +1,11 @@
-// The map: materials as balls over how far they can be trusted, and the point that is moved.
+// The map: materials as balls over the expected error, and the point that is moved.
 
 import { fieldAt, reachOf, within } from "./numerics.js";
 
 const MARGIN = 0.12;
 const FIELD_SIZE = 64;
 
-/** Draws the map into a canvas, and tells places by its pixels. */
+/** Draws the map into a canvas, and converts between its pixels and latents. */
 export class MapView {
   constructor(canvas, data) {
     this.canvas = canvas;
@@ -93,7 +93,7 @@ export class MapView {
     }
   }
 
-  /** Everything anew. */
+  /** Draw everything. */
   draw(state, { hover, weights, theme }) {
     this.layout();
     const context = this.canvas.getContext("2d"), { width, height } = this.canvas;
@@ -129,7 +129,7 @@ export class MapView {
           // Beyond the reach of the point: the error where a drag ends.
           const share = Math.min(Math.max((fieldAt(error, this.clamped(x)) ?? most) / most, 0), 1);
           const k = 4 * (row * FIELD_SIZE + column);
-          for (let c = 0; c < 3; c++) image.data[k + c] = theme.sure[c] + (theme.unsure[c] - theme.sure[c]) * share;
+          for (let c = 0; c < 3; c++) image.data[k + c] = theme.certain[c] + (theme.uncertain[c] - theme.certain[c]) * share;
           image.data[k + 3] = 255;
         }
       }

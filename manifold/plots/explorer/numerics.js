@@ -1,8 +1,9 @@
 // Predictions as the package makes them: (sum_i v_i f_i^(1/3))^3 in every band. No page is touched here.
 
-const NEGLIGIBLE = 1e-6; // as in manifold/models/blending.py
-const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/models/colour_paths.py
+const NEGLIGIBLE = 1e-6; // as in manifold/latent/blending.py
+const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/latent/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
+const SHAPE_KEPT = 4, MOST_EXCESS = 3; // as in manifold/model/walks.py
 const PATH_NODES = 8; // coordinates at which a spectral blend's colour path is followed: 0.1 CIEDE2000 beside all 32
 
 /** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
@@ -19,6 +20,13 @@ export function blendWeights(x, X, lengthScale) {
   u = u.map((v) => Math.max(v - NEGLIGIBLE, 0));
   const total = u.reduce((a, b) => a + b);
   return u.map((v) => v / total);
+}
+
+/** `D G / (4 cos(theta_i) cos(theta_o))` of GGX, as in manifold/latent/lobes.py. */
+function microfacetLobe(alpha, ci, co, cd) {
+  const a2 = alpha * alpha, cosine2 = Math.min(((ci + co) / (2 * cd)) ** 2, 1);
+  const masked = ci * Math.sqrt(a2 + (1 - a2) * co * co) + co * Math.sqrt(a2 + (1 - a2) * ci * ci);
+  return a2 / (Math.PI * (1 - (1 - a2) * cosine2) ** 2 * 2 * masked);
 }
 
 const REACH = 0.24; // of the materials' extent beyond them; the field of errors ends at 0.25
@@ -77,11 +85,12 @@ export class Materials {
   static async load(data) {
     const { first, ratios, scales } = data.components;
     const [halves, steps] = [new Uint16Array(await inflate(first)), new Int8Array(await inflate(ratios))];
-    return new Materials(data, halves, steps, scales);
+    return new Materials(data, halves, steps, scales, new Float32Array(await inflate(data.walks.cosines)));
   }
 
-  constructor(data, halves, steps, scales) {
+  constructor(data, halves, steps, scales, cosines) {
     this.data = data;
+    this.cosines = cosines; // of wi, of wo, and of their difference angle, a row each
     this.count = data.names.length;
     this.nPairs = data.pairs.count;
     this.nGrid = data.pairs.grid;
@@ -106,6 +115,7 @@ export class Materials {
     for (let p = start, k = first; p < stop; p++, k += stride) {
       out[k] = float[halves[i * P + p]] * (r === 0 ? 1 : steps[row + p] * scale);
     }
+    return out;
   }
 
   /** Components first to first + 3 of a material on the grid, (nGrid, 4); 0 beyond the last. */
@@ -204,12 +214,12 @@ export class Materials {
     const grid = Array.from({ length: TABLE }, (_, k) => (last * k) / (TABLE - 1));
     const table = [];
     for (const t of grid) table.push(Math.max(reached(t), table[table.length - 1] ?? -Infinity));
-    const coordinates = reflectance.map((asked) => {
-      let at = interpolate(asked, table, grid);
+    const coordinates = reflectance.map((requested) => {
+      let at = interpolate(requested, table, grid);
       for (let step = 0; step < NEWTON_STEPS; step++) {
         const rise = interpolate(at + PROBE, grid, table) - interpolate(at - PROBE, grid, table);
         const slope = rise / (2 * PROBE);
-        const move = slope > 1e-6 ? (asked - reached(at)) / slope : 0;
+        const move = slope > 1e-6 ? (requested - reached(at)) / slope : 0;
         at = Math.min(Math.max(at + Math.min(Math.max(move, -LARGEST_STEP), LARGEST_STEP), 0), last);
       }
       return at;
@@ -222,9 +232,9 @@ export class Materials {
    * Without a colour (J reflectances) materials are blended whole: the outputs are null, and stand for the components.
    */
   combination(u, reflectance) {
-    if (!reflectance) return { outputs: null, toNodes: this.data.basis, coordinates: null, missed: 0 };
+    if (!reflectance) return { outputs: null, toNodes: this.data.basis, coordinates: null, residual: 0 };
     const { coordinates, reached } = this.coordinatesOf(u, reflectance);
-    const missed = Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j])));
+    const residual = Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j])));
     const low = Math.min(...coordinates), high = Math.max(...coordinates);
     const isShort = coordinates.length <= PATH_NODES;
     const nodes = isShort ? coordinates
@@ -235,7 +245,7 @@ export class Materials {
       return Math.max(0, 1 - Math.abs(position - k));
     }));
     const outputs = nodes.map((t) => this.pathComponents(u, t).map((w) => (Math.abs(w) > LEAST_COMPONENT ? w : 0)));
-    return { outputs, toNodes, coordinates, missed };
+    return { outputs, toNodes, coordinates, residual };
   }
 
   /** The prediction of a place, in a reflectance (J) or as materials blend. */
@@ -245,22 +255,61 @@ export class Materials {
     return new Prediction(this, u, this.combination(u, isOwn ? null : reflectance));
   }
 
-  /**
-   * The prediction on the path between two materials: both keep their colours, the others take on the reflectance
-   * between theirs, as of `Manifold.interpolate`.
-   */
-  between({ from, to, t }, x) {
-    const ends = [from, to].map((name) => this.index(name)), u = this.weights(x);
-    if (ends.some((k) => u[k] === 1)) return this.predict(x);
-    const [a, b] = ends.map((k) => this.data.reflectances[k]);
-    const coloured = this.combination(u, a.map((v, j) => (1 - t) * v + t * b[j]));
-    const kept = u.map((share, i) => (ends.includes(i) ? share : 0));
-    const others = 1 - kept.reduce((sum, share) => sum + share, 0);
-    const outputs = coloured.outputs.map((weights) => weights.map((w) => others * w));
-    return new Prediction(this, u, {
-      outputs: [...this.wholeComponents(kept), ...outputs], coordinates: coloured.coordinates, missed: 0,
-      toNodes: coloured.toNodes.map((row, j) => [...this.data.basis[j], ...row]),
-    });
+  /** Share of material b at t of the walk from a. */
+  walkShare(a, b, t) {
+    if (a < b) return 1 - this.walkShare(b, a, 1 - t);
+    const shares = [0, ...this.data.walks.shares[a][b], 1], last = shares.length - 1;
+    return interpolate(t * last, shares.map((_, k) => k), shares);
+  }
+
+  /** The step of the walk between two materials, as of `Manifold.interpolate`. */
+  between({ from, to, t }) {
+    const ends = [from, to].map((name) => this.index(name)), u = Array(this.count).fill(0);
+    if (ends[0] === ends[1]) return this.predict(this.data.X[ends[0]]);
+    const share = this.walkShare(...ends, t), P = this.nPairs;
+    [u[ends[0]], u[ends[1]]] = [1 - share, share];
+    const walked = this._average(ends.map((i) => [i, u[i]]));
+    const values = walked.map((row) => row.subarray(this.nGrid, P));
+    return new Prediction(this, u, { outputs: null, toNodes: this.data.basis, coordinates: null, residual: 0, walked, values });
+  }
+
+  /** Position of the roughness of an average, as `positions_between` in manifold/model/walks.py. */
+  _positionBetween(parts) {
+    const { positions, strengths, roughnesses } = this.data.walks, own = parts.map(([i]) => positions[i]);
+    const mean = (of) => parts.reduce((sum, [i, share]) => sum + share * of(i), 0);
+    const rise = Math.log(mean((i) => strengths[i])) - mean((i) => Math.log(strengths[i]));
+    const found = mean((i) => positions[i]) + (0.5 * rise) / Math.log(roughnesses[1] / roughnesses[0]);
+    return Math.min(Math.max(found, Math.min(...own)), Math.max(...own));
+  }
+
+  /** Components (R, P) of the average of materials whose highlights have another roughness. */
+  _average(parts) {
+    const { basis, walks } = this.data, P = this.nPairs, R = this.nComponents;
+    const out = Array.from({ length: R }, () => new Float32Array(P));
+    const own = parts.map(([i]) => out.map((_, r) => this._unpack(i, r, 0, P, new Float32Array(P), 0, 1)));
+    const roughness = (k) => walks.roughnesses[0] * (walks.roughnesses[1] / walks.roughnesses[0]) ** k;
+    const position = this._positionBetween(parts), alpha = roughness(position);
+    const kept = parts.map(([i]) => Math.max(1 - Math.abs(position - walks.positions[i]) / SHAPE_KEPT, 0));
+    for (let p = 0; p < P; p++) {
+      const [ci, co, cd] = [0, 1, 2].map((row) => this.cosines[row * P + p]);
+      const weight = ci * co, schlick = (1 - cd) ** 5, moved = microfacetLobe(alpha, ci, co, cd);
+      const lobes = parts.map(([i]) => microfacetLobe(roughness(walks.positions[i]), ci, co, cd));
+      for (let j = 0; j < basis.length; j++) {
+        let f = 0; // times weight
+        parts.forEach(([i, share], k) => {
+          let root = 0;
+          for (let r = 0; r < R; r++) root += basis[j][r] * own[k][r][p];
+          const fresnel = walks.normal[i][j] + (walks.grazing[i][j] - walks.normal[i][j]) * schlick;
+          const value = Math.max(root, 0) ** 3, lobe = lobes[k] * fresnel * weight;
+          const excess = Math.max(value - lobe - walks.base[i][j] * weight, 0);
+          const explained = Math.min(value, lobe) + Math.min(excess, MOST_EXCESS * lobe);
+          f += share * (value - explained + moved * ((kept[k] * explained) / lobes[k] + (1 - kept[k]) * walks.gain[i][j] * fresnel * weight));
+        });
+        const root = Math.cbrt(f);
+        for (let r = 0; r < R; r++) out[r][p] += walks.toComponents[r][j] * root;
+      }
+    }
+    return out;
   }
 
   /** Weights u of whole materials as weights of components (N R), per component. */
@@ -274,11 +323,11 @@ export class Materials {
   }
 }
 
-/** A place's weights u and what it is made of, as of `Materials.combination`; its slices and reflectance. */
+/** A place's weights u and what it is made of, as of `Materials.combination` or, walked, components; its slices and reflectance. */
 export class Prediction {
-  constructor(materials, u, { outputs, toNodes, coordinates, missed }) {
-    Object.assign(this, { materials, u, outputs, toNodes, coordinates, missed });
-    this.values = (outputs ?? materials.wholeComponents(u)).map((weights) => materials.combine(weights));
+  constructor(materials, u, { outputs, toNodes, coordinates, residual, walked = null, values }) {
+    Object.assign(this, { materials, u, outputs, toNodes, coordinates, residual, walked });
+    this.values = values ?? (outputs ?? materials.wholeComponents(u)).map((weights) => materials.combine(weights));
   }
 
   /** Luminance of f times cosines under an illuminant at the pairs of the slices. */
@@ -366,7 +415,7 @@ function firstNumbers(line) {
   return cells.map((cell) => Number(cell.replace(",", ".")));
 }
 
-/** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws in words. */
+/** Wavelengths and reflectances of a text of two columns, as `manifold --reflectance` reads it. Throws an Error with a message for the user. */
 export function parseSpectrum(text) {
   const rows = [];
   for (const line of text.split(/\r\n|\r|\n/)) {

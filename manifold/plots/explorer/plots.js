@@ -44,18 +44,18 @@ function draw(svg, lines, label, { xRange, xTicks, xLabel, yMax, yTicks, yLabel,
   svg.replaceChildren(...parts);
 }
 
-/** What slices look like in words: their highest values. */
+/** The highest values of slices as text. */
 const peaks = (slices) => slices.map(({ incidence, angles, f }) => {
   const most = Math.max(...f);
   return `incidence ${incidence}° at most ${most.toPrecision(2)} at ${angles[f.indexOf(most)].toFixed(0)}°`;
 }).join(", ");
 
-/** Reflectances in words: of three channels, or at a few wavelengths. */
+/** Reflectances as text: of three channels, or at a few wavelengths. */
 const reflectances = (wavelengths, values) => (wavelengths
   ? [450, 550, 650].map((nm) => `${interpolate(nm, wavelengths, values).toFixed(2)} at ${nm} nm`)
   : CHANNELS.map((name, c) => `${name} ${values[c].toFixed(2)}`)).join(", ");
 
-const withOther = (words, other, name) => (other ? `${words}; ${name}: ${other}` : words);
+const withOther = (text, other, name) => (other ? `${text}; ${name}: ${other}` : text);
 
 /** In-plane slices on a cube-root axis; the other prediction's are dashed. */
 export function drawSlices(svg, slices, other, otherName) {

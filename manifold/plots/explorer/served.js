@@ -1,9 +1,9 @@
-// What only a served page can do: commands, asked of the program that serves it. A page that is a file has none.
+// Commands that a served page can request from its server; a page opened as a file has none.
 
 import { percent } from "./elements.js";
 import { isBetween } from "./state.js";
 
-const POLL = 600, LONGEST = 30_000; // ms between looks at what is being done; where no answer comes
+const POLL = 600, LONGEST = 30_000; // ms between requests for the state of the jobs; at most, while the server does not answer
 
 /** Connect the controls of actions; null where the page is a file. */
 export function serve(explorer, { served }) {
@@ -12,7 +12,7 @@ export function serve(explorer, { served }) {
   return new Actions(explorer, token, served.targets);
 }
 
-const OPEN = new Set(["waiting", "running"]); // states of work that is not done
+const OPEN = new Set(["waiting", "running"]); // states of unfinished jobs
 const MAGIC = "tensor_file"; // of RGL's .bsdf files
 const isPairOfNumbers = (line) => /^\s*[-+.\deE]+[\s,;]+[-+.\deE]+\s*$/.test(line);
 
@@ -22,15 +22,15 @@ const isSpectrum = (text) => {
   return 2 * lines.filter(isPairOfNumbers).length > lines.length;
 };
 
-/** The place that commands are given: a latent, or FROM:TO:T between two materials. */
-const placeOf = (state) => (isBetween(state) ? [state.path.from, state.path.to, state.path.t].join(":") : state.x);
+/** The latent as commands take it, or FROM:TO:T between two materials. */
+const latentOf = (state) => (isBetween(state) ? [state.path.from, state.path.to, state.path.t].join(":") : state.x);
 
-/** A name that the program takes for a file, as near to a file's own as can be. */
+/** A file's own name without the characters that the server does not accept. */
 const plainName = (file) =>
   file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^[-_]+/, "").slice(0, 60);
 
-/** What a result says in a sentence: what an export loses, or the error that a completed material has. */
-function inWords(result) {
+/** The error of an export, or of a completed material, as text. */
+function summary(result) {
   const made = result?.exports?.[0];
   if (made) {
     const principled = made.principled_ciede2000;
@@ -53,11 +53,11 @@ class Actions {
     this.list = byId("jobs");
     byId("actions").hidden = false;
     for (const kind of ["predict", "render", "fit"]) {
-      byId(`do-${kind}`).addEventListener("click", () => this.ask(kind, this.request()));
+      byId(`do-${kind}`).addEventListener("click", () => this.request(kind, this.place()));
     }
     byId("export-target").append(...targets.map(([name, title]) => new Option(title, name)));
-    byId("do-export").addEventListener("click", () => this.ask("export",
-      { ...this.request(), target: byId("export-target").value, direct: byId("export-direct").checked }));
+    byId("do-export").addEventListener("click", () => this.request("export",
+      { ...this.place(), target: byId("export-target").value, direct: byId("export-direct").checked }));
     for (const kind of ["locate", "complete"]) {
       byId(`${kind}-file`).addEventListener("change", (event) => {
         const [file] = event.target.files;
@@ -65,8 +65,8 @@ class Actions {
         if (file) this[kind](file);
       });
     }
-    window.addEventListener("focus", () => this.look()); // another tab may have asked for something
-    this.look();
+    window.addEventListener("focus", () => this.poll()); // another tab may have requested a job
+    this.poll();
   }
 
   /** Whether files of the same name may be replaced; else new ones get a number. */
@@ -74,14 +74,14 @@ class Actions {
     return this.explorer.byId("action-replace").checked;
   }
 
-  /** What the commands need to know of the place that is shown. */
-  request() {
+  /** The shown latent and colour, as requests hold them. */
+  place() {
     const { state, spectrum } = this.explorer;
-    const request = { name: this.explorer.byId("action-name").value, latent: placeOf(state), replace: this.replaces };
-    if (state.colour === "like") request.like = state.like;
-    if (state.colour === "picked") request.srgb = state.srgb;
-    if (state.colour === "file" && spectrum) request.spectrum = spectrum.rows;
-    return request;
+    const place = { name: this.explorer.byId("action-name").value, latent: latentOf(state), replace: this.replaces };
+    if (state.colour === "like") place.like = state.like;
+    if (state.colour === "picked") place.srgb = state.srgb;
+    if (state.colour === "file" && spectrum) place.spectrum = spectrum.rows;
+    return place;
   }
 
   async send(path, options = {}) {
@@ -91,7 +91,7 @@ class Actions {
     return response;
   }
 
-  async ask(kind, request) {
+  async request(kind, request) {
     const headers = { "Content-Type": "application/json" };
     return this.post(`/do/${kind}`, { body: JSON.stringify(request), headers });
   }
@@ -109,7 +109,7 @@ class Actions {
     await this.post("/do/locate", { body: file, headers });
   }
 
-  /** The completed file is called like the readings, as far as its name is plain. */
+  /** The completed file has the name of the readings, as far as the server accepts it. */
   async complete(file) {
     const sample = encodeURIComponent(this.explorer.byId("sample").value.trim());
     const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "completed", "X-Sample": sample,
@@ -124,10 +124,10 @@ class Actions {
     } catch (error) {
       this.explorer.problem(error.message);
     }
-    this.look();
+    this.poll();
   }
 
-  async look() {
+  async poll() {
     clearTimeout(this.timer);
     try {
       const { jobs } = await (await this.send("/jobs")).json();
@@ -139,7 +139,7 @@ class Actions {
       this.wait = Math.min(2 * this.wait, LONGEST);
     }
     if ([...this.list.children].some((item) => OPEN.has(item.dataset.state))) {
-      this.timer = setTimeout(() => this.look(), this.wait);
+      this.timer = setTimeout(() => this.poll(), this.wait);
     }
   }
 
@@ -147,29 +147,29 @@ class Actions {
     let item = this.items.get(job.number);
     if (!item) {
       item = document.createElement("li");
-      const words = document.createElement("span"), bar = document.createElement("progress");
+      const text = document.createElement("span"), bar = document.createElement("progress");
       const cancel = document.createElement("button");
       cancel.type = "button";
       cancel.textContent = "Cancel";
-      cancel.addEventListener("click", () => this.ask("cancel", { number: job.number }));
+      cancel.addEventListener("click", () => this.request("cancel", { number: job.number }));
       bar.setAttribute("aria-label", `progress of ${job.title}`);
-      item.append(words, " ", bar, " ", cancel);
+      item.append(text, " ", bar, " ", cancel);
       this.items.set(job.number, item);
       this.list.prepend(item);
     }
     const isOpen = OPEN.has(job.state);
-    const [words, bar, cancel] = item.children;
-    const said = job.state === "failed" ? `: ${job.words}` : job.state === "done" ? inWords(job.result) : "";
+    const [text, bar, cancel] = item.children;
+    const detail = job.state === "failed" ? `: ${job.message}` : job.state === "done" ? summary(job.result) : "";
     const isKnown = job.state === "running" && job.share !== null;
     const share = isKnown ? `, ${percent(job.share)}${job.stage && `, ${job.stage}`}` : "";
     const seconds = job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`;
-    words.textContent = `${job.title}: ${job.state}${share}${seconds}${said}`;
+    text.textContent = `${job.title}: ${job.state}${share}${seconds}${detail}`;
     if (isKnown) bar.value = job.share;
     else bar.removeAttribute("value");
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;
-    if (job.state !== "running") this.explorer.say(`${job.title}: ${job.state}${said}`);
+    if (job.state !== "running") this.explorer.announce(`${job.title}: ${job.state}${detail}`);
     if (job.state === "done" && job.picture) this.showPicture(item, job);
     if (job.state === "done" && job.result?.latent) this.showPlace(item, job.result);
   }

@@ -1,4 +1,4 @@
-// What the page shows, as one object; what was before; and the same as the fragment of a link.
+// The state of the page as one object, its history, and its form as the fragment of a link.
 
 import { reachOf, within } from "./numerics.js";
 

@@ -12,33 +12,34 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.weighted_sums import WeightedSum
+from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
-from manifold.model.blend_space import BlendSpace
+from manifold.latent.lobes import cos_theta_d
+from manifold.model.blend_space import BlendSpace, require_blends
 from manifold.model.manifold import Manifold
+from manifold.model.walks import ROUGHNESSES, Walked, walk_path
 from manifold.plots.explorer.direction_grid import (
     SLICE_INCIDENCES_DEG,
     AngleGrid,
     TabulatedPairs,
     tabulated_pairs,
 )
-from manifold.plots.explorer.light import studio_light
 from manifold.plots.explorer.uncertainty import error_field
-from manifold.records import Array, Bands, Progress, evenly_spaced
+from manifold.records import Array, Bands, Indices, Progress, evenly_spaced
 
 ILLUMINANTS = ("D65", "A", "F11")
 
 _COMPONENTS = 8  # of the spectral basis, at most
 _NODES = 32  # visible bands that colours are made of, at most
 _VISIBLE_NM = (380.0, 780.0)
-_LEAST_WEIGHT = (
-    0.3  # of a band in the basis, relative to the largest: paths include bands outside the visible range
-)
+_LEAST_WEIGHT = 0.3  # of a band in the basis, relative to the largest: paths include invisible bands
 _DARK = 0.05  # of a material's median: ratios of components below this are not resolved
 _FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
 
@@ -53,14 +54,18 @@ class Tables:
         basis: the spectral basis at the nodes, shape (J, R).
         sample_basis: and at the bands that colour paths are made of, shape (B_s, R).
         components: cube roots of f cos(theta_i) cos(theta_o) in the basis, float32, shape (N, R, P).
+        walked: the materials as ends of walks.
+        at_nodes: which of their bands the nodes are, shape (J,).
     """
 
     grid: AngleGrid
     pairs: TabulatedPairs
-    nodes: Array
+    nodes: Indices
     basis: Array
     sample_basis: Array
-    components: Array
+    components: NDArray[np.float32]
+    walked: list[Walked]
+    at_nodes: Indices
 
 
 def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
@@ -70,7 +75,7 @@ def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
         UsageError: the map is of another kind.
         LibraryError: a material cannot be read.
     """
-    space = model.space.require_blends()
+    space = require_blends(model.space)
     grid = AngleGrid()
     pairs = tabulated_pairs(grid)
     nodes = _node_bands(model.bands)
@@ -80,7 +85,8 @@ def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
     at_nodes, at_samples = np.searchsorted(bands, nodes), np.searchsorted(bands, space.bands)
     basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))
     components = np.ascontiguousarray(np.moveaxis(roots @ inverse, 2, 1), dtype=np.float32)
-    return Tables(grid, pairs, nodes, basis[at_nodes], basis[at_samples], components)
+    walked = [Walked.of(material) for material in materials]
+    return Tables(grid, pairs, nodes, basis[at_nodes], basis[at_samples], components, walked, at_nodes)
 
 
 def packed(tables: Tables) -> dict[str, Any]:
@@ -102,7 +108,7 @@ def packed(tables: Tables) -> dict[str, Any]:
 
 def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     """Everything that a page shows, as JSON."""
-    space = model.space.require_blends()
+    space = require_blends(model.space)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
     grid, pairs = tables.grid, tables.pairs
@@ -133,8 +139,19 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "fileSpectra": _file_spectra() if bands.is_rgb else None,
         "reflectances": space.reflectances[:, nodes].tolist(),
         "paths": _paths(space, tables),
-        "light": studio_light(),
+        "walks": _walks(tables),
+        "light": _studio_light(),
         "error": error_field(model),
+    }  # fmt: skip
+
+
+def _studio_light() -> dict[str, Any]:
+    """Radiance of the ball's environment, row by row from the zenith, and the direction of the viewer."""
+    environment = ball_colours.environment()[..., 0]
+    return {
+        "rows": environment.shape[0], "columns": environment.shape[1],
+        "radiance": [float(f"{v:.6g}") for v in environment.ravel()],
+        "view": ball_colours.VIEW.tolist(),
     }  # fmt: skip
 
 
@@ -147,7 +164,29 @@ def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
     return {"vertices": vertices, "last": space.paths.last, "sampleBasis": tables.sample_basis.tolist()}
 
 
-def _node_bands(bands: Bands) -> Array:
+def _walks(tables: Tables) -> dict[str, Any]:
+    """Highlights of the materials, and the shares of every two on their walk; the first and last are 0 and 1."""
+    walked, cosines = tables.walked, (tables.pairs.wi[:, 2], tables.pairs.wo[:, 2])
+    lobes = [one.highlight for one in walked]
+    shares = [
+        [walk_path(start, end)[1:-1].round(5).tolist() for end in walked[:k]]
+        for k, start in enumerate(walked)
+    ]
+    return {
+        "positions": [lobe.position for lobe in lobes],
+        "strengths": [lobe.strength for lobe in lobes],
+        "roughnesses": ROUGHNESSES[:2].tolist(),
+        "normal": [lobe.normal[tables.at_nodes].tolist() for lobe in lobes],
+        "base": [lobe.base[tables.at_nodes].tolist() for lobe in lobes],
+        "gain": [lobe.gain[tables.at_nodes].tolist() for lobe in lobes],
+        "grazing": [lobe.grazing[tables.at_nodes].tolist() for lobe in lobes],
+        "shares": shares,
+        "toComponents": np.linalg.pinv(tables.basis).tolist(),
+        "cosines": _text(np.stack([*cosines, cos_theta_d(tables.pairs.wi, tables.pairs.wo)]).astype("<f4")),
+    }
+
+
+def _node_bands(bands: Bands) -> Indices:
     """Indices of at most 32 visible bands, evenly spread; of RGB bands all three."""
     if bands.wavelengths_nm is None:
         return np.arange(bands.count)
@@ -157,7 +196,7 @@ def _node_bands(bands: Bands) -> Array:
         raise UsageError(
             f"{len(visible)} bands from {nm[0]:g} to {nm[-1]:g} nm are visible, expected at least 2"
         )
-    return visible[evenly_spaced(len(visible), _NODES)]
+    return np.asarray(visible[evenly_spaced(len(visible), _NODES)])
 
 
 def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
@@ -170,7 +209,7 @@ def _roots(material: MeasuredBRDF, pairs: TabulatedPairs) -> Array:
     return (np.maximum(total, 0.0) * pairs.amplitude[:, None]).astype(np.float32)
 
 
-def _band_weights(bands: Bands, nodes: Array, at_nodes: Array, count: int) -> Array:
+def _band_weights(bands: Bands, nodes: Indices, at_nodes: Indices, count: int) -> Array:
     """Weight of each band in colours, shape (B',); invisible bands have a small one."""
     weights = np.full(count, _LEAST_WEIGHT)
     if bands.wavelengths_nm is None:

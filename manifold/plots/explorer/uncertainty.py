@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from manifold.latent.expected_error import COARSE_BELOW
 from manifold.model.manifold import Manifold
-from manifold.models.expected_error import COARSE_BELOW
 
 _NODES = {1: 200, 2: 72, 3: 24}  # per dimension; maps of more dimensions have none
 _MARGIN = 0.25  # of the materials' extent, beyond them

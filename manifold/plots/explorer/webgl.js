@@ -3,7 +3,7 @@
 const VERSION = "#version 300 es\n";
 const QUAD = `${VERSION}
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
-// Fragment shaders have integers of 16 bits and textures of 8 unless told otherwise, and some drivers take that at its word.
+// Fragment shaders have integers of 16 bits and textures of 8 by default, and some drivers do use so few.
 const PRECISE = `${VERSION}precision highp float; precision highp int; precision highp sampler2D;`;
 
 /** A program of a fragment shader, without its version and precisions: its handle, and `at(name)`, the place of a uniform. */

@@ -10,8 +10,8 @@ try:
     import anywidget
     import traitlets
 except ImportError as error:
-    words = f"the map as a widget needs anywidget, which is missing ({error}); pip install brdf-manifold[notebook]"
-    raise ImportError(words) from None
+    message = f"the map as a widget needs anywidget, which is missing ({error}); pip install brdf-manifold[notebook]"
+    raise ImportError(message) from None
 
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.model.colours import ColourChoice, choose_colour
@@ -51,7 +51,8 @@ class MapWidget(anywidget.AnyWidget):
 
     @traitlets.validate("latent")
     def _check_latent(self, proposal: Any) -> list[float]:
-        return self.model.require_latent(proposal["value"]).tolist()
+        latent: list[float] = self.model.place(proposal["value"]).latent.tolist()
+        return latent
 
     def prediction(self) -> PredictedBRDF:
         """The material at the point, in the chosen colour.
@@ -59,7 +60,7 @@ class MapWidget(anywidget.AnyWidget):
         Raises:
             UsageError: the colour cannot be used.
         """
-        x, colour = self.model.require_latent(list(self.latent)), dict(self.colour)
+        x, colour = self.model.place(list(self.latent)).latent, dict(self.colour)
         path = colour.pop("between", None)
         if path is not None and np.allclose(x, self.model.between(*path)):  # else the point was moved since
             return self.model.interpolate(*path)

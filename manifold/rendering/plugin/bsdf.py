@@ -57,14 +57,14 @@ def _register(variant: str) -> None:
 
 def _refuse(properties: Any) -> Any:
     raise UsageError(
-        "the plugin `manifold` needs an LLVM variant of Mitsuba; install libLLVM 16 or newer, or write the "
+        "the plugin `manifold` needs an LLVM variant of Mitsuba; install libLLVM 17 or newer, or write the "
         "prediction with `manifold predict` and use Mitsuba's `measured`"
     )
 
 
 @lru_cache(maxsize=4)
 def _model(path: Path, changed_ns: int, library: Path | None) -> tuple[Manifold, str]:
-    """Models stay open: scenes are loaded often. With the hash of what the library held then."""
+    """A model, kept open since scenes are loaded often, and the hash of its library's content when it was opened."""
     from manifold.model.manifold import Manifold
 
     loaded = Manifold.load(path, library)
@@ -89,7 +89,7 @@ def _plugin_class(mi: Any, variant: str) -> Any:
     """The class for a variant: Mitsuba's base classes exist once per variant."""
     is_spectral = "spectral" in variant
 
-    class ManifoldBSDF(mi.BSDF):
+    class ManifoldBSDF(mi.BSDF):  # type: ignore[misc]
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             from manifold.rendering.plugin.evaluation import Evaluation

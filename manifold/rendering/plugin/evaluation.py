@@ -16,7 +16,7 @@ from manifold.rendering.plugin.packed_tables import META, MOST_BANDS_AT_ONCE, SP
 from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
 from manifold.rendering.plugin.warp import Family, PackedWarps, bisect
 
-_DENSE_NM = 5.0  # between bands, up to which the nearest one stands for a wavelength
+_DENSE_NM = 5.0  # largest distance of bands for which a wavelength takes the nearest one
 _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
 
 
@@ -82,17 +82,15 @@ class Evaluation:
 
     # -- weights -------------------------------------------------------------------------------------------
 
-    def weights(self, latent: list[Any] | None) -> Lobes:
-        """Weights at latents, a list of Q arrays; of a fixed mixture, its own."""
-        if latent is None or self._varying is None:
-            return Lobes()
-        return self._varying.at(latent)
+    def weights(self, latent: list[Any] | None) -> Lobes | None:
+        """Weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
+        return None if latent is None or self._varying is None else self._varying.at(latent)
 
-    def _weight_and_share(self, lobes: Lobes, i: Any, active: Any) -> tuple[Any, Any]:
+    def _weight_and_share(self, lobes: Lobes | None, i: Any, active: Any) -> tuple[Any, Any]:
         mi, dr = self._mi, self._dr
-        if lobes.local is not None:
-            v = lobes.local[i]
-            return v, dr.abs(v) / lobes.total
+        if lobes is not None and self._varying is not None:
+            v = self._varying.weight(lobes, i)
+            return v, dr.abs(v) / lobes.magnitude
         share = dr.gather(mi.Float, self._lobe_shares, i, active)
         if self._sample_weights is not None:
             return None, share
@@ -138,7 +136,9 @@ class Evaluation:
 
     # -- sums over materials -------------------------------------------------------------------------------
 
-    def eval_pdf(self, lobes: Lobes, wi: Any, wo: Any, wavelengths: Any, active: Any) -> tuple[Any, Any]:
+    def eval_pdf(
+        self, lobes: Lobes | None, wi: Any, wo: Any, wavelengths: Any, active: Any
+    ) -> tuple[Any, Any]:
         """f * cos(theta_o) as a spectrum, and the density of `sample`, both in 1/sr."""
         mi, dr = self._mi, self._dr
         cos_o = mi.Frame3f.cos_theta(wo)
@@ -261,8 +261,8 @@ class Evaluation:
 
     # -- sampling ------------------------------------------------------------------------------------------
 
-    def sample(self, lobes: Lobes, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
-        """Outgoing directions; one that leaves below the horizon is thrown away by its cosine."""
+    def sample(self, lobes: Lobes | None, wi: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+        """Outgoing directions; those below the horizon have no weight."""
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
         visible, luminance, rest = self._families(i, active)
@@ -278,16 +278,16 @@ class Evaluation:
         wo = 2.0 * cos_im * m - wi
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
 
-    def _choose(self, lobes: Lobes, sample1: Any) -> Any:
+    def _choose(self, lobes: Lobes | None, sample1: Any) -> Any:
         """A material per lane, by its share."""
-        mi, dr = self._mi, self._dr
-        if lobes.local is None:
+        mi, dr, varying = self._mi, self._dr, self._varying
+        if lobes is None or varying is None:
             i = dr.binary_search(0, self._n - 1, lambda m: dr.gather(mi.Float, self._lobe_ends, m) < sample1)
             return mi.UInt32(i)
-        target = sample1 * lobes.total
+        target = sample1 * lobes.magnitude
 
         def step(i: Any, reached: Any, chosen: Any) -> Any:
-            after = reached + dr.abs(lobes.local[i])
+            after = reached + dr.abs(varying.weight(lobes, i))
             return i + 1, after, dr.select((after > target) & (reached <= target), i, chosen)
 
         return dr.while_loop(

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.errors import UsageError
+from manifold.latent.gp_weights import GPWeights
 from manifold.mapping import Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
-from manifold.models.gp_weights import GPWeights
-from manifold.records import Array, Bands, BsdfFile
+from manifold.records import Array, Bands, BsdfFile, Indices
 from manifold.rendering.plugin import packed_tables
 from manifold.rendering.plugin.packed_tables import Tables
 
 _NO_TOLERANCE = (
-    "tolerance needs a Gram matrix of whole materials; leave it out, or embed with --kind material"
+    "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `material`"
 )
 
 SEEN_NM = (360.0, 830.0)
@@ -79,8 +79,8 @@ def fixed_mixture(
         UsageError: a material is anisotropic; the manifold is monochrome and materials are to be left out, or it is
             not and a colour is chosen.
     """
-    x = model.require_latent(latent)
-    chosen = choose_colour(model, x, colour)
+    place = model.place(latent)
+    x, chosen = place.latent, choose_colour(model, place, colour)
     combination = model.combination(x, chosen.colours)
     if combination.source is not None:
         return _of_materials(model, np.array([combination.source]), np.ones(1), 0, 0.0)
@@ -111,7 +111,7 @@ def varying_mixture(model: Manifold) -> Mixture:
     """
     if model.space.needs_colours:
         raise UsageError(
-            "textures of latents need a manifold of whole materials; give one latent, or embed with --kind blend"
+            "textures of latents need a manifold of whole materials; give one latent, or embed as kind `blend`"
         )
     n = len(model.names)
     files = _read(model, range(n))
@@ -132,7 +132,7 @@ def varying_mixture(model: Manifold) -> Mixture:
     )
 
 
-def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Array, Array, float]:
+def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indices, Array, float]:
     """The fewest materials that do for weights (N,), their new weights, and the relative error that remains.
 
     The new weights u of the kept ones minimise `(u - v)^T S (u - v)`, the squared distance of the mapped values.
@@ -140,7 +140,7 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Array,
 
     Args:
         weights: v, shape (N,).
-        S: Gram matrix of the mapped materials, shape (N, N); not looked at where the tolerance is 0.
+        S: Gram matrix of the mapped materials, shape (N, N); unused if the tolerance is 0.
         tolerance: largest error, as a share of the norm of the mapped values; 0 keeps all.
     Raises:
         UsageError: the tolerance is not from 0 to below 1.
@@ -164,13 +164,13 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Array,
         u = np.delete(u - column * u[k], k)
         inverse = np.delete(np.delete(inverse - np.outer(column, inverse[k]), k, axis=0), k, axis=1)
         kept = np.delete(kept, k)
-    fitted = np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0]
+    fitted = np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0].astype(np.float64)
     change = -weights
     change[kept] += fitted
-    return kept, fitted, float(np.sqrt(max(change @ S @ change, 0.0) / (weights @ S @ weights)))
+    return kept, fitted, float(np.sqrt(max(float(change @ S @ change), 0.0) / float(weights @ S @ weights)))
 
 
-def _of_materials(model: Manifold, kept: Array, weights: Array, left_out: int, error: float) -> Mixture:
+def _of_materials(model: Manifold, kept: Indices, weights: Array, left_out: int, error: float) -> Mixture:
     is_measured = len(kept) == 1 and weights[0] == 1.0
     files = [model.library.read(model.names[kept[0]])] if is_measured else _read(model, kept)
     order = _by_size(files)

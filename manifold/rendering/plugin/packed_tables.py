@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manifold.brdf.warp import Warp
 from manifold.errors import UsageError
-from manifold.records import Array, BsdfFile
+from manifold.records import AnyArray, Array, BsdfFile
 
 WARP_VALUES = 8
 """Values per cell of a warp: density at four corners, sums before the cell in both rows, sums of both rows.
@@ -50,13 +51,13 @@ class Tables:
         most_nodes: of a warp's axis.
     """
 
-    meta: Array
-    theta_nodes: Array
+    meta: NDArray[np.uint32]
+    theta_nodes: NDArray[np.float32]
     n_theta: int
-    warps: Array
-    marginals: Array
-    grids: Array
-    spectra: Array
+    warps: NDArray[np.float32]
+    marginals: NDArray[np.float32]
+    grids: NDArray[np.float32]
+    spectra: AnyArray
     n_bands: int
     most_nodes: int
 
@@ -131,7 +132,7 @@ class _Store:
 
     def __init__(self, packet: int, dtype: type = np.float32) -> None:
         self._packet, self._dtype, self._length = packet, dtype, 0
-        self._blocks: list[Array] = []
+        self._blocks: list[AnyArray] = []
 
     def add(self, block: Array) -> int:
         """Append; the index of its first packet."""
@@ -140,7 +141,7 @@ class _Store:
         self._length += self._blocks[-1].size // self._packet
         return start
 
-    def joined(self) -> Array:
+    def joined(self) -> AnyArray:
         """Everything, shape (packets * size,)."""
         joined = np.concatenate(self._blocks)
         self._blocks.clear()

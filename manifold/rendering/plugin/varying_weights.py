@@ -1,7 +1,12 @@
-"""Weights of the materials at latents that differ from lane to lane, on Dr.Jit."""
+"""Weights of the materials at latents that differ from lane to lane, on Dr.Jit.
+
+No array of weights crosses a loop: Dr.Jit 1.5 cannot compile `dr.alloc_local` across loops inside a virtual call. Sums
+over the materials are kept, and the weight of a material is computed where it is used.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,11 +14,19 @@ import numpy as np
 from manifold.rendering.plugin.mixture import Mixture
 
 
+@dataclass(frozen=True, eq=False)
 class Lobes:
-    """Weights per lane, or the same ones everywhere (None)."""
+    """Sums over the materials at latents, per lane.
 
-    def __init__(self, local: Any = None, total: Any = None) -> None:
-        self.local, self.total = local, total
+    Attributes:
+        latent: Q arrays.
+        sums: two arrays that `VaryingWeights.weight` needs.
+        magnitude: sum of the absolute weights.
+    """
+
+    latent: list[Any]
+    sums: tuple[Any, Any]
+    magnitude: Any
 
 
 class VaryingWeights:
@@ -26,89 +39,71 @@ class VaryingWeights:
         self._n, order = len(mixture.names), list(mixture.order)
         self._latents = [mi.Float(c.astype(np.float32)) for c in self._gp.X[order].T]
         if not self._is_blend:
-            self._inverse_K = mi.Float64(np.linalg.inv(self._gp.K)[np.ix_(order, order)].ravel())
+            inverse = np.linalg.inv(self._gp.K)[np.ix_(order, order)]
+            self._inverse_K, self._column_sums = mi.Float64(inverse.ravel()), mi.Float64(inverse.sum(axis=0))
 
     def at(self, latent: list[Any]) -> Lobes:
-        """Weights at latents, a list of Q arrays."""
-        return self._blend_weights(latent) if self._is_blend else self._posterior_weights(latent)
+        """What the weights at latents, Q arrays, have in common."""
+        return self._of_blend(latent) if self._is_blend else self._of_posterior(latent)
 
-    def _squared_distance(self, latent: list[Any], j: Any) -> Any:
-        """From latents to that of material j, in length scales."""
-        pairs = [
-            (x, self._dr.gather(self._mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)
-        ]
-        squared = self._mi.Float64(sum(self._dr.square(x - c) for x, c in pairs))
-        return squared / self._gp.kernel.length_scale**2
+    def weight(self, lobes: Lobes, j: Any) -> Any:
+        """Weight of material j."""
+        mi, dr = self._mi, self._dr
+        if self._is_blend:
+            least, total = lobes.sums
+            return mi.Float(dr.exp(least - self._cost(lobes.latent, j))) / mi.Float(total)
+        match, rest = lobes.sums
 
-    def _blend_weights(self, latent: list[Any]) -> Lobes:
-        """`models.blending.blend_weights`, in logarithms relative to the nearest material."""
+        def add(k: Any, s: Any) -> Any:
+            row = dr.gather(mi.Float64, self._inverse_K, j * self._n + k)
+            return k + 1, dr.fma(row, self._similarity(lobes.latent, k)[0], s)
+
+        w = mi.Float(self._sum(mi.Float64(0.0), add))
+        return dr.select(match < self._n, dr.select(match == j, 1.0, 0.0), w + rest)
+
+    def _sum(self, start: Any, add: Any) -> Any:
+        """The last state of a loop over the materials."""
+        n = self._n
+        return self._dr.while_loop((self._mi.UInt32(0), start), lambda j, _: j < n, add)[1]
+
+    def _of_blend(self, latent: list[Any]) -> Lobes:
+        """For `latent.blending.blend_weights`, in logarithms relative to the nearest material."""
+        mi, dr = self._mi, self._dr
+        least = self._sum(mi.Float64(1e300), lambda j, s: (j + 1, dr.minimum(s, self._cost(latent, j))))
+        total = self._sum(mi.Float64(0.0), lambda j, s: (j + 1, s + dr.exp(least - self._cost(latent, j))))
+        return Lobes(latent, (least, total), mi.Float(1.0))
+
+    def _cost(self, latent: list[Any], j: Any) -> Any:
+        squared = self._mi.Float64(self._squared_distance(latent, j)) / self._gp.kernel.length_scale**2
+        squared = self._dr.maximum(squared, 1e-12)
+        return 0.5 * squared + self._dr.log(squared)
+
+    def _of_posterior(self, latent: list[Any]) -> Lobes:
+        """For weights of the Gaussian process; a unit vector at a training latent."""
         mi, dr, n = self._mi, self._dr, self._n
 
-        def cost(j: Any) -> Any:
-            squared = dr.maximum(self._squared_distance(latent, j), 1e-12)
-            return 0.5 * squared + dr.log(squared)
+        def add(j: Any, total: Any, match: Any) -> Any:
+            k, squared = self._similarity(latent, j)
+            total = dr.fma(dr.gather(mi.Float64, self._column_sums, j), k, total)
+            return j + 1, total, dr.select((squared < 1e-12) & (match == n), j, match)
 
-        def nearest(j: Any, least: Any) -> Any:
-            return j + 1, dr.minimum(least, cost(j))
-
-        _, least = dr.while_loop((mi.UInt32(0), mi.Float64(1e300)), lambda j, least: j < n, nearest)
-
-        def fill(j: Any, w: Any, total: Any) -> Any:
-            share = dr.exp(least - cost(j))
-            w[j] = mi.Float(share)
-            return j + 1, w, total + share
-
-        weights = dr.alloc_local(mi.Float, n)
-        _, weights, total = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda j, w, t: j < n, fill
+        _, total, match = dr.while_loop(
+            (mi.UInt32(0), mi.Float64(0.0), mi.UInt32(n)), lambda j, total, match: j < n, add
         )
+        lobes = Lobes(latent, (match, mi.Float((1.0 - total) / n)), None)
+        magnitude = self._sum(mi.Float(0.0), lambda j, s: (j + 1, s + dr.abs(self.weight(lobes, j))))
+        return Lobes(latent, lobes.sums, magnitude)
 
-        def normalise(j: Any, w: Any) -> Any:
-            w[j] = w[j] / mi.Float(total)
-            return j + 1, w
+    def _similarity(self, latent: list[Any], j: Any) -> tuple[Any, Any]:
+        """Covariance with material j, and the squared distance to its latent."""
+        mi, dr, kernel = self._mi, self._dr, self._gp.kernel
+        squared = self._squared_distance(latent, j)
+        k = kernel.radial(mi.Float64(squared) / kernel.length_scale**2, dr)[0]
+        if kernel.linear:
+            pairs = zip(latent, self._latents, strict=True)
+            k += kernel.slope_of_linear * mi.Float64(sum(x * dr.gather(mi.Float, c, j) for x, c in pairs))
+        return k, squared
 
-        _, weights = dr.while_loop((mi.UInt32(0), weights), lambda j, w: j < n, normalise)
-        return Lobes(weights, mi.Float(1.0))
-
-    def _posterior_weights(self, latent: list[Any]) -> Lobes:
-        """Weights of the Gaussian process; a unit vector at a training latent."""
-        mi, dr = self._mi, self._dr
-        n, kernel = self._n, self._gp.kernel
-        inverse_l2 = 1.0 / kernel.length_scale**2
-        similarity = dr.alloc_local(mi.Float64, n)
-        weights = dr.alloc_local(mi.Float, n)
-
-        def fill(j: Any, k: Any, match: Any) -> Any:
-            pairs = [(x, dr.gather(mi.Float, c, j)) for x, c in zip(latent, self._latents, strict=True)]
-            d2 = sum(dr.square(x - c) for x, c in pairs)
-            k[j] = kernel.radial(inverse_l2 * mi.Float64(d2), dr)[0]
-            if kernel.linear:
-                k[j] += kernel.slope_of_linear * mi.Float64(sum(x * c for x, c in pairs))
-            return j + 1, k, dr.select((d2 < 1e-12) & (match == n), j, match)
-
-        _, similarity, match = dr.while_loop(
-            (mi.UInt32(0), similarity, mi.UInt32(n)), lambda j, k, m: j < n, fill, labels=("j", "k", "match")
-        )
-
-        def solve(i: Any, w: Any, total: Any) -> Any:
-            def add(j: Any, s: Any) -> Any:
-                return j + 1, dr.fma(dr.gather(mi.Float64, self._inverse_K, i * n + j), similarity[j], s)
-
-            _, s = dr.while_loop((mi.UInt32(0), mi.Float64(0.0)), lambda j, s: j < n, add)
-            w[i] = mi.Float(s)
-            return i + 1, w, total + s
-
-        _, weights, total = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float64(0.0)), lambda i, w, t: i < n, solve
-        )
-        rest = mi.Float((1.0 - total) / n)
-
-        def finish(i: Any, w: Any, magnitude: Any) -> Any:
-            v = dr.select(match < n, dr.select(match == i, 1.0, 0.0), w[i] + rest)
-            w[i] = v
-            return i + 1, w, magnitude + dr.abs(v)
-
-        _, weights, magnitude = dr.while_loop(
-            (mi.UInt32(0), weights, mi.Float(0.0)), lambda i, w, m: i < n, finish
-        )
-        return Lobes(weights, magnitude)
+    def _squared_distance(self, latent: list[Any], j: Any) -> Any:
+        dr, pairs = self._dr, zip(latent, self._latents, strict=True)
+        return sum(dr.square(x - dr.gather(self._mi.Float, c, j)) for x, c in pairs)

@@ -1,0 +1,138 @@
+"""BRDFs made of other BRDFs: weighted mixtures, and one layer over another."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from manifold.brdf.analytic.base import AnalyticBRDF, choose_lobe
+from manifold.brdf.measured import BRDF
+from manifold.directions import hemisphere_quadrature
+from manifold.errors import UsageError
+from manifold.records import Array
+
+
+class _Compound(AnalyticBRDF):
+    """Sampled by choosing one of several BRDFs."""
+
+    @property
+    @abstractmethod
+    def _parts(self) -> Sequence[BRDF]: ...
+
+    @property
+    @abstractmethod
+    def _lobes(self) -> Array:
+        """Probability of each part."""
+
+    @property
+    def is_isotropic(self) -> bool:
+        return all(brdf.is_isotropic for brdf in self._parts)
+
+    def _sample(self, wi: Array, u: Array) -> Array:
+        lobe, u = choose_lobe(self._lobes, u)
+        wo = np.empty_like(wi)
+        for i, brdf in enumerate(self._parts):
+            wo[lobe == i] = brdf.sample(wi[lobe == i], u[lobe == i])[0]
+        return wo
+
+    def _pdf(self, wi: Array, wo: Array) -> Array:
+        densities = [p * brdf.pdf(wi, wo) for p, brdf in zip(self._lobes, self._parts, strict=True)]
+        return np.asarray(np.sum(densities, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class MixedBRDF(_Compound):
+    """A weighted sum of BRDFs with the same bands, such as flakes of several kinds side by side.
+
+    Attributes:
+        components: pairs (weight, BRDF), weights at least 0 with a sum above 0 and at most 1.
+    Raises:
+        UsageError: there are no components, or the weights are not as said.
+        BandMismatchError: the components have different bands.
+    """
+
+    components: Sequence[tuple[float, BRDF]]
+
+    def __post_init__(self) -> None:
+        parts = tuple((float(w), brdf) for w, brdf in self.components)
+        weights = [w for w, _ in parts]
+        # 1e-9: thirds and tenths do not sum to 1 in binary
+        if not parts or not all(0.0 <= w <= 1.0 for w in weights) or not 0.0 < sum(weights) <= 1.0 + 1e-9:
+            raise UsageError(f"mixture weights are {weights}, expected numbers >= 0 with a sum in (0, 1]")
+        for i, (_, brdf) in enumerate(parts):
+            parts[0][1].bands.require_same(
+                brdf.bands, f"component {i} of the mixture", "resample one of them"
+            )
+        object.__setattr__(self, "components", parts)
+        object.__setattr__(self, "bands", parts[0][1].bands)
+
+    @property
+    def _parts(self) -> Sequence[BRDF]:
+        return [brdf for _, brdf in self.components]
+
+    @cached_property
+    def _lobes(self) -> Array:
+        weights = np.array([w for w, _ in self.components])
+        return np.asarray(weights / weights.sum())
+
+    def _eval(self, wi: Array, wo: Array) -> Array:
+        f = np.zeros((wi.shape[0], self.bands.count))
+        for weight, brdf in self.components:
+            f += weight * brdf.eval(wi, wo)
+        return f
+
+    def _albedo(self, wi: Array) -> Array:
+        albedo = np.zeros((wi.shape[0], self.bands.count))
+        for weight, brdf in self.components:
+            albedo += weight * brdf.albedo(wi)
+        return albedo
+
+
+@dataclass(frozen=True, eq=False)
+class Layered(_Compound):
+    """One BRDF over another: a coat over metallic paint, sheen over felt.
+
+    f = f_top + (1 - E(wi)) (1 - E(wo)) f_base, E being the albedo of the top: what the top does not reflect
+    reaches the base, undeflected, and leaves likewise. Reciprocal, and reflects at most what arrives if both
+    layers do; light that would go back and forth between them is lost (`Plastic` loses none).
+
+    Attributes:
+        top, base: BRDFs with the same bands.
+    Raises:
+        BandMismatchError: they have different bands.
+    Source: the albedo scaling of Kulla & Conty 2017, made symmetric.
+    """
+
+    top: BRDF
+    base: BRDF
+
+    def __post_init__(self) -> None:
+        self.top.bands.require_same(self.base.bands, "base of the layers", "resample one of them")
+        object.__setattr__(self, "bands", self.top.bands)
+
+    @property
+    def _parts(self) -> Sequence[BRDF]:
+        return self.top, self.base
+
+    @cached_property
+    def _lobes(self) -> Array:
+        nodes, weights = hemisphere_quadrature(6, 8)
+        top, base = (
+            float((weights * nodes[:, 2]) @ brdf.albedo(nodes).mean(axis=-1)) / np.pi for brdf in self._parts
+        )
+        passed = base * (1.0 - top) ** 2
+        p = min(max(top / max(top + passed, 1e-9), 0.1), 0.9)
+        return np.array([p, 1.0 - p])
+
+    def _passed(self, w: Array) -> Array:
+        return np.maximum(1.0 - self.top.albedo(w), 0.0)
+
+    def _eval(self, wi: Array, wo: Array) -> Array:
+        f = self._passed(wi) * self._passed(wo)
+        f *= self.base.eval(wi, wo)
+        f += self.top.eval(wi, wo)
+        return f

@@ -1,0 +1,54 @@
+"""Pictures of BRDFs in notebooks: a ball in the light of the studio, by quadrature."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from manifold.colour import ball_colours
+from manifold.colour.conversion import encode_srgb, xyz_to_srgb
+
+if TYPE_CHECKING:
+    from manifold.brdf.measured import BRDF, EvaluableBRDF
+    from manifold.records import Array, Mask
+
+_PIXELS, _RINGS, _SPOKES = 64, 24, 16
+_BLOCK = 128  # pixels evaluated at once: 40,000 direction pairs
+
+
+class NotebookPicture:
+    """A BRDF that notebooks show as a lit ball."""
+
+    def _repr_png_(self: BRDF) -> bytes:
+        return ball_png(self)
+
+
+def ball_png(brdf: BRDF) -> bytes:
+    """A ball of a BRDF as a PNG file of 64 x 64 pixels, transparent around the ball."""
+    from PIL import Image
+
+    shown, inside = ball_image(brdf, _PIXELS)
+    image = np.rint(255.0 * np.dstack([shown, inside])).astype(np.uint8)
+    memory = io.BytesIO()
+    Image.fromarray(image).save(memory, "PNG")
+    return memory.getvalue()
+
+
+def ball_image(brdf: EvaluableBRDF, size: int) -> tuple[Array, Mask]:
+    """A ball of a BRDF: display values (size, size, 3), and which pixels show it."""
+    ball = ball_colours.ball(size, _RINGS, _SPOKES)
+    ends = np.append(ball.starts, len(ball.wi))
+    image, inside = np.zeros((size, size, 3)), np.zeros((size, size), bool)
+    column, row = ((0.5 + 0.5 * ball.places * [1.0, -1.0]) * size).astype(int).T
+    for first in range(0, len(column), _BLOCK):
+        pixels = slice(first, first + _BLOCK)
+        pairs = slice(ends[first], ends[min(first + _BLOCK, len(column))])
+        part = ball_colours.Ball(
+            ball.wi[pairs], ball.wo[pairs], ball.light[pairs], ball.starts[pixels] - ends[first], ball.places[pixels]
+        )  # fmt: skip
+        linear = xyz_to_srgb(part.xyz(brdf.eval(part.wi, part.wo), brdf.bands))
+        image[row[pixels], column[pixels]] = encode_srgb(linear)
+    inside[row, column] = True
+    return image, inside

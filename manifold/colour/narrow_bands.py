@@ -1,0 +1,111 @@
+"""Spectra estimated from three narrow bands, blue, green and red, as camera-like instruments measure them.
+
+Such bands are neither linear sRGB nor a spectrum to interpolate: what lies between them is known from measured
+reflectances. In cube roots, relative to the mean of the three bands, deviations from a flat spectrum are estimated as
+linear in those of the bands. The estimate is proportional to what was measured, and a neutral colour stays neutral.
+
+Source: Wiener estimation; Haneishi et al. 2000, "System design for accurately estimating the spectral reflectance of
+art paintings".
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from manifold.colour.conversion import interpolation_matrix, to_xyz
+from manifold.colour.difference import delta_e_2000
+from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.formats.readings import Readings
+from manifold.records import Array, Bands
+
+SPECTRUM = Bands(tuple(np.arange(400.0, 701.0, 10.0).tolist()))
+"""The bands that are estimated."""
+_RANGES_NM = ((400.0, 500.0), (480.0, 580.0), (580.0, 700.0))
+_NOISE = 0.02  # standard deviation of the noise of cube roots, relative to their mean
+
+
+def is_narrow(bands: Bands) -> bool:
+    """Whether these are three bands in the blue, the green and the red."""
+    nm = bands.wavelengths_nm
+    return (
+        nm is not None
+        and len(nm) == len(_RANGES_NM)
+        and all(low <= at <= high for at, (low, high) in zip(nm, _RANGES_NM, strict=True))
+    )
+
+
+def estimate_spectra(values: Array, bands: Bands) -> Array:
+    """Values in `SPECTRUM`, shape (..., 31), never negative, of values in three narrow bands, shape (..., 3)."""
+    return _estimated(np.asarray(values, dtype=np.float64), _matrix(bands))
+
+
+def with_spectra(readings: Readings) -> Readings:
+    """Readings in three narrow bands as spectra, with a note of the expected error of their colours; others as is."""
+    if not is_narrow(readings.bands):
+        return readings
+    values = np.full((len(readings), SPECTRUM.count), np.nan)
+    whole = readings.measured.all(axis=1)
+    values[whole] = estimate_spectra(readings.values[whole], readings.bands)
+    median, most = colour_errors(readings.bands)
+    nm = ", ".join(f"{at:g}" for at in readings.bands.wavelengths_nm or ())
+    note = (
+        f"spectra are estimated from three bands at {nm} nm: expected colour error {median:.1f} CIEDE2000, above "
+        f"{most:.1f} for one colour in ten; a colour correction of this instrument (`manifold calibrate`) has less"
+    )
+    estimated = replace(
+        readings, wavelengths_nm=np.array(SPECTRUM.wavelengths_nm), values=values, colour_error=median
+    )
+    return estimated.with_note(note)
+
+
+@lru_cache(maxsize=8)
+def colour_errors(bands: Bands) -> tuple[float, float]:
+    """Median and 90th percentile of the CIEDE2000 (D65) of measured reflectances, estimated from all others.
+
+    Reflectances of one name, such as the patches of several ColorCheckers, are left out together.
+    """
+    names, spectra = _reflectances()
+    read = _at(spectra, bands)
+    estimates = np.empty_like(spectra)
+    for name in set(names):
+        own = np.array([other == name for other in names])
+        estimates[own] = _estimated(read[own], _learned(spectra[~own], read[~own]))
+    white = to_xyz(np.ones(SPECTRUM.count), SPECTRUM)
+    errors = delta_e_2000(to_xyz(estimates, SPECTRUM), to_xyz(spectra, SPECTRUM), white)
+    return float(np.median(errors)), float(np.percentile(errors, 90))
+
+
+def _estimated(values: Array, matrix: Array) -> Array:
+    roots = np.cbrt(np.maximum(values, 0.0))
+    level = roots.mean(axis=-1, keepdims=True)
+    return np.asarray(np.maximum(level + (roots - level) @ matrix, 0.0) ** 3)
+
+
+@lru_cache(maxsize=8)
+def _matrix(bands: Bands) -> Array:
+    spectra = _reflectances()[1]
+    return _learned(spectra, _at(spectra, bands))
+
+
+def _learned(spectra: Array, read: Array) -> Array:
+    """The matrix (3, 31) from deviations of three bands to those of spectra, from n examples (n, 31) and (n, 3)."""
+    roots = np.cbrt(read)
+    level = roots.mean(axis=1, keepdims=True)
+    of_bands, of_spectra = roots / level - 1.0, np.cbrt(spectra) / level - 1.0
+    covariance = of_bands.T @ of_bands / len(read) + _NOISE**2 * np.eye(read.shape[1])
+    return np.asarray(np.linalg.solve(covariance, of_bands.T @ of_spectra / len(read)))
+
+
+def _at(spectra: Array, bands: Bands) -> Array:
+    return spectra @ interpolation_matrix(np.array(SPECTRUM.wavelengths_nm), np.array(bands.wavelengths_nm)).T
+
+
+@lru_cache(maxsize=1)
+def _reflectances() -> tuple[list[str], Array]:
+    """Names, without their sets, and spectra (n, 31) of all measured reflectances."""
+    names = diffuse_reflectance_names()
+    spectra = [diffuse_reflectance(name, np.array(SPECTRUM.wavelengths_nm)) for name in names]
+    return [name.partition("/")[2].lower() for name in names], np.array(spectra)

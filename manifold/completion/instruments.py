@@ -1,0 +1,152 @@
+"""Readings of two instruments put together: a goniometer, its colours corrected to a spectrophotometer.
+
+A colour correction is learned at the directions that both instruments read, and applied to all readings of the
+goniometer. For these directions its values are interpolated in half and difference angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import QhullError
+
+from manifold.colour.correction import ColourCorrection, learn_correction
+from manifold.directions import to_rusinkiewicz
+from manifold.errors import BandMismatchError, UsageError
+from manifold.formats.readings import Readings
+from manifold.records import Array
+
+_CAMERA_BANDS = 3
+_MOST_READINGS = 2000  # of a goniometer
+_TWO_SAMPLES = (
+    0.2  # error of a correction; in the corpus always less for one sample, and more for 4 in 5 pairs of two
+)
+_SIMPLEX = 4  # points needed to interpolate in three coordinates
+
+
+def learn_across(pairs: Sequence[tuple[Readings, Readings]]) -> ColourCorrection:
+    """The correction of an instrument by another, from samples that both read.
+
+    Args:
+        pairs: of every sample the reference's readings and the other's, all in the same bands.
+    Raises:
+        BandMismatchError: bands differ between samples, or the other instrument has not three.
+        UsageError: too few directions are shared.
+    """
+    for pair in pairs[1:]:
+        for one, first in zip(pair, pairs[0], strict=True):
+            first.bands.require_same(
+                one.bands, one.name, "calibrate from readings of the same two instruments"
+            )
+    values = [_shared_values(*pair) for pair in pairs]
+    groups = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in values])
+    return learn_correction(
+        np.vstack([x for x, _ in values]), np.vstack([y for _, y in values]), pairs[0][1].bands, pairs[0][0].bands,
+        groups=groups if len(pairs) > 1 else None,
+    )  # fmt: skip
+
+
+def correct_colours(readings: Readings, correction: ColourCorrection) -> Readings:
+    """Readings in the bands of the reference that a correction was learned from.
+
+    Raises:
+        BandMismatchError: they have other bands than those that are corrected.
+    """
+    correction.source.require_same(
+        readings.bands, readings.name, "the colour correction was learned from another instrument's"
+    )
+    nm = correction.reference.wavelengths_nm
+    known = readings.measured.all(axis=1)
+    values = np.full((len(readings), correction.reference.count), np.nan)
+    values[known] = correction.apply(readings.values[known])
+    beyond = 100.0 * float(np.mean(correction.is_beyond(readings.values[known]))) if known.any() else 0.0
+    note = f"colours corrected: {correction.form}"
+    if beyond > 0.0:
+        note += f"; {beyond:.0f} % of the readings are brighter than those it was learned from: corrected in proportion"
+    nm_array = None if nm is None else np.array(nm)
+    return replace(readings, wavelengths_nm=nm_array, values=values).with_note(note)
+
+
+def merge(reference: Readings, other: Readings) -> tuple[Readings, ColourCorrection | None]:
+    """Readings of one sample by two instruments, in the bands of the first.
+
+    Args:
+        reference: of a spectrophotometer, to whose colours the other is corrected.
+        other: a goniometer's, in the same bands, or in three.
+    Returns:
+        The readings, and the correction that was learned; None where the bands are the same.
+    Raises:
+        BandMismatchError: the other has other bands, and not three.
+        UsageError: too few directions are shared.
+    """
+    if reference.bands == other.bands:
+        return _joined(reference, other), None
+    x, y = _shared_values(reference, other)
+    correction = learn_correction(x, y, other.bands, reference.bands)
+    error = correction.errors[correction.form]
+    note = f"{other.instrument} corrected by {reference.instrument} at {len(x)} directions that both read"
+    if np.isfinite(error):
+        note += f", with a leave-one-out error of {100.0 * error:.0f} %"
+    if error > _TWO_SAMPLES:
+        note += f": do both files read one sample, {reference.name} and {other.name}?"
+    step = -(-len(other) // _MOST_READINGS)
+    some = other.select_pairs(np.arange(0, len(other), step))
+    return _joined(reference, correct_colours(some, correction)).with_note(note), correction
+
+
+def _shared_values(reference: Readings, other: Readings) -> tuple[Array, Array]:
+    """Values of another instrument (S, 3) and of the reference (S, B) where both read a sample.
+
+    Raises:
+        BandMismatchError: the other instrument has not three bands.
+    """
+    if other.bands.count != _CAMERA_BANDS:
+        raise BandMismatchError(
+            f"{other.name}: {other.bands}, expected three bands, to be corrected by the {reference.bands} of "
+            f"{reference.name}; give the spectrophotometer's file first"
+        )
+    at_reference = _interpolated(other, reference.wi, reference.wo)
+    is_shared = np.isfinite(at_reference).all(axis=1) & reference.measured.all(axis=1)
+    return at_reference[is_shared], reference.values[is_shared]
+
+
+def _interpolated(readings: Readings, wi: Array, wo: Array) -> Array:
+    """Values of an isotropic sample interpolated at direction pairs (P, 3): (P, B), NaN outside its readings' hull."""
+    known = readings.measured.all(axis=1)
+    at, roots = _coordinates(readings.wi[known], readings.wo[known]), np.cbrt(readings.values[known])
+    _, first = np.unique(at.round(4), axis=0, return_index=True)
+    if len(first) < _SIMPLEX:
+        return np.full((len(wi), readings.bands.count), np.nan)
+    try:
+        interpolator = LinearNDInterpolator(at[first], roots[first])
+    except QhullError as error:  # points in a plane
+        raise UsageError(
+            f"{readings.name}: its directions lie in one plane, expected several incidences to interpolate between"
+        ) from error
+    return np.asarray(interpolator(_coordinates(wi, wo))) ** 3
+
+
+def _coordinates(wi: Array, wo: Array) -> Array:
+    """Half and difference angles of an isotropic, reciprocal BRDF: `sqrt(theta_h)`, theta_d by phi_d; (P, 3)."""
+    theta_h, theta_d, phi_d, _ = to_rusinkiewicz(wi, wo)
+    folded = np.abs(np.mod(phi_d + 0.5 * np.pi, np.pi) - 0.5 * np.pi)  # [0, pi / 2]
+    return np.column_stack([np.sqrt(theta_h), theta_d * np.cos(folded), theta_d * np.sin(folded)])
+
+
+def _joined(reference: Readings, other: Readings) -> Readings:
+    """The readings of both, weighted so that those of the reference count at least as much as the other's together."""
+    share = max(len(other) / len(reference), 1.0)
+    return replace(
+        reference,
+        instrument=f"{reference.instrument} + {other.instrument}",
+        wi=np.vstack([reference.wi, other.wi]),
+        wo=np.vstack([reference.wo, other.wo]),
+        values=np.vstack([reference.values, other.values]),
+        weights=np.concatenate([reference.weights, other.weights / share]),
+        scatter=np.concatenate([reference.scatter, other.scatter]),
+        notes=tuple(dict.fromkeys((*reference.notes, *other.notes))),
+        gloss={**other.gloss, **reference.gloss},
+    )

@@ -1,0 +1,127 @@
+"""Interpolation of the residual at readings to nearby directions, by a Gaussian process.
+
+Non-negative weights reach only what lies between atoms: with many readings a residual is left on which neighbouring
+readings agree. It is applied as a factor of the cube roots, so that they stay non-negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from manifold.brdf.measured import BRDF
+from manifold.brdf.wrapped import WrappedBRDF
+from manifold.directions import half_vector
+from manifold.records import Array, Indices
+
+NOISE = 0.3
+"""Variance of the noise of a reading, as a share of the variance of the residual."""
+
+_LENGTHS = np.array([0.12, 0.3, 0.3])  # correlation lengths of the three coordinates
+_DARK = 0.1  # of the mean cube root over readings: residuals of darker ones are relative to this
+_MOST = 0.5  # relative: larger residuals come from a wrong mixture, and say nothing of nearby directions
+_CELL = 0.5  # in lengths: readings in one cell are averaged
+_MOST_CELLS = 256
+_BLOCK = 4096  # direction pairs at a time
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualFactors:
+    """Factors of cube roots at any direction pair.
+
+    Attributes:
+        centres: coordinates of C readings, or of averages of some, shape (C, 3).
+        strength: of each in every band, shape (B, C).
+    """
+
+    centres: Array
+    strength: Array
+
+    def at(self, where: Array) -> Array:
+        """Factors, from 1/2 to 2, at coordinates (M, 3); shape (B, M)."""
+        change = np.empty((len(self.strength), len(where)))
+        for start in range(0, len(where), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            change[:, rows] = self.strength @ covariance(self.centres, where[rows])
+        return np.clip(1.0 + change, 0.5, 2.0)
+
+
+class AdjustedBRDF(WrappedBRDF):
+    """A BRDF whose cube roots are multiplied by factors, direction by direction, and sampled without them."""
+
+    _albedo_nodes: ClassVar[int] = 48  # as of predictions
+
+    def __init__(self, brdf: BRDF, factors: ResidualFactors):
+        """Wrap a BRDF; the factors are in its bands."""
+        super().__init__(brdf)
+        self._factors = factors
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """BRDF f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        f = self._brdf.eval(wi, wo)
+        wi, wo = np.broadcast_arrays(np.asarray(wi, np.float64), np.asarray(wo, np.float64))
+        factors = self._factors.at(coordinates(wi.reshape(-1, 3), wo.reshape(-1, 3)))
+        return np.asarray(f * factors.T.reshape(f.shape) ** 3)
+
+
+def coordinates(wi: Array, wo: Array) -> Array:
+    """Coordinates of direction pairs (P, 3) in units of the correlation length, shape (P, 3).
+
+    Square root of the half vector's elevation, difference angle, and difference of the directions' cosines: pairs at
+    which isotropic, reciprocal, bilaterally symmetric materials have the same value have the same coordinates.
+    """
+    half = half_vector(wi, wo)
+    elevation, difference = (
+        np.arccos(np.clip(c, -1.0, 1.0)) for c in (half[..., 2], np.sum(wi * half, axis=-1))
+    )
+    lower = np.abs(wi[..., 2] - wo[..., 2])
+    return np.asarray(np.stack([np.sqrt(elevation), difference, lower], axis=-1) / _LENGTHS)
+
+
+def residual_factors(measured: Array, predicted: Array, where: Array, weights: Array) -> ResidualFactors:
+    """Factors by which the cube roots near readings differ from their prediction.
+
+    Args:
+        measured: cube roots read, NaN where not measured, shape (B, P).
+        predicted: cube roots predicted there, shape (B, P).
+        where: coordinates of the readings, shape (P, 3).
+        weights: of the readings, shape (P,).
+    Source: Rasmussen & Williams 2006, eq. 2.25; the kernel is squared exponential.
+    """
+    cell = cells(where)
+    count = int(cell.max()) + 1
+    residual = (measured - predicted) / np.maximum(predicted, _DARK * predicted.mean(axis=1, keepdims=True))
+    residual = np.clip(residual, -_MOST, _MOST)  # 0 / 0 is NaN, which is left out: no factor changes black
+    is_known = np.isfinite(residual) & (weights > 0.0)
+    totals, sums = (
+        np.array([np.bincount(cell, row, count) for row in rows])
+        for rows in (is_known * weights, np.where(is_known, residual, 0.0) * weights)
+    )
+    shares = weights + np.finfo(float).tiny
+    centres = np.array([np.bincount(cell, shares * axis, count) for axis in where.T]).T
+    centres /= np.bincount(cell, shares, count)[:, None]
+    of_centres = covariance(centres, centres)
+    strength = np.zeros((len(measured), count))
+    for mask in np.unique(totals, axis=0):
+        used, rows = np.flatnonzero(mask > 0.0), np.flatnonzero((totals == mask).all(axis=1))
+        K = of_centres[np.ix_(used, used)] + np.diag(NOISE / mask[used])
+        strength[np.ix_(rows, used)] = np.linalg.solve(K, (sums[np.ix_(rows, used)] / mask[used]).T).T
+    return ResidualFactors(centres, strength)
+
+
+def covariance(a: Array, b: Array) -> Array:
+    """Covariance of the residuals at coordinates (C, 3) and (M, 3), of variance 1; shape (C, M)."""
+    square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
+    return np.asarray(np.exp(-0.5 * np.maximum(square, 0.0)))
+
+
+def cells(where: Array) -> Indices:
+    """Cell of each of the coordinates (P, 3), shape (P,): half a length wide, wider where there were more than 256."""
+    width = _CELL
+    while True:
+        _, cell = np.unique(np.floor(where / width), axis=0, return_inverse=True)
+        if cell.max() < _MOST_CELLS:
+            return np.asarray(cell).ravel()
+        width *= 2.0

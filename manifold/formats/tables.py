@@ -1,0 +1,415 @@
+"""Tables of readings: cells of workbooks and CSV files, the columns that a header names, and the readings below it.
+
+Two layouts are read: a row per pair of directions (columns theta_i, phi_i, theta_o, phi_o), as goniometers have it; and
+a row per geometry (a column of names such as 45as15), as multi-angle spectrophotometers have it. Bands are columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from manifold.formats import column_heads
+from manifold.formats.angles import directions, exceed_radians
+from manifold.formats.column_heads import Quantity, angle_name, gloss_angle, wavelength
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.geometry_names import (
+    directions_of,
+    is_geometry,
+    parse_aspecular,
+    parse_geometry,
+    resolve,
+)
+from manifold.formats.readings import Readings, gloss_fault, mean_of_repeats
+from manifold.formats.text import number, plain_float
+from manifold.formats.values import TAKEN_AS_FACTORS, TAKEN_AS_PERCENT, as_brdf, bands_of, looks_like_percent
+from manifold.records import Array
+
+Cell = str | float | int | None
+HEADERS = "'Name, Geometry, 400, 410' or 'theta_i (deg), phi_i (deg), theta_o (deg), phi_o (deg), 465nm'"
+"""The headers of tables that are read, for errors."""
+
+_HEADER_ROWS = 60  # a header stands at the top, below titles
+_NO_VALUE = ("", "-", "n/a", "---")  # in lower case: nothing was measured
+_BLACK_LAB = {"src_z", "src_a", "view_z", "view_a"}  # a program's heads; its values are reflectance factors
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells.
+
+    Attributes:
+        rows: the cells.
+        sheet: title of the workbook's sheet; its rows end at their last cell that is not empty. None for CSV files.
+    """
+
+    rows: Sequence[Sequence[Cell]]
+    sheet: str | None = None
+
+    def where(self, row: int, column: int | None = None) -> str:
+        """A row and column, counted from 0, in words for errors."""
+        sheet = f"sheet '{self.sheet}', " if self.sheet is not None else ""
+        return f"{sheet}row {row + 1}" + ("" if column is None else f", column {column + 1}")
+
+    def text(self, row: int, column: int) -> str:
+        """What a cell says; rows may end before it."""
+        cells = self.rows[row]
+        return text_of(cells[column]) if column < len(cells) else ""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A header's columns.
+
+    Attributes:
+        row: where it stands.
+        heads: all its cells.
+        angles: columns by what `angle_name` calls them, in a table of directions.
+        geometry: the column of geometries' names, or None in a table of directions.
+        bands: columns of values.
+        name: the column of samples' names, if there is one.
+        gloss: columns of gloss, with its angle in degrees.
+    """
+
+    row: int
+    heads: list[str]
+    angles: dict[str, int]
+    geometry: int | None
+    bands: list[int]
+    name: int | None
+    gloss: dict[int, float]
+
+    @property
+    def band_heads(self) -> list[str]:
+        """Heads of the columns of values."""
+        return [self.heads[column] for column in self.bands]
+
+    @property
+    def key(self) -> list[int]:
+        """The columns that say where a row was measured."""
+        return [self.geometry] if self.geometry is not None else list(self.angles.values())
+
+
+@dataclass
+class _Sample:
+    """Rows of one sample: where they stand, their geometries or angles, values, and gloss by angle."""
+
+    rows: list[int] = field(default_factory=list)
+    keys: list[list[str]] = field(default_factory=list)
+    values: list[list[float]] = field(default_factory=list)
+    gloss: dict[float, list[float]] = field(default_factory=dict)
+
+
+def text_of(cell: Cell) -> str:
+    """What a cell says, without blanks around it."""
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return str(int(cell)) if cell.is_integer() and abs(cell) < 1e6 else repr(cell)
+    return str(cell).strip()
+
+
+def names_directions(heads: Sequence[str]) -> bool:
+    """Whether cells are the header of a table of directions: both elevations are named."""
+    return {"theta_i", "theta_o"} <= {angle_name(head) for head in heads}
+
+
+def resembles_header(heads: Sequence[str]) -> bool:
+    """Whether cells look like the header of a table of readings, complete or not."""
+    return (
+        any(column_heads.plain_head(head).startswith("geometr") for head in heads)
+        or sum(angle_name(head) is not None for head in heads) >= 2
+        or sum(wavelength(head) is not None for head in heads) >= 3
+    )
+
+
+def find_columns(table: Table, context: ErrorContext) -> Columns | None:
+    """The columns of the first row that is a header, or None where there is none.
+
+    Raises:
+        FileFormatError: the header names a column twice, or one that is not understood stands among its values.
+    """
+    for index, row in enumerate(table.rows[:_HEADER_ROWS]):
+        heads = [text_of(cell) for cell in row]
+        if names_directions(heads):
+            return _direction_columns(table, index, heads, context)
+        geometry = _geometry_column(table, index, heads)
+        if geometry is not None and any(wavelength(head) for k, head in enumerate(heads) if k != geometry):
+            return _geometry_columns(table, index, heads, geometry, context)
+    return None
+
+
+def _direction_columns(table: Table, index: int, heads: list[str], context: ErrorContext) -> Columns:
+    where = table.where(index)
+    named = [angle_name(head) for head in heads]
+    angles = {key: k for k, key in enumerate(named) if key is not None}
+    twice = next((key for key in angles if named.count(key) > 1), None)
+    if twice is not None:
+        raise context.error(f"{twice} appears twice, expected each angle once", where)
+    free = [k for k, head in enumerate(heads) if k not in angles.values() and head]
+    name = column_heads.name_column([heads[k] if k in free else "" for k in range(len(heads))])
+    gloss = {k: a for k in free if (a := gloss_angle(heads[k])) is not None}
+    bands = [k for k in free if k != name and k not in gloss]
+    said = [column_heads.value_head(heads[k]) for k in bands]
+    unknown = [heads[k] for k, head in zip(bands, said, strict=True) if head is None]
+    is_one_kind = (
+        len(bands) == 1 or all(column_heads.channel(heads[k]) for k in bands) or all(h and h.nm for h in said)
+    )
+    if not bands or unknown or not is_one_kind:
+        raise context.error(
+            f"columns {', '.join(unknown or [head for head in heads if head])[:80]}: expected values beside the "
+            "directions, with heads such as 465nm, R, G, B, or BRDF, a row per pair of directions",
+            where,
+        )
+    return Columns(index, heads, angles, None, bands, name, gloss)
+
+
+def _geometry_columns(
+    table: Table, index: int, heads: list[str], geometry: int, context: ErrorContext
+) -> Columns:
+    bands = [k for k, head in enumerate(heads) if k != geometry and wavelength(head) is not None]
+    gloss = {
+        k: angle for k, head in enumerate(heads) if k != geometry and (angle := gloss_angle(head)) is not None
+    }
+    for k in range(min(bands), len(heads)):
+        is_lost = k < max(bands) and k != geometry and k not in gloss
+        if k not in bands and heads[k] and (is_lost or number(heads[k]) is not None):
+            raise context.error(
+                f"found '{heads[k][:24]}' among wavelengths, expected nm", table.where(index, k)
+            )
+    nm = [wavelength(heads[k]) for k in bands]
+    if len(set(nm)) < len(nm):
+        raise context.error("two columns of the same wavelength, expected different ones", table.where(index))
+    name = column_heads.name_column(["" if k in (geometry, *bands) else head for k, head in enumerate(heads)])
+    return Columns(index, heads, {}, geometry, bands, name, gloss)
+
+
+def _geometry_column(table: Table, index: int, heads: list[str]) -> int | None:
+    """The column that is called so, or holds nothing but names of geometries in the next rows."""
+    for k, head in enumerate(heads):
+        if is_geometry(head):
+            continue  # a row of readings
+        word = column_heads.plain_head(head)
+        below = [
+            text for row in range(index + 1, min(index + 4, len(table.rows))) if (text := table.text(row, k))
+        ]
+        is_angle = word in ("angle", "angles", "aspecular", "aspecular angle")
+        if word.startswith("geometr") or (below and all(map(is_geometry, below))):
+            return k
+        if is_angle and below and all(is_geometry(t) or parse_aspecular(t) is not None for t in below):
+            return k
+    return None
+
+
+def read_table(
+    table: Table, columns: Columns, context: ErrorContext, name: str, instrument: str
+) -> list[Readings]:
+    """Readings of every sample below a header, in the table's order.
+
+    Args:
+        table: texts that are numbers count as numbers.
+        columns: of the table, by `find_columns`.
+        context: names the file in errors.
+        name: of the sample where the table has no column of names.
+        instrument: for the record.
+    Raises:
+        FileFormatError: a cell is not what its column holds, or there are no readings.
+    """
+    _require_nothing_above(table, columns, context)
+    notes: list[str] = []
+    is_percent = column_heads.is_percent(columns.band_heads)
+    samples: dict[str, _Sample] = {}
+    angles = {} if columns.geometry is None else resolve(_geometries(table, columns), context, notes)
+    last = name
+    for index in range(columns.row + 1, len(table.rows)):
+        keys = [table.text(index, column) for column in columns.key]
+        if keys == [columns.heads[column] for column in columns.key]:
+            continue  # the header again
+        if not any(keys) or (columns.geometry is not None and keys[0] not in angles):
+            _require_footnote(table, index, keys, columns, context)
+            continue
+        last = (table.text(index, columns.name) if columns.name is not None else "") or last
+        sample = samples.setdefault(last, _Sample())
+        sample.rows.append(index)
+        sample.keys.append(keys)
+        sample.values.append([_value(table, index, k, columns, context) for k in columns.bands])
+        is_percent |= any(isinstance(cell, str) and cell.endswith("%") for cell in table.rows[index])
+        for column, angle in columns.gloss.items():
+            units = number(table.text(index, column))  # None where empty, or a word such as `matt`
+            if units is not None and (fault := gloss_fault(angle, units)) is not None:
+                raise context.error(fault, table.where(index, column))
+            if units is not None:
+                sample.gloss.setdefault(angle, []).append(units)
+    if not samples:
+        raise context.error(
+            "a header but no rows of readings, expected one per geometry", table.where(columns.row)
+        )
+    if columns.geometry is None:
+        unit = _is_degrees(table, columns, samples, context)
+        pairs = {key: _angle_pairs(table, s, columns, unit, context) for key, s in samples.items()}
+    else:
+        pairs = {key: _geometry_pairs(table, s, angles, columns, context) for key, s in samples.items()}
+    kind = column_heads.quantity(columns.band_heads)
+    if is_percent or (columns.geometry is None and set(columns.heads) >= _BLACK_LAB):
+        kind = "factor"
+    white = 100.0 if is_percent else 1.0
+    if kind is None and columns.geometry is not None:
+        kind = "factor"
+        raw = [(wi, wo, np.array(samples[key].values)) for key, (_, wi, wo, _) in pairs.items()]
+        white = 100.0 if any(looks_like_percent(*one) for one in raw) else 1.0
+        notes.append(TAKEN_AS_FACTORS if white == 1.0 else TAKEN_AS_PERCENT)
+    elif kind is None:
+        notes.append("no unit given: taken as BRDF in 1/sr")
+    return [
+        _readings(key, instrument, sample, pairs[key], columns, kind or "f", white, notes, context)
+        for key, sample in samples.items()
+    ]
+
+
+def _geometries(table: Table, columns: Columns) -> Iterator[str]:
+    column = columns.key[0]
+    return (text for row in range(columns.row + 1, len(table.rows)) if (text := table.text(row, column)))
+
+
+def _require_nothing_above(table: Table, columns: Columns, context: ErrorContext) -> None:
+    """Raise FileFormatError where readings stand above the header."""
+    for index in range(columns.row):
+        count = sum(number(table.text(index, k)) is not None for k in range(len(table.rows[index])))
+        if count >= len(columns.bands) + len(columns.angles) and (
+            columns.geometry is None or any(parse_geometry(text_of(cell)) for cell in table.rows[index])
+        ):
+            raise context.error("readings above the header, expected all below it", table.where(index))
+
+
+def _require_footnote(
+    table: Table, index: int, keys: list[str], columns: Columns, context: ErrorContext
+) -> None:
+    """Raise FileFormatError where a row without a direction holds values, or what was meant as a geometry."""
+    text = next(filter(None, keys), "")
+    has_values = any(number(table.text(index, k)) is not None for k in columns.bands)
+    if not has_values and not ("as" in text.lower() and any(c.isdigit() for c in text)):
+        return
+    if columns.geometry is None:
+        raise context.error("values without directions", table.where(index))
+    found = f"found geometry '{text[:24]}'" if text else "values without a geometry"
+    raise context.error(f"{found}, expected one such as 45as15", table.where(index))
+
+
+def _value(table: Table, index: int, column: int, columns: Columns, context: ErrorContext) -> float:
+    """The value of a cell, NaN where nothing was measured."""
+    row = table.rows[index]
+    if column >= len(row) and table.sheet is None:
+        raise context.error(
+            f"the row ends after {len(row)} cells, expected a value", table.where(index, column)
+        )
+    cell = row[column] if column < len(row) else None
+    value = plain_float(cell) if isinstance(cell, str) else float("nan")
+    if abs(value) < 1e300:
+        return value
+    text = text_of(cell).removesuffix("%").rstrip()
+    return float("nan") if text.lower() in _NO_VALUE else context.number(text, table.where(index, column))
+
+
+def _is_degrees(table: Table, columns: Columns, samples: dict[str, _Sample], context: ErrorContext) -> bool:
+    """Whether angles are in degrees: as heads say, or because they are too large for radians."""
+    where = table.where(columns.row)
+    unit = column_heads.angle_unit([columns.heads[k] for k in columns.angles.values()], context, where)
+    if unit is not None:
+        return unit == "degrees"
+    keys = np.array([[number(text) or 0.0 for text in row] for s in samples.values() for row in s.keys])
+    if np.any(keys) and not exceed_radians(dict(zip(columns.angles, keys.T, strict=True))):
+        raise context.error(
+            "angles that may be degrees or radians, expected heads such as theta_i (deg)", where
+        )
+    return True
+
+
+# Which rows are kept, their wi and wo, and notes.
+_Pairs = tuple[Array, Array, Array, list[str]]
+
+
+def _angle_pairs(
+    table: Table, sample: _Sample, columns: Columns, is_degrees: bool, context: ErrorContext
+) -> _Pairs:
+    scale = np.pi / 180.0 if is_degrees else 1.0
+    cells = [
+        [
+            context.number(text, f"{table.where(row)}, {key}")
+            for key, text in zip(columns.angles, keys, strict=True)
+        ]
+        for row, keys in zip(sample.rows, sample.keys, strict=True)
+    ]
+    notes: list[str] = []
+    angles = dict(zip(columns.angles, scale * np.array(cells).T, strict=True))
+    return (*directions(angles, context, notes), notes)
+
+
+def _geometry_pairs(
+    table: Table,
+    sample: _Sample,
+    angles: dict[str, tuple[float, float, float]],
+    columns: Columns,
+    context: ErrorContext,
+) -> _Pairs:
+    pairs = []
+    for row, (text,) in zip(sample.rows, sample.keys, strict=True):
+        pair = directions_of(angles[text])
+        if pair is None:
+            raise context.error(
+                f"geometry '{text[:24]}' lies below the horizon, expected one such as 45as15",
+                table.where(row),
+            )
+        pairs.append(pair)
+        first = sample.rows[sample.keys.index([text])]
+        if columns.name is None and first != row:
+            raise context.error(
+                f"geometry '{text[:24]}' stands in row {first + 1}, too; expected a column Name that tells samples "
+                "apart",
+                table.where(row),
+            )
+    wi, wo = (np.array(w) for w in zip(*pairs, strict=True))
+    return np.ones(len(pairs), dtype=bool), wi, wo, []
+
+
+def _readings(
+    name: str,
+    instrument: str,
+    sample: _Sample,
+    pairs: _Pairs,
+    columns: Columns,
+    kind: Quantity,
+    white: float,
+    table_notes: list[str],
+    context: ErrorContext,
+) -> Readings:
+    keep, wi, wo, own_notes = pairs
+    notes = [*table_notes, *own_notes]
+    values = np.array(sample.values)[keep]
+    if not np.any(np.isfinite(values)):
+        raise context.error(f"sample '{name[:40]}' has no values, expected reflectance or f in 1/sr")
+    values = as_brdf(values, kind, wo, notes if columns.geometry is None else [], white)
+    nm, values = bands_of(columns.band_heads, values, notes, context)
+    wi, wo, values, scatter, repeats = mean_of_repeats(wi, wo, values)
+    notes += repeats
+    if np.any(np.isnan(values)):
+        notes.append(f"{int(np.isnan(values).sum())} empty cells are not measured")
+    gloss = {angle: float(np.mean(units)) for angle, units in sample.gloss.items()}
+    return Readings(name, instrument, wi, wo, nm, values, notes=tuple(notes), gloss=gloss, scatter=scatter)
+
+
+def in_one_unit(found: Sequence[Readings]) -> list[Readings]:
+    """The readings of one file's tables, which have one unit: percent where any of them must be."""
+    if not any(TAKEN_AS_PERCENT in one.notes for one in found):
+        return list(found)
+    return [
+        replace(
+            one,
+            values=one.values / 100.0,
+            notes=tuple(TAKEN_AS_PERCENT if note == TAKEN_AS_FACTORS else note for note in one.notes),
+        )
+        if TAKEN_AS_FACTORS in one.notes
+        else one
+        for one in found
+    ]

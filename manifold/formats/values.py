@@ -1,0 +1,118 @@
+"""Values of files: their bands or CIE XYZ, and whether they are a BRDF, times the cosine, factors or percent."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from manifold.formats.column_heads import Quantity, channel, wavelength
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.text import number
+from manifold.records import Array
+
+TAKEN_AS_FACTORS = "no unit given: taken as reflectance factors, 1 being the perfect diffuser"
+TAKEN_AS_PERCENT = (
+    "no unit given: values above 2 away from the mirror direction, or above 30, taken as percent"
+)
+_PERCENT_FROM = 2.0  # reflectance factors away from the mirror direction are below this, percentages above
+_PERCENT_ANYWHERE = 30.0  # 15 degrees from it, where these instruments see most, even chrome stays below this
+
+_PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+_D65_XY = (0.3127, 0.3290)
+_UNNAMED_NM = 550.0
+
+
+def nanometres(text: str) -> float | None:
+    """The wavelength in nm that a text begins with, micrometres where it is below 100; None where there is none.
+
+    >>> nanometres("633 nm"), nanometres("0,5"), nanometres("red")
+    (633.0, 500.0, None)
+    """
+    found = re.match(r"[\d.,]+", text)
+    value = number(found[0]) if found else None
+    if value is None or value <= 0.0:
+        return None
+    return value if value >= 100.0 else 1000.0 * value
+
+
+def as_brdf(values: Array, kind: Quantity, wo: Array, notes: list[str], white: float = 1.0) -> Array:
+    """f in 1/sr of values of a quantity; NaN where the cosine is 0.
+
+    Args:
+        values: shape (P, B).
+        kind: of the values.
+        wo: their directions, shape (P, 3).
+        notes: what was done is added.
+        white: the reflectance factor of the perfect diffuser: 1, or 100 in percent.
+    """
+    if kind == "factor":
+        notes.append("reflectance factors, divided by pi")
+        return values / (white * np.pi)
+    if kind == "f_cos":
+        notes.append("values include the cosine of theta_o, and are divided by it")
+        cosine = wo[:, 2:]
+        return np.divide(values, cosine, out=np.full_like(values, np.nan), where=cosine > 1e-3)
+    return values
+
+
+def bands_of(
+    heads: list[str], values: Array, notes: list[str], context: ErrorContext
+) -> tuple[Array | None, Array]:
+    """Wavelengths in nm, increasing, or None for linear sRGB, and the values (P, B) in their order.
+
+    Raises:
+        FileFormatError: a head names no band, or two name the same.
+    """
+    letters = [channel(head) or "" for head in heads]
+    for space in ("rgb", "xyz"):
+        if sorted(letters) == sorted(space):
+            values = values[:, [letters.index(letter) for letter in space]]
+            return None, converted(values, notes) if space == "xyz" else values
+    nm = [wavelength(head) for head in heads]
+    if nm == [None]:
+        return unnamed_band(notes), values
+    if None in nm:
+        raise context.error(
+            f"band '{heads[nm.index(None)][:24]}', expected a wavelength such as 465nm, R, G, B or X, Y, Z"
+        )
+    found = np.array(nm, dtype=float)
+    if len(set(nm)) < len(nm):
+        raise context.error(
+            f"two columns of '{max(heads, key=heads.count)[:24]}', expected different wavelengths"
+        )
+    order = np.argsort(found)
+    return found[order], values[:, order]
+
+
+def looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
+    """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
+    mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
+    off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
+    return bool(np.max(off, initial=0.0) > _PERCENT_FROM or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
+
+
+def xyz_to_linear_srgb(xyz: Array) -> Array:
+    """Linear sRGB (..., 3), not clipped, of XYZ under D65, Y = 1 being white. Source: IEC 61966-2-1."""
+    primaries = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in _PRIMARIES_XY]).T
+    x, y = _D65_XY
+    white = np.array([x / y, 1.0, (1.0 - x - y) / y])
+    matrix = primaries * np.linalg.solve(primaries, white)
+    return np.asarray(xyz) @ np.linalg.inv(matrix).T
+
+
+def linear_srgb_to_xyz(rgb: Array) -> Array:
+    """XYZ (..., 3) of linear sRGB; the inverse of `xyz_to_linear_srgb`."""
+    return np.asarray(rgb) @ np.linalg.inv(xyz_to_linear_srgb(np.eye(3)))
+
+
+def converted(xyz: Array, notes: list[str]) -> Array:
+    """`xyz_to_linear_srgb`, and a note of it."""
+    notes.append("CIE XYZ, converted to linear sRGB")
+    return xyz_to_linear_srgb(xyz)
+
+
+def unnamed_band(notes: list[str]) -> Array:
+    """The wavelength in nm, shape (1,), that a band without one is taken to have, and a note of it."""
+    notes.append(f"one band without a wavelength: taken as {_UNNAMED_NM:g} nm")
+    return np.array([_UNNAMED_NM])

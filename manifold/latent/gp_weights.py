@@ -1,0 +1,297 @@
+"""Weights of the training samples in a Gaussian process with one kernel for all outputs, from latents alone.
+
+Because all outputs share one kernel, a prediction is a weighted sum of the training samples. `GPWeights` never sees
+an output.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve, eigvalsh, solve_triangular
+from scipy.spatial.distance import cdist
+
+from manifold.latent.cholesky import factorise
+from manifold.latent.kernels import Kernel, equal_rows, first_equal_row
+from manifold.latent.objective import centre_gram
+from manifold.records import Array, Indices, Mask
+
+LEAST_EXPLAINED = 0.5  # share of the variance between samples below which a fit is warned of
+_ALONE = 0.5  # share of the prior's variance above which a sample is far from all others
+_COINCIDENT = 1e-3  # of the latents' span: closer latents count as one
+_MOST_ALONE = 0.25  # share of such samples from which a fit is warned of
+
+
+class FlatModelWarning(UserWarning):
+    """A fitted process predicts the mean of the samples, or nearly, or is linear in the latents."""
+
+
+class IsolatedLatentsWarning(UserWarning):
+    """Many fitted latents are far from all others: between them a process predicts the mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class LengthScaleBound:
+    """How fast a prediction may leave its nearest training sample (Hikichi & Iwasaki, eq. 15).
+
+    Attributes:
+        nearest: index of the nearest training latent, shape (M,).
+        distance: distance to it, shape (M,).
+        displacement: `||y* - y_i||`, in units of the outputs, shape (M,).
+        bound: `s sqrt(2 N) * kappa(K) * ||Y|| * ||x* - x_i||`, shape (M,), with s the steepest slope of the
+            kernel, `e^(-1/2) / l` of the squared exponential.
+    """
+
+    nearest: Indices
+    distance: Array
+    displacement: Array
+    bound: Array
+
+    @property
+    def slack(self) -> Array:
+        """`bound / displacement`, shape (M,): at least 1 where the condition holds, inf on a latent."""
+        moved = self.displacement > 0
+        return np.where(moved, self.bound / np.where(moved, self.displacement, 1.0), np.inf)
+
+    @property
+    def holds(self) -> Mask:
+        """Whether the condition holds, shape (M,). It fails very close to a latent, where the delta jumps."""
+        return self.displacement <= self.bound
+
+
+class GPWeights:
+    """The part of a Gaussian process that depends on the training latents alone.
+
+    Nothing of the size of the outputs is held: N latents and one N x N Cholesky factor.
+
+    Args:
+        X: training latents, shape (N, Q). Duplicates are allowed.
+        kernel: the covariance function.
+
+    Attributes:
+        X: the latents, float64, shape (N, Q).
+        K: covariance of the training latents (jitter included), shape (N, N).
+        L: its lower Cholesky factor, shape (N, N).
+        jitter: what had to be added to the diagonal, 0 unless K was not positive definite.
+
+    Raises:
+        NumericalError: K cannot be factorised even with jitter.
+
+    Source: Rasmussen & Williams 2006, algorithm 2.1; Hikichi & Iwasaki, eq. 12-14.
+    """
+
+    def __init__(self, X: Array, kernel: Kernel) -> None:
+        self.X = np.array(X, dtype=np.float64)
+        self.kernel = kernel
+        self.K, self.L, self.jitter = factorise(self.X, self.kernel)
+
+    def __repr__(self) -> str:
+        N, Q = self.X.shape
+        return f"<{type(self).__name__}: {N} latents, {Q} dimensions, {self.kernel}>"
+
+    @property
+    def n_samples(self) -> int:
+        """N."""
+        return int(self.X.shape[0])
+
+    def weights(self, X_new: Array) -> Array:
+        """Weights V with prediction = V @ Y, shape (M, N); each row sums to 1.
+
+        `v_i = w_i + (1 - sum(w)) / N` with `w = K^-1 k*`: the mean of the training outputs is subtracted
+        before and added after. At a training latent the row is exactly a unit vector; where several training
+        latents coincide there, that of the first.
+
+        Args:
+            X_new: latents, shape (M, Q).
+
+        >>> from manifold.latent.kernels import SquaredExponential
+        >>> gp = GPWeights(np.array([[0.0], [1.0]]), SquaredExponential())
+        >>> gp.weights(np.array([[0.5], [1.0]]))
+        array([[0.5, 0.5],
+               [0. , 1. ]])
+        """
+        V = self.smooth_weights(X_new)
+        # K^-1 K[:, i] is a unit vector only to rounding: with equal coordinates it is written down instead.
+        match = first_equal_row(X_new, self.X)
+        hit = np.flatnonzero(match >= 0)
+        V[hit] = 0.0
+        V[hit, match[hit]] = 1.0
+        return V
+
+    def smooth_weights(self, X_new: Array) -> Array:
+        """`weights` without the delta, (M, N): at a training latent X_new (M, Q) those of its surroundings."""
+        W = self._solve(self.kernel.smooth(X_new, self.X).T).T  # [M, N]
+        return W + (1.0 - W.sum(axis=1, keepdims=True)) / self.n_samples
+
+    def variance(self, X_new: Array) -> Array:
+        """Posterior variance in units of the output variance: `c(x*, x*) - k*^T K^-1 k*`, shape (M,).
+
+        Exactly 0 at a training latent, at most the prior's.
+        """
+        A = solve_triangular(self.L, self.kernel.smooth(X_new, self.X).T, lower=True)  # [N, M]
+        variance = np.maximum(self.kernel.prior_variance(X_new) - np.einsum("nm,nm->m", A, A), 0.0)
+        variance[first_equal_row(X_new, self.X) >= 0] = 0.0
+        return variance
+
+    def variance_fraction(self, X_new: Array) -> Array:
+        """Posterior over prior variance, shape (M,): near 0 interpolates, near 1 extrapolates.
+
+        The prior's variance is taken without its linear term, which grows with the distance from the origin: far
+        latents, predicted by a line, count as extrapolated. At most 1.
+        """
+        return np.minimum(self.variance(X_new) / (1.0 + self.kernel.mu), 1.0)
+
+    def output_variance(self, S: Array, n_outputs: int) -> float:
+        """Profiled output variance `s^2 = tr(K^-1 S_c) / (N D)`.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+            n_outputs: D.
+        """
+        S = centre_gram(S)
+        return max(float(np.trace(self._solve(S))), 0.0) / (self.n_samples * n_outputs)
+
+    def explained(self, S: Array) -> float:
+        """Share of the variance between the training samples that the smooth mean explains at their latents.
+
+        The residual of a sample is mu K^-1 Y there, so the share is `1 - |r K^-1 Y|^2 / |Y|^2`, `r` the whole
+        diagonal less 1; 1 interpolates, 0 is the mean everywhere.
+
+        Args:
+            S: Gram matrix of the outputs, shape (N, N); centred here.
+        """
+        S = centre_gram(S)
+        residual = (self.kernel.mu + self.jitter) ** 2 * float(np.trace(self._solve(self._solve(S).T)))
+        return 1.0 - residual / float(np.trace(S))
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the mean is linear in the latents, but for less than the noise filter.
+
+        In Q dimensions only Q eigenvalues of the centred smooth kernel can come from a linear function. Any function of
+        Q + 1 places is linear, and over a whole length scale no kernel is.
+        """
+        N, Q = self.X.shape
+        span = float(np.ptp(self.X, axis=0).max())
+        if not 0.0 < span < self.kernel.length_scale:
+            return False
+        if len(np.unique(np.round(self.X / (_COINCIDENT * span)), axis=0)) <= Q + 1:
+            return False
+        beyond = N - 1 - Q
+        smooth = centre_gram(self.kernel.smooth(self.X, self.X))
+        return bool(eigvalsh(smooth, subset_by_index=[beyond, beyond])[0] <= self.kernel.mu)
+
+    def warn_of_fit(self, S: Array) -> None:
+        """Warn of latents that predict little of the samples they were fitted to, of Gram matrix S (N, N).
+
+        Warns:
+            FlatModelWarning: `explained` is below one half, or the mean `is_linear`.
+            IsolatedLatentsWarning: a quarter of the samples and more have a variance, given the others, of over
+                half of the prior's.
+        """
+        share = self.explained(S)
+        if share < LEAST_EXPLAINED:
+            warnings.warn(
+                f"the fit explains {100.0 * share:.0f} % of the variance between samples "
+                f"(N = {self.n_samples}, length scale {self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}), "
+                f"expected at least {100.0 * LEAST_EXPLAINED:.0f} %; lower the length scale, the prior or mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        elif self.is_linear:
+            span = np.ptp(self.X, axis=0).max()
+            warnings.warn(
+                f"the map is linear, as that of PCA: the latents span only {span:.2g} (length scale "
+                f"{self.kernel.length_scale:g}, mu = {self.kernel.mu:.0e}); lower the length scale, the prior or "
+                "mu",
+                FlatModelWarning,
+                stacklevel=3,
+            )
+        alone = np.count_nonzero(self.leave_one_out_variance() > _ALONE * (1.0 + self.kernel.mu))
+        if self.n_samples > 2 and alone >= _MOST_ALONE * self.n_samples:  # two always are
+            warnings.warn(
+                f"{alone} of {self.n_samples} latents are far from all others (length scale "
+                f"{self.kernel.length_scale:g}): predictions between them are the mean; use more materials, fewer "
+                "dimensions, a longer length scale or a better start",
+                IsolatedLatentsWarning,
+                stacklevel=3,
+            )
+
+    def leave_one_out_weights(self) -> Array:
+        """Weights that predict every sample from the others, latents kept; zero diagonal, shape (N, N).
+
+        Row i equals the weights of a process fitted on the other N - 1 samples, evaluated at x_i: with
+        `P = K^-1` its uncentred weights are `a_j = -P_ij / P_ii`, and centring on the mean of the *remaining*
+        samples adds `(1 - sum(a)) / (N - 1)`. Where another training latent coincides with x_i, that sample
+        is the prediction, as in `weights`.
+
+        There are at least two samples.
+
+        Source: Rasmussen & Williams 2006, eq. 5.12.
+        """
+        N = self.n_samples
+        A = -self._precision / np.diag(self._precision)[:, None]  # [N, N]
+        np.fill_diagonal(A, 0.0)
+        V = A + (1.0 - A.sum(axis=1, keepdims=True)) / (N - 1)
+        np.fill_diagonal(V, 0.0)
+        twin = self._first_twin
+        hit = np.flatnonzero(twin >= 0)
+        V[hit] = 0.0
+        V[hit, twin[hit]] = 1.0
+        return V
+
+    def leave_one_out_variance(self) -> Array:
+        """Variance of every sample given the others, in units of the output variance, shape (N,).
+
+        Source: Rasmussen & Williams 2006, eq. 5.12: `1 / [K^-1]_ii`.
+        """
+        return np.where(self._first_twin >= 0, 0.0, 1.0 / np.diag(self._precision))
+
+    @cached_property
+    def condition(self) -> float:
+        """Condition number kappa(K) in the 2-norm."""
+        eigenvalues = np.linalg.eigvalsh(self.K)
+        return float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else float("inf")
+
+    def length_scale_bound(self, X_new: Array, S: Array) -> LengthScaleBound:
+        """The condition on the length scale at X_new, with its slack.
+
+        Args:
+            X_new: latents, shape (M, Q).
+            S: Gram matrix of the training outputs, shape (N, N); centred here.
+        Source: Hikichi & Iwasaki, eq. 15.
+        """
+        S = centre_gram(S)
+        V = self.weights(X_new)
+        distances = cdist(X_new, self.X)
+        nearest = distances.argmin(axis=1)
+        rows = np.arange(X_new.shape[0])
+        V[rows, nearest] -= 1.0  # y* - y_i as weights of the samples
+        squared = np.einsum("mi,ij,mj->m", V, S, V, optimize=True)
+        factor = self.kernel.steepest_at(self.X) * np.sqrt(2.0 * self.n_samples)
+        norm_Y = np.sqrt(max(float(np.trace(S)), 0.0))
+        distance = distances[rows, nearest]
+        return LengthScaleBound(
+            nearest=nearest,
+            distance=distance,
+            displacement=np.sqrt(np.maximum(squared, 0.0)),
+            bound=factor * self.condition * norm_Y * distance,
+        )
+
+    def _solve(self, B: Array) -> Array:
+        """K^-1 B. Always through L: near-identical samples make K ill-conditioned."""
+        return cho_solve((self.L, True), B)
+
+    @cached_property
+    def _precision(self) -> Array:
+        return self._solve(np.eye(self.n_samples))
+
+    @cached_property
+    def _first_twin(self) -> Indices:
+        """Index of the first *other* training latent with the same coordinates, or -1, shape (N,)."""
+        same = equal_rows(self.X, self.X)
+        np.fill_diagonal(same, False)
+        return np.where(same.any(axis=1), same.argmax(axis=1), -1)

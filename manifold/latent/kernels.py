@@ -1,0 +1,259 @@
+"""Covariance functions shared by all outputs: a smooth part plus a delta, `c(x, x') = k(x, x') + mu delta(x, x')`.
+
+The delta is 1 where the coordinates are *equal*, in the cross-covariance too. At a training latent the
+cross-covariance is therefore a column of K and the posterior mean is the datum itself; next to it the posterior is
+the smooth one: the mean jumps there, by design. Among the training latents themselves the delta is one of
+*samples*: K = k(X, X) + mu I. The two readings differ only for coinciding latents, where delta by coordinates
+would make K singular.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numba as nb
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from manifold.errors import UsageError
+from manifold.records import Array, Indices, Mask
+
+SMALLEST_MU = 1e-10  # below, K loses definiteness while latents pass each other
+LARGEST_MU = 1e6  # above, everything is noise
+_LINEAR = "+linear"
+
+
+@dataclass(frozen=True)
+class Kernel(ABC):
+    """A radial covariance g(r^2) of unit variance, a linear term, and a delta.
+
+    `c(x, x') = g(||x - x'||^2 / l^2) + linear * x.x' / l^2 + mu * delta(x, x')`.
+
+    Attributes:
+        mu: noise filter, the height of the delta, >= 0, in units of the signal variance.
+        length_scale: l, > 0, in units of the latent coordinates.
+        linear: weight of the linear term, >= 0.
+        family: what `kernel_named` calls the radial part.
+        steepest: largest |dg/dr|.
+
+    Source: Rasmussen & Williams 2006, chapter 4; the delta: Hikichi & Iwasaki, eq. 14.
+    """
+
+    mu: float = 1e-4
+    length_scale: float = 1.0
+    linear: float = 0.0
+    family: ClassVar[str]
+    steepest: ClassVar[float]
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mu) and self.mu >= 0):
+            raise UsageError(f"mu = {self.mu}, expected a finite number >= 0")
+        if not (np.isfinite(self.length_scale) and self.length_scale > 0):
+            raise UsageError(f"length_scale = {self.length_scale}, expected a finite number > 0")
+        if not (np.isfinite(self.linear) and self.linear >= 0):
+            raise UsageError(f"weight of the linear term = {self.linear}, expected a finite number >= 0")
+
+    @property
+    def name(self) -> str:
+        """Its name as `kernel_named` takes it."""
+        return self.family + _LINEAR * self.has_origin
+
+    @property
+    def has_origin(self) -> bool:
+        """Whether it changes when all latents are shifted: the linear term does."""
+        return self.linear > 0
+
+    @property
+    def numbers(self) -> tuple[int, float, float]:
+        """Parameters for compiled loops: index of the family, `1 / l^2`, `linear / l^2`.
+
+        Raises:
+            UsageError: it is none of this package's.
+        """
+        if self.family not in _FAMILIES:
+            raise UsageError(
+                f"kernel '{self.family}' is your own, expected one of {', '.join(_FAMILIES)} for direct local search; "
+                "use the optimizer l-bfgs"
+            )
+        return list(_FAMILIES).index(self.family), 1.0 / self.length_scale**2, self.slope_of_linear
+
+    @property
+    def slope_of_linear(self) -> float:
+        """`linear / l^2`."""
+        return self.linear / self.length_scale**2
+
+    @abstractmethod
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances in length scales, same shape; `xp` has their `exp` and `sqrt`."""
+
+    def smooth(self, A: Array, B: Array) -> Array:
+        """Covariance of A (M, Q) and B (N, Q) without the delta, shape (M, N)."""
+        return self.smooth_and_slope(A, B)[0]
+
+    def smooth_and_slope(self, A: Array, B: Array) -> tuple[Array, Array]:
+        """`smooth(A, B)`, and its slope as `pull_back` takes it, shape (M, N) both."""
+        # Differences, not the expanded square: equal coordinates give exactly 0.
+        K, slope = self.radial(cdist(A, B, "sqeuclidean") / self.length_scale**2)
+        if self.linear:
+            K += self.slope_of_linear * (A @ B.T)
+        return K, slope
+
+    def prior_variance(self, X: Array) -> Array:
+        """Variance of the prior at X (M, Q), the delta included, shape (M,)."""
+        return 1.0 + self.mu + self.slope_of_linear * np.einsum("mq,mq->m", X, X)
+
+    def training(self, X: Array) -> Array:
+        """Covariance K of the training latents X (N, Q), shape (N, N)."""
+        return self.training_and_slope(X)[0]
+
+    def training_and_slope(self, X: Array) -> tuple[Array, Array]:
+        """`training(X)`, and its slope as `gradient` takes it, shape (N, N) both."""
+        K, slope = self.smooth_and_slope(X, X)
+        K.flat[:: len(K) + 1] = self.prior_variance(X)
+        return K, slope
+
+    def pull_back(self, A: Array, B: Array, dK: Array, slope: Array | None = None) -> Array:
+        """Gradient with respect to A (M, Q) of `sum(dK * smooth(A, B))`, B held, shape (M, Q).
+
+        Args:
+            A, B: latents, shape (M, Q) and (N, Q).
+            dK: factors of the entries, shape (M, N).
+            slope: from `smooth_and_slope(A, B)`, shape (M, N); computed if None.
+        """
+        slope = self.smooth_and_slope(A, B)[1] if slope is None else slope
+        G = (2.0 / self.length_scale**2) * dK * slope
+        gradient = G.sum(axis=1)[:, None] * A - G @ B
+        return gradient + self.slope_of_linear * (dK @ B) if self.linear else gradient
+
+    def pull_back_variance(self, X: Array, d: Array | float) -> Array:
+        """Gradient with respect to X (M, Q) of `sum(d * prior_variance(X))`, d (M,) or a number, shape (M, Q)."""
+        return 2.0 * self.slope_of_linear * np.reshape(d, (-1, 1)) * X
+
+    def gradient(self, X: Array, dK: Array, slope: Array | None = None) -> Array:
+        """Gradient with respect to X (N, Q) of a function of K = `training(X)`, shape (N, Q).
+
+        Args:
+            X: latents, shape (N, Q).
+            dK: symmetric derivatives of the function with respect to the entries of K, shape (N, N).
+            slope: from `training_and_slope(X)`, shape (N, N); computed if None.
+        """
+        return 2.0 * self.pull_back(X, X, dK, slope)
+
+    def steepest_at(self, X: Array) -> float:
+        """Largest change of the covariance with any row of X (N, Q), per unit of distance."""
+        norms = np.sqrt(np.einsum("nq,nq->n", X, X))
+        return self.steepest / self.length_scale + self.slope_of_linear * float(norms.max())
+
+
+class SquaredExponential(Kernel):
+    """`g = exp(-r^2 / 2)`. Source: Hikichi & Iwasaki, eq. 14."""
+
+    family, steepest = "se", math.exp(-0.5)
+
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        g = xp.exp(-0.5 * squared)
+        return g, -0.5 * g
+
+
+class Matern32(Kernel):
+    """`g = (1 + sqrt(3) r) exp(-sqrt(3) r)`. Source: Rasmussen & Williams 2006, eq. 4.17."""
+
+    family, steepest = "matern32", math.sqrt(3.0) / math.e
+
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        a = xp.sqrt(3.0 * squared)
+        decay = xp.exp(-a)
+        return (1.0 + a) * decay, -1.5 * decay
+
+
+class Matern52(Kernel):
+    """`g = (1 + sqrt(5) r + 5 r^2 / 3) exp(-sqrt(5) r)`. Source: Rasmussen & Williams 2006, eq. 4.17."""
+
+    family = "matern52"
+    _GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0  # sqrt(5) r where it is steepest
+    steepest = math.sqrt(5.0) / 3.0 * _GOLDEN**3 * math.exp(-_GOLDEN)
+
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        a = xp.sqrt(5.0 * squared)
+        decay = xp.exp(-a)
+        return (1.0 + a + a * a / 3.0) * decay, (-5.0 / 6.0) * (1.0 + a) * decay
+
+
+class RationalQuadratic(Kernel):
+    """`g = 1 / (1 + r^2 / 2)`, the rational quadratic of alpha = 1. Source: Rasmussen & Williams 2006, eq. 4.19."""
+
+    family, steepest = "rq", math.sqrt(27.0 / 128.0)
+
+    def radial(self, squared: Any, xp: Any = np) -> tuple[Any, Any]:
+        """g and dg / d r^2 at squared distances."""
+        g = 1.0 / (1.0 + 0.5 * squared)
+        return g, -0.5 * g * g
+
+
+_FAMILIES: dict[str, type[Kernel]] = {
+    kernel.family: kernel for kernel in (SquaredExponential, Matern32, Matern52, RationalQuadratic)
+}
+
+KERNELS = tuple(family + suffix for suffix in ("", _LINEAR) for family in _FAMILIES)
+"""Names that `kernel_named` takes."""
+
+
+def kernel_named(name: str | type[Kernel], mu: float = 1e-4, length_scale: float = 1.0) -> Kernel:
+    """A kernel by its name, such as `se` or `matern32+linear`, where the linear term has weight 1; or one of your own.
+
+    Args:
+        name: of the kernel, or a class derived from `Kernel` that has `family`, `steepest` and `radial`.
+        mu: noise filter.
+        length_scale: l.
+    Raises:
+        UsageError: no kernel has that name, or mu or the length scale cannot be used.
+
+    >>> kernel_named("se", mu=1e-4).smooth(np.array([[0.0]]), np.array([[0.0], [1.0]])).round(3)
+    array([[1.   , 0.607]])
+    """
+    if isinstance(name, type) and issubclass(name, Kernel):
+        return name(mu, length_scale)
+    if name not in KERNELS:
+        raise UsageError(f"no kernel is called '{name}', expected one of {', '.join(KERNELS)}")
+    family = name.removesuffix(_LINEAR)
+    return _FAMILIES[family](mu, length_scale, linear=float(name != family))
+
+
+@nb.njit(cache=True)
+def radial_of_pair(family: int, squared: float) -> float:
+    """g of one squared distance in length scales, for compiled loops: `Kernel.radial` by `Kernel.numbers`."""
+    if family == 0:
+        return math.exp(-0.5 * squared)
+    if family == 3:
+        return 1.0 / (1.0 + 0.5 * squared)
+    a = math.sqrt((3.0 if family == 1 else 5.0) * squared)
+    return (1.0 + a if family == 1 else 1.0 + a + a * a / 3.0) * math.exp(-a)
+
+
+def require_mu(mu: float) -> None:
+    """Raise UsageError unless a fit can use a noise filter."""
+    if not SMALLEST_MU <= mu <= LARGEST_MU:
+        raise UsageError(
+            f"mu = {mu}, expected {SMALLEST_MU:g} to {LARGEST_MU:g}: smaller values make K singular, larger ones "
+            "leave only noise"
+        )
+
+
+def equal_rows(A: Array, B: Array) -> Mask:
+    """Which rows of A (M, Q) equal which rows of B (N, Q) in every coordinate, bool, shape (M, N)."""
+    equal = np.ones((A.shape[0], B.shape[0]), dtype=bool)
+    for a, b in zip(A.T, B.T, strict=True):
+        equal &= a[:, None] == b[None, :]
+    return equal
+
+
+def first_equal_row(A: Array, B: Array) -> Indices:
+    """Index of the first row of B (N, Q) that equals each row of A (M, Q), or -1, shape (M,)."""
+    equal = equal_rows(A, B)
+    return np.where(equal.any(axis=1), equal.argmax(axis=1), -1)

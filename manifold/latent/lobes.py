@@ -1,0 +1,109 @@
+"""Analytic BRDFs that serve as further atoms: a Lambertian, and microfacet lobes whose Fresnel term is free.
+
+A lobe is `D(theta_h) G(wi, wo) / (4 cos(theta_i) cos(theta_o)) * b_k(cos(theta_d))`. The Bernstein polynomials `b_k`
+are never negative and sum to 1; Schlick's Fresnel term, `F0 + (1 - F0) (1 - cos(theta_d))^5`, is
+`F0 sum_k b_k + (1 - F0) b_0` at degree 5, so that non-negative weights represent it, and approximate thin films and
+flakes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from manifold.records import Array, Indices
+
+ROUGHNESSES = tuple((0.004 * 2.0 ** np.arange(8)).tolist())  # 14 of them, by factors of 1.5, gain nothing
+TAILS = (1.5, 2.0, 3.0)
+DEGREE = 5
+
+
+@dataclass(frozen=True)
+class Lobes:
+    """A Lambertian of albedo 1, and a lobe for every roughness, tail and polynomial, in this order of nesting.
+
+    Attributes:
+        roughnesses: alpha, each in (0, 1).
+        tails: exponents of the normal distribution, each above 1: 2 is GGX, less has longer tails.
+        degree: of the Bernstein polynomials.
+    """
+
+    roughnesses: tuple[float, ...] = ROUGHNESSES
+    tails: tuple[float, ...] = TAILS
+    degree: int = DEGREE
+
+    def __len__(self) -> int:
+        return 1 + len(self.roughnesses) * len(self.tails) * (self.degree + 1)
+
+    @property
+    def shapes(self) -> list[tuple[float, float]]:
+        """Roughness and tail of the normal distributions, shape by shape."""
+        return [(alpha, tail) for alpha in self.roughnesses for tail in self.tails]
+
+    def shape_of(self, chosen: Indices) -> Indices:
+        """Which of the shapes lobes (n,) have, -1 for the Lambertian."""
+        return (chosen - 1) // (self.degree + 1)
+
+    def values(self, wi: Array, wo: Array, chosen: Indices | None = None) -> Array:
+        """f of lobes at P direction pairs in 1/sr, 0 below the horizon: shape (n, P).
+
+        Args:
+            wi, wo: unit vectors (P, 3).
+            chosen: which lobes, shape (n,); by default all.
+        """
+        chosen = np.arange(len(self)) if chosen is None else chosen
+        shape, power = self.shape_of(chosen), (chosen - 1) % (self.degree + 1)
+        f = np.full((len(chosen), len(wi)), 1.0 / np.pi)
+        if np.any(shape >= 0):
+            fresnel = bernstein(cos_theta_d(wi, wo), self.degree)
+        for k in np.unique(shape[shape >= 0]):
+            rows = shape == k
+            f[rows] = microfacet_lobe(wi, wo, *self.shapes[k]) * fresnel[power[rows]]
+        return np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), f, 0.0)
+
+    def cube_roots(self, wi: Array, wo: Array) -> Array:
+        """`f^(1/3)` of all lobes, see `values`."""
+        return np.cbrt(self.values(wi, wo))
+
+
+def normal_distribution(cos_theta_h: Array, alpha: float, tail: float) -> Array:
+    """Density of microfacet normals in 1/sr; the integral of `D cos(theta_h)` over the hemisphere is 1.
+
+    `D ~ (1 - (1 - alpha^2) cos^2(theta_h))^-tail`.
+
+    Source: Burley 2012, "Physically-Based Shading at Disney", generalised Trowbridge-Reitz.
+    """
+    a2 = alpha * alpha
+    norm = (tail - 1.0) * (1.0 - a2) / (np.pi * (a2 ** (1.0 - tail) - 1.0))
+    return norm / (1.0 - (1.0 - a2) * cos_theta_h**2) ** tail
+
+
+def microfacet_lobe(wi: Array, wo: Array, alpha: float, tail: float = 2.0) -> Array:
+    """`D G / (4 cos(theta_i) cos(theta_o))` of a perfect reflector in 1/sr, shape (P,).
+
+    Masking is that of GGX, height-correlated, whatever the tail.
+
+    Args:
+        wi, wo: unit vectors (P, 3).
+        alpha: roughness.
+        tail: see `normal_distribution`.
+    Source: Heitz 2014, "Understanding the Masking-Shadowing Function", eq. 99.
+    """
+    a2 = alpha * alpha
+    ci, co = np.maximum(wi[:, 2], 0.0), np.maximum(wo[:, 2], 0.0)
+    si, so = np.sqrt(a2 + (1.0 - a2) * ci * ci), np.sqrt(a2 + (1.0 - a2) * co * co)
+    h = wi + wo
+    cos_theta_h = h[:, 2] / np.maximum(np.linalg.norm(h, axis=1), np.finfo(float).tiny)
+    return normal_distribution(cos_theta_h, alpha, tail) / np.maximum(2.0 * (ci * so + co * si), 1e-12)
+
+
+def cos_theta_d(wi: Array, wo: Array) -> Array:
+    """Cosine between directions (P, 3) and their half vector, shape (P,)."""
+    return np.clip(0.5 * np.linalg.norm(wi + wo, axis=1), 0.0, 1.0)
+
+
+def bernstein(x: Array, degree: int) -> Array:
+    """Bernstein polynomials of x (P,) in [0, 1], shape (degree + 1, P): never negative, of sum 1."""
+    return np.array([comb(degree, k) * x**k * (1.0 - x) ** (degree - k) for k in range(degree + 1)])

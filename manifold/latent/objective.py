@@ -1,0 +1,162 @@
+"""The likelihood of latents as a function of the Gram matrix of the data, and the start of its minimisation."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from manifold.errors import NumericalError, ShapeError, UsageError
+from manifold.latent.kernels import Kernel
+from manifold.records import Array
+from manifold.system.parallel import one_blas_thread
+
+_SYMMETRIC = 1e-9  # sum of cubes, relative to that of their magnitudes
+
+
+class LatentObjective:
+    """F(X) and its gradient, by a fresh factorisation.
+
+    `F = 1/2 log|K| + N/2 log s^2 + prior/2 ||X||^2` with `s^2 = tr(K^-1 S) / (N D)`, constants dropped.
+
+    Args:
+        S: centred Gram matrix, shape (N, N).
+        n_outputs: D.
+        kernel: the covariance function.
+        prior: weight of the Gaussian prior per output.
+    Source: Lawrence 2005; Hikichi & Iwasaki, eq. 21, per output.
+    """
+
+    def __init__(self, S: Array, n_outputs: int, kernel: Kernel, prior: float = 0.0) -> None:
+        self.S = np.ascontiguousarray(S)
+        self.n_outputs = n_outputs
+        self.kernel = kernel
+        self.prior = prior
+
+    def with_mu(self, mu: float) -> LatentObjective:
+        """The same objective under another noise filter."""
+        return LatentObjective(self.S, self.n_outputs, replace(self.kernel, mu=mu), self.prior)
+
+    def __call__(self, X: Array) -> tuple[float, Array]:
+        """F at X (N, Q) and its gradient (N, Q).
+
+        `dF/dK = 1/2 K^-1 - N / (2 tr(K^-1 S)) K^-1 S K^-1`.
+
+        Source: Lawrence 2005, eq. 6, with the output variance profiled out.
+        """
+        return self.with_noise(X)[:2]
+
+    def with_noise(self, X: Array) -> tuple[float, Array, float]:
+        """F at X (N, Q), its gradient (N, Q), and its derivative by mu, the trace of dF/dK."""
+        N = self.S.shape[0]
+        K, slope = self.kernel.training_and_slope(X)
+        P, log_det = self.factorise(K)
+        PS = P @ self.S
+        trace = float(np.trace(PS))
+        dK = 0.5 * P - (0.5 * N / trace) * (PS @ P)
+        gradient = self.kernel.gradient(X, dK, slope) + self.prior * X
+        return self.value_of(log_det, trace, float(np.sum(X**2))), gradient, float(np.trace(dK))
+
+    def value_of(self, log_det: float, trace: float, squared_norm: float) -> float:
+        """F of log|K|, tr(K^-1 S) and ||X||^2; inf where rounding made the trace negative."""
+        N = self.S.shape[0]
+        if not trace > 0.0:
+            return float("inf")
+        log_variance = np.log(trace / (N * self.n_outputs))
+        return float(0.5 * log_det + 0.5 * N * log_variance + 0.5 * self.prior * squared_norm)
+
+    def factorise(self, K: Array) -> tuple[Array, float]:
+        """The inverse of K (N, N), by Cholesky, and log|K|."""
+        L, failed = dpotrf(K, lower=1)
+        if failed:
+            raise NumericalError(f"K is not positive definite (mu = {self.kernel.mu:.0e}); raise mu")
+        log_det = 2.0 * float(np.sum(np.log(np.diag(L))))
+        P, _ = dpotri(L, lower=1)  # its other half is 0
+        inverse = np.ascontiguousarray(P + P.T)
+        inverse.flat[:: len(K) + 1] *= 0.5
+        return inverse, log_det
+
+
+def pca_start(S: Array, n_components: int) -> Array:
+    """Principal components of a centred Gram matrix S (N, N), each of unit variance, shape (N, Q).
+
+    Axes the data do not span are 0. Each axis has its longer tail positive.
+    """
+    N = S.shape[0]
+    Q = min(n_components, N)
+    values, vectors = eigh(S, subset_by_index=[N - Q, N - 1])
+    X = np.zeros((N, n_components))
+    X[:, :Q] = vectors[:, ::-1] * np.sqrt(N)
+    X[:, :Q][:, values[::-1] <= N * np.finfo(float).eps * max(values[-1], 0.0)] = 0.0
+    return fix_gauge(X)
+
+
+def fix_gauge(X: Array, *, centre: bool = True) -> Array:
+    """Latents (N, Q) centred, if asked for, each axis with its longer tail positive.
+
+    The likelihood does not depend on either, unless the kernel has an origin: then latents must not be shifted. The
+    longer tail is that with the larger sum of cubes, whose sign is robust against rounding; on a symmetric axis it is
+    that of the latent of largest magnitude.
+    """
+    X = X - X.mean(axis=0) if centre else X
+    tail = np.sum(X**3, axis=0)
+    largest = X[np.abs(X).argmax(axis=0), np.arange(X.shape[1])]
+    is_symmetric = np.abs(tail) <= _SYMMETRIC * np.sum(np.abs(X) ** 3, axis=0)
+    return X * np.where(np.where(is_symmetric, largest, tail) < 0, -1.0, 1.0)
+
+
+def centre_gram(S: Array) -> Array:
+    """`H S H` with `H = I - 1 1^T / N`: the Gram matrix of the outputs less their mean, shape (N, N)."""
+    row = S.mean(axis=1)
+    centred = S - row[:, None] - row[None, :] + row.mean()
+    return 0.5 * (centred + centred.T)
+
+
+def blas_threads(N: int) -> AbstractContextManager[Any]:
+    """One BLAS thread for small matrices."""
+    return one_blas_thread if N <= 500 else nullcontext()
+
+
+def require_start(X0: Array, N: int, Q: int) -> Array:
+    """Latents as float64 (N, Q), copied, or ShapeError."""
+    X0 = np.array(X0, dtype=np.float64)
+    if X0.shape != (N, Q) or not np.all(np.isfinite(X0)):
+        raise ShapeError(f"latents have shape {X0.shape}, expected ({N}, {Q}) finite values")
+    return X0
+
+
+def require_different(centred: Array, power: float) -> None:
+    """Raise ShapeError where all samples are the same to rounding, by the trace of their centred Gram matrix (N, N).
+
+    `power` is the trace of the uncentred one.
+    """
+    if not np.trace(centred) > len(centred) * np.finfo(np.float64).eps * power:
+        raise ShapeError(f"all {len(centred)} samples are identical, expected at least two different ones")
+
+
+def require_prior(prior: float) -> None:
+    """Raise UsageError unless a weight of the prior can be used."""
+    if not 0 <= prior < np.inf:
+        raise UsageError(f"prior = {prior}, expected a finite weight >= 0")
+
+
+def require_gram(S: Array, n_outputs: int) -> Array:
+    """A Gram matrix as float64 (N, N).
+
+    Raises:
+        ShapeError: S is not square, symmetric and finite, N is below 2, or n_outputs below 1.
+    """
+    S = np.asarray(S, dtype=np.float64)
+    if S.ndim != 2 or S.shape[0] != S.shape[1] or S.shape[0] < 2:
+        raise ShapeError(f"S has shape {S.shape}, expected (N, N) with N at least 2")
+    if not np.all(np.isfinite(S)):
+        raise ShapeError("S has non-finite values, expected the Gram matrix of finite data")
+    if np.abs(S - S.T).max() > 1e-8 * np.abs(S).max():
+        raise ShapeError("S is not symmetric, expected a Gram matrix Y Y^T")
+    if n_outputs < 1:
+        raise ShapeError(f"n_outputs = {n_outputs}, expected at least 1")
+    return S

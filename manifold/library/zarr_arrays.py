@@ -1,0 +1,123 @@
+"""Groups and arrays of a library, written and read through zarr.
+
+What zarr would trust in the files of others is checked first: sizes and codecs, and that no chunk is missing.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from manifold.library.schema import StoredArray
+from manifold.records import Array
+
+_MOST_METADATA = 16 << 20  # bytes
+_MOST_ARRAY = 4 << 30  # bytes
+# By default every chunk of a shard is a task of its own, which takes several times as long.
+zarr.config.set({"codec_pipeline.batch_size": 1024})
+_PLAIN = (["BytesCodec"], ["ShardingCodec", "BytesCodec", "BytesCodec", "Crc32cCodec"])
+
+
+def write_group(folder: Path, attributes: dict[str, Any]) -> None:
+    """Make a folder that is a group."""
+    zarr.create_group(folder, zarr_format=3, attributes=attributes)
+
+
+def write_array(folder: Path, stored: StoredArray) -> None:
+    """Make a folder that is an array of little-endian chunks, not compressed, one file per chunk or shard."""
+    values = np.asarray(stored.values, dtype=stored.values.dtype.newbyteorder("<"))
+    array = zarr.create_array(
+        folder,
+        shape=values.shape,
+        dtype=values.dtype,
+        chunks=tuple(max(1, size) for size in stored.chunks or values.shape),
+        shards=stored.shards,
+        compressors=None,
+        filters=None,
+        # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
+        chunk_key_encoding={"name": "default", "separator": "."},
+        fill_value=0,
+        zarr_format=3,
+        attributes=stored.attributes,
+        dimension_names=stored.dims,
+        config={"write_empty_chunks": True},
+    )
+    array[...] = values
+
+
+def open_group(folder: Path) -> zarr.Group:
+    """The group in a folder; zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors."""
+    _require_metadata(folder, "it lacks its zarr.json")
+    return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+
+
+def read_array(
+    group: zarr.Group, name: str, select: Callable[[tuple[int, ...]], tuple[slice, ...]] | None = None
+) -> Array:
+    """One array, or the part that `select` chooses by its shape, C-contiguous in the axis order of the store."""
+    array = _array(group, name)
+    selection = tuple(slice(0, size) for size in array.shape) if select is None else select(array.shape)
+    _require_chunks(array, selection)
+    return np.asarray(array[selection])
+
+
+def read_extra(group: zarr.Group) -> dict[str, Array]:
+    """The fields of a material that this package does not interpret, by name."""
+    folder = _folder(group) / "extra"
+    if not folder.is_dir():
+        return {}
+    extra = open_group(folder)
+    names = [str(i) for i in range(sum(entry.is_dir() for entry in os.scandir(folder)))]
+    return {str(_array(extra, name).attrs["field"]): read_array(extra, name) for name in names}
+
+
+def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    """One of the group's arrays, whose size and codecs can be trusted.
+
+    Raises:
+        LookupError: there is none, or it is not as this package writes them.
+    """
+    _require_metadata(_folder(group) / name, f"it lacks its field '{name}'")
+    array = group[name]
+    if not isinstance(array, zarr.Array):
+        raise LookupError(f"field '{name}' is no array")
+    codecs: Any = getattr(array.metadata, "codecs", ())
+    inner = [*getattr(codecs[0], "codecs", ()), *getattr(codecs[0], "index_codecs", ())] if codecs else []
+    found = [type(codec).__name__ for codec in (*codecs, *inner)]
+    if array.dtype.kind not in "iuf" or found not in _PLAIN:
+        raise LookupError(
+            f"field '{name}' has dtype {array.dtype}, coded by {', '.join(found)}, expected plain numbers"
+        )
+    if array.nbytes > _MOST_ARRAY:
+        raise LookupError(f"field '{name}' has {array.nbytes} bytes, expected at most {_MOST_ARRAY}")
+    return array
+
+
+def _require_chunks(array: zarr.Array[Any], selection: tuple[slice, ...]) -> None:
+    """Raise LookupError where a chunk is missing, which zarr would read as zeros."""
+    if 0 in array.shape:
+        return
+    sizes = array.shards or array.chunks
+    first = [part.start // size for part, size in zip(selection, sizes, strict=True)]
+    last = [(part.stop - 1) // size for part, size in zip(selection, sizes, strict=True)]
+    for index in np.ndindex(*(b - a + 1 for a, b in zip(first, last, strict=True))):
+        key = ".".join(["c", *(str(a + i) for a, i in zip(first, index, strict=True))])
+        if not (_folder(array) / key).is_file():
+            raise LookupError(f"field '{array.basename}' lacks its chunk {key}")
+
+
+def _require_metadata(folder: Path, lack: str) -> None:
+    path = folder / "zarr.json"
+    if not path.is_file():
+        raise LookupError(lack)
+    if path.stat().st_size > _MOST_METADATA:
+        raise LookupError(f"{folder.name}/zarr.json has more than {_MOST_METADATA} bytes")
+
+
+def _folder(node: zarr.Group | zarr.Array[Any]) -> Path:
+    return Path(node.store.root, node.path)  # type: ignore[attr-defined]

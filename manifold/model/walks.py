@@ -1,0 +1,217 @@
+"""Walks between two materials: both take on the roughness between theirs, and their values are averaged.
+
+An average of two materials alone would fade the highlight of one into the other. Here the part of each material that
+a GGX lobe explains is given the roughness of the step, and the averages are taken at steps of equal visible size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from manifold.brdf.measured import BRDF
+from manifold.brdf.wrapped import WrappedBRDF
+from manifold.colour.ball_colours import ball
+from manifold.colour.conversion import srgb_to_xyz, to_srgb
+from manifold.colour.difference import delta_e_2000
+from manifold.latent.lobes import cos_theta_d, microfacet_lobe
+from manifold.mapping import Identity
+from manifold.metrics import cosine_weight
+from manifold.model.appearance import appearance_pairs
+from manifold.model.combination import Combination
+from manifold.model.prediction import PredictedBRDF
+from manifold.records import Array
+
+ROUGHNESSES = np.geomspace(0.9, 0.005, 36)
+PATH_NODES = 17  # of t, between which a walk's share is linear
+_STEPS = 33  # whose visible sizes are added up
+_FITTED_NM = (450.0, 550.0, 650.0)  # of the bands that choose the roughness
+_COARSE = 3  # of the roughnesses, one in this many is tried first
+_LOG_RATIO = float(np.log(ROUGHNESSES[1] / ROUGHNESSES[0]))
+_SHAPE_KEPT = 4.0  # positions, at which nothing is kept: 1.8 times as rough
+_MOST_EXCESS = 3.0  # over the lobe, that is part of the highlight: measured peaks are sharper than GGX
+_LEAST_STRENGTH = 1e-4
+_LEAST_VALUE = 0.02  # 1/sr: differences between values far below it do not count
+
+
+@dataclass(frozen=True, eq=False)
+class Highlight:
+    """A GGX lobe with Schlick's Fresnel term, the one that explains most of a material.
+
+    Attributes:
+        position: of its roughness among `ROUGHNESSES`.
+        normal, grazing: Fresnel reflectance at normal and grazing incidence, shape (B,).
+        base: of the material beside the lobe in 1/sr, shape (B,).
+        strength: mean of `normal` over the bands that chose the roughness.
+        gain: of the lobe where it stands for the measured values, shape (B,).
+    """
+
+    position: int
+    normal: Array
+    grazing: Array
+    base: Array
+    strength: float
+    gain: Array
+
+    def fresnel(self, wi: Array, wo: Array) -> Array:
+        """Fresnel reflectance at direction pairs, shape (P, B)."""
+        schlick = (1.0 - cos_theta_d(wi, wo)) ** 5
+        return self.normal + (self.grazing - self.normal) * schlick[:, None]
+
+    def explained(self, f: Array, lobe: Array) -> Array:
+        """What values (P, B) have of the highlight, by its lobe (P, B): with it, what exceeds it, within bounds."""
+        return np.clip(f, 0.0, lobe) + np.clip(f - lobe - self.base, 0.0, _MOST_EXCESS * lobe)
+
+    def shape_kept(self, position: float) -> float:
+        """How much of its measured shape a highlight keeps at another position; the rest is that of the lobe."""
+        return max(1.0 - abs(position - self.position) / _SHAPE_KEPT, 0.0)
+
+
+def roughness_at(position: float) -> float:
+    """Alpha at a position between `ROUGHNESSES`, in equal ratios."""
+    return float(ROUGHNESSES[0] * np.exp(_LOG_RATIO * position))
+
+
+def fit_highlight(brdf: BRDF) -> Highlight:
+    """The lobe, over a Lambertian base, of least cube-root error at the pairs of grid and ball."""
+    pairs = appearance_pairs(brdf.is_isotropic).pairs
+    f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
+    weight = np.cbrt(cosine_weight(pairs.wi, pairs.wo))
+    schlick = (1.0 - cos_theta_d(pairs.wi, pairs.wo)) ** 5
+
+    def solved(position: int, bands: Sequence[int]) -> tuple[Array, float]:
+        """Albedo of the base, normal and grazing reflectance, shape (3, bands), and the squared error."""
+        lobe = microfacet_lobe(pairs.wi, pairs.wo, roughness_at(position))
+        columns = np.stack([np.full_like(lobe, 1.0 / np.pi), lobe * (1.0 - schlick), lobe * schlick], axis=1)
+        found, error = [], 0.0
+        for band in bands:
+            slope = weight * (f[:, band] + _LEAST_VALUE) ** (-2.0 / 3.0)  # of cube roots, up to a factor
+            q, r = np.linalg.qr(columns * slope[:, None])
+            found.append(lsq_linear(r, q.T @ (f[:, band] * slope), (0.0, 1.0), method="bvls").x)
+            error += float(np.sum((weight * (np.cbrt(columns @ found[-1]) - np.cbrt(f[:, band]))) ** 2))
+        return np.transpose(found), error
+
+    nm = brdf.bands.wavelengths_nm
+    some = [0, 1, 2] if nm is None else [int(np.argmin(np.abs(np.array(nm) - at))) for at in _FITTED_NM]
+    last = len(ROUGHNESSES) - 1
+    best = min(range(0, last + 1, _COARSE), key=lambda k: solved(k, some)[1])
+    near = range(max(best - _COARSE + 1, 0), min(best + _COARSE, last + 1))
+    best = min(near, key=lambda k: solved(k, some)[1])
+    (albedo, normal, grazing), _ = solved(best, range(brdf.bands.count))
+    return Highlight(
+        best,
+        normal,
+        grazing,
+        albedo / np.pi,
+        max(float(normal[some].mean()), _LEAST_STRENGTH),
+        np.ones(len(normal)),
+    )
+
+
+def positions_between(start: Highlight, end: Highlight, share: Array) -> Array:
+    """Positions at shares (n,) of the end: the peak of the average lobe, F / alpha^2, goes in equal ratios.
+
+    A roughness in equal ratios would let the highlight between a strong, rough one and a weak, sharp one outshine both.
+    """
+    mean = (1.0 - share) * start.strength + share * end.strength
+    rise = np.log(mean) - (1.0 - share) * np.log(start.strength) - share * np.log(end.strength)
+    found = (1.0 - share) * start.position + share * end.position + 0.5 * rise / _LOG_RATIO
+    low, high = sorted((start.position, end.position))
+    return np.clip(found, low, high)
+
+
+class RoughenedBRDF(WrappedBRDF):
+    """A material whose highlight has another roughness; what the lobe does not explain stays as it is.
+
+    `f - m + L' (k m / L + (1 - k) g F)`, L being the lobe, L' that of the other roughness, F its Fresnel term, m what
+    L F explains, g its gain, and k how much of the measured shape is kept: 1 at the own roughness, where
+    it is f itself. Never negative where f is not.
+    """
+
+    def __init__(self, brdf: BRDF, highlight: Highlight, position: float) -> None:
+        """Change the roughness of a BRDF to that at a position between `ROUGHNESSES`."""
+        super().__init__(brdf)
+        self._highlight, self._position = highlight, position
+        self.name: str = getattr(brdf, "name", type(brdf).__name__)
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., B); arguments and errors as in the wrapped BRDF."""
+        f = self._brdf.eval(wi, wo)
+        wi, wo = (np.broadcast_to(w, (*f.shape[:-1], 3)).reshape(-1, 3) for w in (wi, wo))
+        flat, fresnel = f.reshape(-1, f.shape[-1]), self._highlight.fresnel(wi, wo)
+        own, other = (lobe_at(wi, wo, at) for at in (self._highlight.position, self._position))
+        moved = self._highlight.explained(flat, own * fresnel)
+        kept = self._highlight.shape_kept(self._position)
+        return (
+            flat - moved + other * (kept * moved / own + (1.0 - kept) * self._highlight.gain * fresnel)
+        ).reshape(f.shape)
+
+
+def lobe_at(wi: Array, wo: Array, position: float) -> Array:
+    """The lobe of a perfect reflector in 1/sr, shape (P, 1), 0 below the horizon, elsewhere positive."""
+    lobe = microfacet_lobe(wi, wo, roughness_at(position))
+    is_above = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
+    return np.where(is_above, lobe, np.finfo(float).tiny)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Walked:
+    """A material as an end of walks.
+
+    Attributes:
+        highlight: what is changed of it.
+        balls: linear sRGB of its ball's pixels at every roughness, shape (roughnesses, K, 3).
+    """
+
+    highlight: Highlight
+    balls: Array
+
+    @classmethod
+    def of(cls, brdf: BRDF) -> Walked:
+        """Fit the highlight of a material, and light its ball."""
+        highlight, lit = fit_highlight(brdf), ball()
+        f, fresnel = brdf.eval(lit.wi, lit.wo), highlight.fresnel(lit.wi, lit.wo)
+        own = lobe_at(lit.wi, lit.wo, highlight.position)
+        moved = highlight.explained(f, own * fresnel)
+        # The lobe sends as much light to the viewer as what it stands for.
+        gain = lit.light @ moved / np.maximum(lit.light @ (own * fresnel), np.finfo(float).tiny)
+        highlight = replace(highlight, gain=gain)
+        rest, shaped, smooth = (
+            to_srgb(part, brdf.bands) * lit.light[:, None]
+            for part in (f - moved, moved / own, gain * fresnel)
+        )
+        balls = []
+        for k in range(len(ROUGHNESSES)):
+            kept = highlight.shape_kept(k)
+            lobe = lobe_at(lit.wi, lit.wo, k)
+            balls.append(np.add.reduceat(rest + lobe * (kept * shaped + (1.0 - kept) * smooth), lit.starts))
+        return cls(highlight, np.stack(balls))
+
+    def ball_at(self, positions: Array) -> Array:
+        """Linear sRGB of the ball at positions (n,) between `ROUGHNESSES`, shape (n, K, 3)."""
+        below = np.minimum(positions.astype(int), len(ROUGHNESSES) - 2)
+        part = (positions - below)[:, None, None]
+        return np.asarray((1.0 - part) * self.balls[below] + part * self.balls[below + 1])
+
+
+def walk_path(start: Walked, end: Walked) -> Array:
+    """Share of the end at `PATH_NODES` even values of t, at which steps of the ball have equal CIEDE2000."""
+    u = np.linspace(0.0, 1.0, _STEPS)
+    positions = positions_between(start.highlight, end.highlight, u)
+    share = u[:, None, None]
+    linear = (1.0 - share) * start.ball_at(positions) + share * end.ball_at(positions)
+    xyz = srgb_to_xyz(np.clip(linear, 0.0, 1.0))
+    sizes = delta_e_2000(xyz[:-1], xyz[1:], srgb_to_xyz(np.ones(3))).mean(axis=1)
+    length = np.concatenate([[0.0], np.cumsum(sizes + np.finfo(float).eps)])
+    return np.interp(np.linspace(0.0, length[-1], PATH_NODES), length, u)
+
+
+def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> PredictedBRDF:
+    """The material at a share of the second of two ends."""
+    start, end = (w.highlight for w in walked)
+    position = float(positions_between(start, end, np.array([share]))[0])
+    parts = [RoughenedBRDF(brdf, w.highlight, position) for brdf, w in zip(ends, walked, strict=True)]
+    return PredictedBRDF(parts, Combination(Identity(), np.array([1.0 - share, share])))

@@ -1,0 +1,93 @@
+"""Predictions written as RGL files, with their diagnostics."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from manifold import __version__
+from manifold.completion.attributes import Attributes, adjust
+from manifold.model import diagnostics
+from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
+from manifold.model.diagnostics import Prediction, diagnose
+from manifold.model.latents import Place, PlaceLike
+from manifold.model.manifold import Manifold
+from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
+from manifold.model.prediction import ClippedBRDF
+from manifold.records import Array, Progress
+from manifold.workflows.output_files import require_bsdf_output, write_checked
+
+PREDICTED = "Predicted at latent"
+"""First words of the description of a predicted file."""
+
+
+def predict(
+    model: Manifold | Path | str,
+    latent: PlaceLike,
+    output: Path | str,
+    *,
+    library: Path | str | None = None,
+    colour: ColourChoice = NEAREST,
+    attributes: Attributes | None = None,
+    options: OutputOptions = DEFAULT_OPTIONS,
+    on_progress: Progress | None = None,
+) -> Prediction:
+    """Predict the material at a latent and write it as an RGL file.
+
+    Args:
+        model: a fitted manifold, or the path of one.
+        latent: Q coordinates, or another place.
+        output: the file to write; its name becomes the material's.
+        library: where the model's library is now, if not where the model remembers it.
+        colour: of a monochrome manifold, whose latent is the structure alone.
+        attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
+        options: of the file.
+        on_progress: called with (done, total, what) while materials are read.
+    Raises:
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or its albedo
+            would exceed 1.05 and `force` is not set.
+        LatentError: the latent does not have Q finite coordinates.
+    """
+    output = Path(output)
+    require_bsdf_output(output)
+    if not isinstance(model, Manifold):
+        model = Manifold.load(model, library)
+    place = model.place(latent)
+    if colour != NEAREST or model.space.needs_colours or place.path is not None:
+        model.prepare(on_progress)
+    if attributes is None:
+        adjusted, chosen = None, choose_colour(model, place, colour)
+    else:
+        adjusted = adjust(model, place, attributes, colour)
+        place, chosen = Place(adjusted.latent), ChosenColour(adjusted.colours, str(adjusted), 0.0)
+    brdf = model.predict(place, chosen.colours, on_progress)
+    start = time.perf_counter()
+    clipped = ClippedBRDF(brdf)
+    description = _describe(model, place.latent, chosen.words, options.physical)
+    remedy = "make it physical, write more incidences"
+    found = write_checked(output, clipped, options, description=description, remedy=remedy)
+    seconds = time.perf_counter() - start
+    made = diagnose(model, place, brdf, chosen, found, clipped.clipped_share)
+    if options.physical:
+        made = replace(made, diagnostics=made.diagnostics + diagnostics.of_projection(found))
+    if adjusted is not None:
+        made = replace(
+            made, diagnostics=made.diagnostics + adjusted.shortfalls, attributes=adjusted.to_json()
+        )
+    return replace(
+        made,
+        path=output,
+        is_physical=options.physical,
+        clipped_share=clipped.clipped_share,
+        seconds=seconds,
+    )
+
+
+def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
+    """The description in a predicted file."""
+    synthetic = any(model.library.attributes(name).is_synthetic for name in model.names)
+    origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
+    at = ", ".join(model.space.printed(x))
+    how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
+    return f"{PREDICTED} ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"

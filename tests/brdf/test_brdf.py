@@ -1,0 +1,280 @@
+"""The measured BRDF: agreement with Mitsuba, sampling, albedo, and input it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.chi_square import chi_square_p_value
+from helpers.mitsuba_reference import measured
+from helpers.paths import real_rgl_files
+from helpers.sample_files import sample_file
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from manifold.brdf import goniometer
+from manifold.brdf.analytic import corpus
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.warp import Warp
+from manifold.directions import from_spherical, hemisphere_quadrature
+from manifold.errors import ShapeError
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.records import Bands
+
+PAIRS = 20_000
+ANISOTROPIC = {m.name for m in corpus.anisotropic_materials()}
+BY_NAME = {m.name: m for m in corpus.isotropic_materials() + corpus.anisotropic_materials()}
+
+# Ten files of the corpus: dull to sharp, the 48 x 48 and 64 x 64 ones, three anisotropic, two RGB.
+CASES = [
+    ("syn_felt_green", False),
+    ("syn_standard_white", False),
+    ("syn_satin_gold", False),
+    ("syn_gloss_yellow", False),
+    ("syn_chrome_plain", False),
+    ("syn_flake_blue_fine", False),
+    ("syn_brushed_chromium", False),
+    ("syn_weave_sari", False),
+    ("syn_iridescent_green", True),
+    ("syn_brushed_gold", True),
+]
+
+
+def random_directions(rng, n):
+    """Uniform over the hemisphere down to the horizon, in single precision as Mitsuba takes them."""
+    z = rng.uniform(0.0, 1.0, n)
+    phi = rng.uniform(-np.pi, np.pi, n)
+    s = np.sqrt(1.0 - z * z)
+    w = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=-1).astype(np.float32).astype(np.float64)
+    return w / np.linalg.norm(w, axis=-1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def corpus_file(tmp_path_factory):
+    """Path of a corpus file, measured once per module; the anisotropic ones without noise, in few bands."""
+    folder = tmp_path_factory.mktemp("corpus")
+
+    def path_of(name, rgb):
+        path = folder / f"{name}_{'rgb' if rgb else 'spec'}.bsdf"
+        if not path.exists():
+            made = few_bands if name in ANISOTROPIC else corpus.measure
+            write_bsdf(path, made(BY_NAME[name], rgb=rgb))
+        return path
+
+    return path_of
+
+
+def few_bands(material, *, rgb):
+    """A material measured at nine wavelengths, or at three that stand for RGB."""
+    bands = Bands((465.0, 525.0, 630.0) if rgb else tuple(np.linspace(360.0, 1000.0, 9)))
+    file = goniometer.measure(material.truth(bands), material.name, resolution=material.resolution)
+    return replace(file, wavelengths_nm=None) if rgb else file
+
+
+def reference_tables(file, wi, wo):
+    """Where direction pairs fall in the tables of a file, in plain NumPy.
+
+    Returns a function of a shift of the warped coordinates that gives the stored values (K, B), the luminance
+    density (K,), and the factors that turn them into f_cos and pdf.
+    """
+    m = wi + wo
+    m /= np.linalg.norm(m, axis=-1, keepdims=True)
+    theta_i, phi_i = np.arccos(wi[:, 2]), np.arctan2(wi[:, 1], wi[:, 0])
+    theta_m, phi_m = np.arccos(m[:, 2]), np.arctan2(m[:, 1], m[:, 0])
+    x = np.sqrt(theta_m * 2 / np.pi)
+    y = (phi_m - phi_i + np.pi) / (2 * np.pi) % 1.0
+    warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
+    (uv, vndf_pdf) = warp.invert(np.stack([x, y], axis=-1), 0.0, theta_i)
+    k = np.clip(np.searchsorted(file.theta_i_rad, theta_i, side="right") - 1, 0, len(file.theta_i_rad) - 2)
+    t = np.clip((theta_i - file.theta_i_rad[k]) / np.diff(file.theta_i_rad)[k], 0, 1)
+    scale = bilinear(file.ndf[None, None], 0 * k, x, y)[:, 0] / (
+        4
+        * bilinear(file.sigma[None, None], 0 * k, np.sqrt(theta_i * 2 / np.pi), phi_i / (2 * np.pi) + 0.5)[
+            :, 0
+        ]
+    )
+    jacobian = 2 * np.pi**2 * x * np.sin(theta_m) * 4 * np.sum(wi * m, axis=-1)
+    density = Warp.from_values(np.maximum(file.luminance, 0), file.phi_i_rad, file.theta_i_rad).data
+    density = density.reshape(len(file.theta_i_rad), 1, *file.luminance.shape[2:])
+    density = density * (density.shape[2] - 1) * (density.shape[3] - 1)
+
+    def evaluate(shift):
+        u, v = np.clip(uv + shift, 0, 1).T
+        stored, luminance = (
+            (1 - t)[:, None] * bilinear(table, k, u, v) + t[:, None] * bilinear(table, k + 1, u, v)
+            for table in (file.spectra[0], density)
+        )
+        return stored * scale[:, None], luminance[:, 0] * vndf_pdf / jacobian
+
+    return evaluate
+
+
+def bilinear(tables, k, x, y):
+    """Values at (x, y) of tables[k], shape (T, B, H, W): (K, B)."""
+    rows, columns = tables.shape[2:]
+    j = np.clip((x * (columns - 1)).astype(int), 0, columns - 2)
+    i = np.clip((y * (rows - 1)).astype(int), 0, rows - 2)
+    tx, ty = (x * (columns - 1) - j)[:, None], (y * (rows - 1) - i)[:, None]
+    corner = [tables[k, :, i + a, j + b].astype(np.float64) for a in (0, 1) for b in (0, 1)]
+    return (1 - ty) * ((1 - tx) * corner[0] + tx * corner[1]) + ty * ((1 - tx) * corner[2] + tx * corner[3])
+
+
+def compare_with_mitsuba(path, rng):
+    """For f_cos and pdf on random pairs: our value, and Mitsuba's."""
+    file = read_bsdf(path)
+    brdf = MeasuredBRDF(file)
+    wi, wo = random_directions(rng, PAIRS), random_directions(rng, PAIRS)
+    if file.wavelengths_nm is None:
+        bands, wavelengths = np.tile(np.arange(3), (PAIRS, 1)), None
+    else:
+        bands = rng.integers(0, len(file.wavelengths_nm), (PAIRS, 4))
+        wavelengths = file.wavelengths_nm[bands].astype(np.float64)
+    expected_f, expected_pdf = measured(path, wi, wo, wavelengths)
+    f = np.take_along_axis(brdf.eval_cos(wi, wo), bands, axis=1)
+    return (f, expected_f), (brdf.pdf(wi, wo), expected_pdf), (file, wi, wo)
+
+
+def assert_agrees(found, expected, slack=0.0):
+    deviation = np.abs(found - expected)
+    assert np.mean(deviation <= 1e-3 * np.abs(expected) + slack) >= 0.999
+    assert deviation.max() <= 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("name", "rgb"), CASES)
+def test_corpus_files_evaluate_as_in_mitsuba(corpus_file, rng, name, rgb):
+    f, pdf, _ = compare_with_mitsuba(corpus_file(name, rgb), rng)
+    assert_agrees(*f)
+    assert_agrees(*pdf)
+
+
+@pytest.mark.parametrize("path", real_rgl_files() or [None], ids=lambda p: p.stem if p else "none")
+def test_real_files_evaluate_as_in_mitsuba(path, rng, tmp_path):
+    if path is None:
+        pytest.skip("no real RGL files: set MANIFOLD_RGL_DIR to a folder of them")
+    if read_bsdf(path).luminance.min() < 0:
+        # A handful of cells just below zero would make Mitsuba's density negative; ours counts them as zero.
+        file = read_bsdf(path)
+        path = tmp_path / path.name
+        write_bsdf(path, replace(file, luminance=np.maximum(file.luminance, 0)))
+    f, pdf, (file, wi, wo) = compare_with_mitsuba(path, rng)
+    # In real files the last column of the warped grid, beyond the horizon, is zero. Close to it a value is
+    # proportional to 1 - u, of which single precision keeps few digits or none: moving u and v by one unit
+    # in the last place changes it by `slack`, and that much Mitsuba may be off.
+    slack_f, slack_pdf = np.zeros_like(f[0]), np.zeros_like(pdf[0])
+    if file.is_isotropic and file.wavelengths_nm is None:
+        evaluate = reference_tables(file, wi, wo)
+        here_f, here_pdf = evaluate(np.zeros(2))
+        for shift in 2.0**-23 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
+            moved_f, moved_pdf = evaluate(shift)
+            slack_f = np.maximum(slack_f, np.abs(moved_f - here_f))
+            slack_pdf = np.maximum(slack_pdf, np.abs(moved_pdf - here_pdf))
+    assert_agrees(*f, slack_f)
+    assert_agrees(*pdf, slack_pdf)
+
+
+@pytest.mark.parametrize("name", ["syn_iridescent_green", "syn_chrome_plain"])
+def test_evaluation_agrees_with_plain_numpy(corpus_file, rng, name):
+    file = read_bsdf(corpus_file(name, True))
+    brdf = MeasuredBRDF(file)
+    wi, wo = random_directions(rng, 3000), random_directions(rng, 3000)
+    f_cos, pdf = reference_tables(file, wi, wo)(np.zeros(2))
+    # arccos near the normal keeps half the digits that the package's elevation keeps.
+    np.testing.assert_allclose(brdf.eval_cos(wi, wo), f_cos, rtol=1e-6, atol=1e-9 * f_cos.max())
+    np.testing.assert_allclose(brdf.pdf(wi, wo), pdf, rtol=1e-6, atol=1e-9 * pdf.max())
+
+
+@pytest.mark.parametrize(("name", "rgb"), [CASES[2], CASES[4], CASES[6], CASES[8]])
+@pytest.mark.parametrize("theta_deg", [0.0, 40.0, 80.0])
+def test_samples_follow_the_pdf(corpus_file, rng, name, rgb, theta_deg):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, rgb)))
+    wi = from_spherical(np.deg2rad(theta_deg), 0.7)
+    # Chrome's lobes, three degrees wide, need 24 points a cell for their expected counts.
+    assert chi_square_p_value(brdf, wi, rng, order=24 if "chrom" in name else 8) > 1e-4
+
+
+@pytest.mark.parametrize(("name", "rgb"), [CASES[0], CASES[3], CASES[7]])
+def test_sampled_pdf_is_the_pdf(corpus_file, rng, name, rgb):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, rgb)))
+    wi = random_directions(rng, 2000)
+    wo, pdf = brdf.sample(wi, rng.random((2000, 2)))
+    kept = pdf > 0
+    assert kept.mean() > 0.5
+    # The inverse of the warp treats slopes below 1e-4 as flat, sampling does too.
+    np.testing.assert_allclose(brdf.pdf(wi[kept], wo[kept]), pdf[kept], rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["syn_satin_gold", "syn_weave_sari"])
+def test_albedo_is_the_integral_over_the_hemisphere(corpus_file, name):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file(name, False)))
+    wi = from_spherical(np.deg2rad([0.0, 30.0, 60.0]), 0.3)
+    wo, weights = hemisphere_quadrature(96, 192)
+    for k in range(3):
+        integral = weights @ brdf.eval_cos(wi[k], wo)
+        np.testing.assert_allclose(brdf.albedo(wi[k]), integral, rtol=5e-3)  # both are quadratures
+
+
+def test_isotropic_files_do_not_change_when_both_directions_turn(corpus_file, rng):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    turn = np.array([[np.cos(1.1), -np.sin(1.1), 0], [np.sin(1.1), np.cos(1.1), 0], [0, 0, 1]])
+    np.testing.assert_allclose(brdf.eval(wi @ turn.T, wo @ turn.T), brdf.eval(wi, wo), rtol=1e-7, atol=1e-9)
+
+
+def test_half_turn_files_look_the_same_after_half_a_turn(corpus_file, rng):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_weave_sari", False)))
+    wi, wo = random_directions(rng, 500), random_directions(rng, 500)
+    half = np.array([-1.0, -1.0, 1.0])
+    np.testing.assert_allclose(brdf.eval(wi * half, wo * half), brdf.eval(wi, wo), rtol=1e-9)
+
+
+def test_nothing_is_reflected_below_the_horizon(corpus_file):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_satin_gold", False)))
+    up, down = from_spherical(0.4, 0.0), from_spherical(2.0, 0.0)
+    flat = np.array([1.0, 0.0, 0.0])
+    for wi, wo in [(up, down), (down, up), (down, down), (up, flat), (flat, up)]:
+        assert not np.any(brdf.eval(wi, wo))
+        assert brdf.pdf(wi, wo) == 0.0
+    assert brdf.sample(down, np.array([0.3, 0.6]))[1] == 0.0
+
+
+@settings(deadline=None, max_examples=25)
+@given(lead=st.lists(st.integers(1, 4), max_size=3), seed=st.integers(0, 1000))
+def test_directions_broadcast(corpus_file, lead, seed):
+    rng = np.random.default_rng(seed)
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True)))
+    wi = random_directions(rng, 1)[0]
+    wo = random_directions(rng, int(np.prod(lead))).reshape(*lead, 3)
+    f = brdf.eval(wi, wo)
+    assert f.shape == (*lead, 3)
+    one = (0,) * len(lead)
+    np.testing.assert_array_equal(f[one], brdf.eval(wi, wo[one]))
+
+
+@pytest.mark.parametrize(
+    ("wi", "words"),
+    [
+        (np.zeros((2, 2)), "shape"),
+        (np.array([0.0, 0.0, np.nan]), "finite"),
+        (np.array([0.0, 0.0, 2.0]), "length 2"),
+        (np.zeros(3), "length 0"),
+    ],
+)
+def test_what_is_no_direction_is_refused(corpus_file, wi, words):
+    brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True)))
+    with pytest.raises(ShapeError, match=words):
+        brdf.eval(wi, np.array([0.0, 0.0, 1.0]))
+
+
+def test_measured_and_analytic_brdfs_share_the_protocol(corpus_file):
+    measured_brdf = MeasuredBRDF(read_bsdf(corpus_file("syn_iridescent_green", True)))
+    assert isinstance(measured_brdf, BRDF)
+    assert isinstance(BY_NAME["syn_gloss_red"].truth(), BRDF)
+
+
+def test_no_directions_give_no_values_and_directions_below_the_horizon_no_albedo():
+    brdf = MeasuredBRDF(sample_file("m", 1, size=8))
+    none = np.zeros((0, 3))
+    assert brdf.eval(none, none).shape == (0, brdf.bands.count)
+    assert brdf.albedo(none).shape == (0, brdf.bands.count)
+    assert not np.any(brdf.albedo(np.array([0.0, 0.0, -1.0])))

@@ -1,0 +1,599 @@
+"""The command line: exit status, one-line errors, JSON, pipes, interruption."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.paths import REPOSITORY
+from helpers.sample_files import write_samples
+from helpers.small_library import NAMES, measured, small_library, small_model
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.formats.tensor_file import read_tensors, write_tensors
+from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.latent.decoder import EncodingPairs
+from manifold.metrics import relative_error
+from manifold.model.manifold import Manifold
+
+RUN = "import sys; from manifold.cli.main import run; run(sys.argv[1:])"
+COMMANDS = (
+    "demo", "corpus", "fetch", "import", "info", "embed", "predict", "locate", "reconstruct", "report",
+    "render", "compare", "map", "walk", "slices", "fit", "chart", "stability", "budget", "export",
+)  # fmt: skip
+
+
+def start(*arguments, cwd, **options):
+    return subprocess.Popen(
+        [sys.executable, "-c", RUN, *map(str, arguments)],
+        cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
+    )  # fmt: skip
+
+
+def manifold(*arguments, cwd):
+    """Status, stdout and stderr of the command in a process of its own."""
+    process = start(*arguments, cwd=cwd)
+    out, err = process.communicate(timeout=180)
+    return process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with `library.zarr` and `model.h5`."""
+    return small_model(tmp_path_factory.mktemp("cli")).parent
+
+
+@pytest.fixture
+def quick_balls(monkeypatch):
+    """Balls of few samples, for tests that do not look at them."""
+    from manifold.rendering import thumbnails
+
+    monkeypatch.setattr(thumbnails, "SAMPLES", 4)
+
+
+def one_line(err):
+    assert err.count("\n") == 1, err
+    assert err.startswith("manifold: ")
+    assert "Traceback" not in err
+    return err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself_with_an_example(run, tmp_path, command):
+    status, out, _ = run(command, "--help", cwd=tmp_path)
+    assert status == 0
+    assert f"Example: manifold {command}" in out
+    assert "[[" not in out  # brackets around optional words are Typer's own
+    assert not re.search(r"<(path|str|int|float|list|int range)\b", out)
+
+
+def test_the_version_is_printed(run, tmp_path):
+    status, out, _ = run("--version", cwd=tmp_path)
+    assert status == 0
+    assert re.fullmatch(r"manifold \d+\.\d+\.\d+\n", out)
+
+
+def test_help_loads_nothing_heavy(tmp_path):
+    code = "import sys; from manifold.cli.main import run\ntry: run(['--help'])\nexcept SystemExit: pass\n"
+    code += "print([m for m in ('numpy', 'zarr', 'numba', 'matplotlib', 'colour') if m in sys.modules])"
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert out.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["predic"], "predict"),
+        (["predict", "--latnt", "0,0"], "--latent"),
+        (["predict"], "--latent"),
+        (["embed", "--latent-dim", "0"], "latent-dim"),
+        (["embed", "--optimizer", "adam"], "l-bfgs"),
+        (["embed", "--kernel", "cubic"], "matern32+linear"),
+        (["embed", "--mapping", "cuberoot"], "did you mean cube-root?"),
+        (["embed", "--mu", "0"], "mu = 0.0, expected 1e-10 to 1e+06"),
+        (["report", "--grid", "huge"], "hikichi"),
+        (["render", "--size", "1"], "--size"),
+        (["corpus", "x", "--seed", "one"], "--seed"),
+        (["corpus"], "Missing argument 'FOLDER'"),
+        (["import", ""], "an empty argument"),
+    ],
+)
+def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments, words):
+    status, out, err = run(*arguments, cwd=tmp_path)
+    assert (status, out) == (2, "")
+    assert words in one_line(err)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected", "words"),
+    [
+        (["info"], 2, "no such path"),
+        (["embed"], 1, "manifold import"),
+        (["embed", "-o", "absent/m.h5"], 2, "absent/m.h5: cannot write this file"),
+        (["predict", "--latent", "0,0"], 1, "manifold embed"),
+        (["report"], 1, "manifold embed"),
+        (["import", "absent"], 2, "absent"),
+        (["import", "."], 2, "bsdf"),
+        (["fetch", "satin_golt"], 2, "satin_gold"),
+        (["info", "x.txt", "--verify"], 2, "only libraries can be verified"),
+        (["info", "x.txt"], 1, "found a text file"),
+        (["info", "."], 1, "without zarr.json"),
+        (["embed", "-L", "x.txt"], 1, "which is a folder"),
+        (["report", "-M", "x.txt"], 1, "unknown or damaged header"),
+        (["report", "-M", "."], 1, "a folder, expected a model"),
+        (["demo", "x.txt"], 1, "x.txt"),
+        (["budget", "--example", "felt", "-o", "felt.png"], 2, "expected a folder; --picture FILE"),
+        (["corpus", "x.txt/sub"], 2, "cannot make this folder"),
+        (["fetch", "satin_gold", "--base-url", "ftp://x"], 2, "http"),
+    ],
+)
+def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, arguments, expected, words):
+    if any(argument.startswith("x.txt") for argument in arguments):
+        (tmp_path / "x.txt").write_text("just some text that is no tensor file\n" * 9)
+    status, out, err = run(*arguments, cwd=tmp_path)
+    assert status == expected
+    assert out == ""
+    assert words in one_line(err)
+
+
+@pytest.mark.parametrize("command", [["report"], ["chart", "-L", "library.zarr"]])
+def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
+    from manifold.experiments.chart.held_out import HeldOut
+    from manifold.experiments.evaluation import report
+
+    small_model(tmp_path) if command == ["report"] else small_library(tmp_path)
+
+    def work(*_, **__):
+        raise AssertionError("began to work")
+
+    monkeypatch.setattr(HeldOut, "__init__", work)
+    monkeypatch.setattr(report, "_tabulate", work)
+    status, _, err = run(*command, "--anchor", "absent.zip", cwd=tmp_path)
+    assert status == 2
+    assert err.startswith("manifold: absent.zip: no such file or folder")
+
+
+def test_the_main_job_step_by_step(run, tmp_path):
+    files = tmp_path / "files"
+    files.mkdir()
+    for name in NAMES[:4]:
+        write_bsdf(files / f"{name}_rgb.bsdf", measured(name))
+    assert run("import", "files", cwd=tmp_path)[0] == 0
+    status, out, _ = run("import", "files", "--json", "i.json", cwd=tmp_path)
+    assert status == 0
+    assert json.loads((tmp_path / "i.json").read_text())["skipped"] == sorted(NAMES[:4])
+    assert run("embed", "--json", "e.json", cwd=tmp_path)[0] == 0
+    assert set(json.loads((tmp_path / "e.json").read_text())["latents"]) == set(NAMES[:4])
+    status, out, _ = run(
+        "predict", "--latent", "-0.3,0.2", "-o", "p_rgb.bsdf", "--json", "p.json", cwd=tmp_path
+    )
+    assert status == 0
+    assert "expected error" in out
+    assert read_bsdf(tmp_path / "p_rgb.bsdf").spectra.shape == (1, 8, 3, 32, 32)
+    assert json.loads((tmp_path / "p.json").read_text())["latent"] == [-0.3, 0.2]
+    status, out, _ = run("report", "--json", "r.json", "--picture", "m.png", cwd=tmp_path)
+    assert status == 0
+    assert "synthetic" in out
+    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "r.json").read_text())["methods"][0]["rmse"] == [0.0] * 4
+    for path in ("library.zarr", "model.h5", "p_rgb.bsdf"):
+        status, out, _ = run("info", path, cwd=tmp_path)
+        assert status == 0
+        assert path in out
+    assert "all hashes match" in run("info", "library.zarr", "--verify", cwd=tmp_path)[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "model.h5"),
+        ("info", "library.zarr"),
+        ("report",),
+        ("predict", "--latent", "0,0", "-o", "j_rgb.bsdf"),
+    ],
+)
+def test_json_on_stdout_stands_alone(run, folder, arguments):
+    status, out, err = run(*arguments, "--json", "-", cwd=folder)
+    assert (status, err) == (0, "")
+    assert isinstance(json.loads(out), dict)
+
+
+@pytest.mark.parametrize(
+    ("latent", "words"),
+    [
+        ("1", "expected 2"), ("1,2,3", "expected 2"), ("nan,0", "finite"), ("-inf,0", "finite"), ("1e999,0", "finite"),
+        ("a,b", "numbers"), ("0.1 0.2", "numbers"), ("1,2,", "numbers"), ("1e200,0", "at most 1e+09"),
+    ],
+)  # fmt: skip
+def test_latents_that_are_none_are_usage_errors(run, folder, latent, words):
+    status, out, err = run("predict", "--latent", latent, "-o", "none_rgb.bsdf", cwd=folder)
+    assert (status, out) == (2, "")
+    assert words in one_line(err)
+    assert not (folder / "none_rgb.bsdf").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "model.h5", "--json", "absent/x"), ("report", "--json", "library.zarr"),
+        ("report", "--picture", "absent/x.png"), ("report", "--picture", "x.txt"),
+        ("embed", "-M", "absent/m.h5"), ("embed", "-M", "library.zarr"),
+        *(("predict", "--latent", "0,0", "-o", f) for f in ("x.png", "absent/x.bsdf", "model.h5/x.bsdf", "_rgb.bsdf")),
+    ],
+)  # fmt: skip
+def test_files_that_cannot_be_written_are_refused_before_the_work(run, folder, monkeypatch, arguments):
+    def fail(*_, **__):
+        pytest.fail("the work was done first")
+
+    monkeypatch.setattr("manifold.experiments.evaluation.report.make_report", fail)
+    monkeypatch.setattr("manifold.workflows.pipeline.Manifold.fit", fail)
+    status, out, err = run(*arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    reasons = ("expected one of .png", "cannot write this file", "in the library", "ends in .bsdf")
+    assert any(reason in one_line(err) for reason in reasons)
+
+
+@pytest.fixture
+def moved(folder, tmp_path):
+    """A folder where the model's library has another name."""
+    shutil.copytree(folder / "library.zarr", tmp_path / "elsewhere.zarr")
+    shutil.copy(folder / "model.h5", tmp_path / "model.h5")
+    return tmp_path
+
+
+@pytest.mark.parametrize("arguments", [("report",), ("predict", "--latent", "0,0", "-o", "p_rgb.bsdf")])
+def test_a_library_that_has_moved_can_be_named(run, moved, arguments):
+    status, _, err = run(*arguments, cwd=moved)
+    assert status == 1
+    assert "its library is not at" in one_line(err)
+    status, _, err = run(*arguments, "--library", "elsewhere.zarr", cwd=moved)
+    assert (status, err) == (0, "")
+
+
+def test_a_library_that_lost_a_material_is_one_error(run, moved):
+    shutil.rmtree(moved / "elsewhere.zarr" / "materials" / NAMES[0])
+    status, _, err = run("report", "-L", "elsewhere.zarr", cwd=moved)
+    assert status == 1
+    assert f"lacks 1 of the {len(NAMES)} materials" in one_line(err)
+
+
+def test_a_library_that_gained_a_material_is_one_warning(run, moved):
+    small_library(moved / "more", names=("syn_satin_blue",), library=moved / "elsewhere.zarr")
+    status, _, err = run("info", "model.h5", "-L", "elsewhere.zarr", cwd=moved)
+    assert status == 0
+    assert "warning: elsewhere.zarr is not what model.h5 was fitted to" in one_line(err)
+    status, out, _ = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--json", "-", cwd=moved)
+    document = json.loads(out)
+    assert "is not what model.h5 was fitted to" in document["warnings"][0]
+    assert document["warnings"][0] in document["diagnostics"]
+    status, out, err = run("predict", "--latent", "0,0", "-L", "elsewhere.zarr", "--strict", cwd=moved)
+    assert (status, out) == (1, "")
+    assert "is not what model.h5 was fitted to" in one_line(err)
+
+
+def test_control_characters_of_files_do_not_reach_the_terminal(run, tmp_path):
+    description = b"red \x1b[31m bell\x07 \xff no text"
+    tensors = dict(read_tensors(write_samples(tmp_path, 1)[0]))
+    tensors["description"] = np.frombuffer(description, np.uint8)
+    write_tensors(tmp_path / "odd_spec.bsdf", tensors)
+    status, out, _ = run("info", "odd_spec.bsdf", cwd=tmp_path)
+    assert status == 0
+    assert r"red \x1b[31m bell\x07 \udcff no text" in out
+    status, _, err = run("info", "absent\x1b[31m", cwd=tmp_path)
+    assert status == 2
+    assert "\x1b" not in one_line(err)
+    run("import", "odd_spec.bsdf", cwd=tmp_path)
+    status, out, _ = run("info", "library.zarr", cwd=tmp_path)
+    assert status == 0
+    assert "\x1b" not in out
+
+
+def test_a_damaged_material_is_named_with_its_remedy(run, moved):
+    (moved / "elsewhere.zarr" / "materials" / NAMES[1] / "spectra" / "c.0.0.0.0.0").unlink()
+    for arguments in (("info", "elsewhere.zarr", "--verify"), ("report", "-L", "elsewhere.zarr")):
+        status, _, err = run(*arguments, cwd=moved)
+        assert status == 1
+        assert NAMES[1] in one_line(err)
+        assert "import its file again" in err
+        assert err.count("import its file again") == 1
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("latent_dim", [1, 2, 3])
+def test_tiny_libraries_work_or_say_what_they_lack(run, tmp_path, count, latent_dim):
+    small_library(tmp_path, names=NAMES[:count])
+    status, out, err = run("embed", "-q", latent_dim, cwd=tmp_path)
+    if latent_dim >= count:
+        assert status == 2
+        assert "import more" in one_line(err)
+        return
+    assert status == 0
+    status, out, err = run("report", "--picture", "map.png", "--json", "report.json", cwd=tmp_path)
+    if count == 2:
+        assert status == 2
+        assert "leave one out" in one_line(err)
+    else:
+        assert (status, err) == (0, "")
+        assert f"{count} materials" in out
+        assert len(json.loads((tmp_path / "report.json").read_text())["names"]) == count
+    latent = ",".join(["0.1"] * latent_dim)
+    assert run("predict", "--latent", latent, "-o", "p_rgb.bsdf", cwd=tmp_path)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "blended from the surrounding materials"),
+        (["--like", "syn_felt_orange"], "like syn_felt_orange"),
+        (["--srgb", "0.5,0.6,0.7", "--physical"], "sRGB 0.5,0.6,0.7"),
+    ],
+)
+def test_a_structure_is_predicted_in_the_colour_asked_for(run, folder, arguments, words):
+    code, out, _ = run("predict", "--latent", "0.1,0.1", "-o", "p.bsdf", *arguments, cwd=folder)
+    assert code == 0
+    assert words in out
+    assert words in read_bsdf(folder / "p.bsdf").description
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--like", "syn_felt_gren"], "syn_felt_green"),
+        (["--srgb", "blue"], "#rrggbb"),
+        (["--like", "syn_felt_green", "--srgb", "#ffffff"], "one of them"),
+        (["--reflectance", "absent.txt"], "absent.txt"),
+    ],
+)
+def test_colours_that_are_none_are_usage_errors(run, folder, arguments, words):
+    code, out, err = run("predict", "--latent", "0,0", *arguments, cwd=folder)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
+
+
+def test_a_file_of_the_library_is_located_at_its_material(run, folder):
+    file = folder / "files" / "syn_satin_gold_rgb.bsdf"
+    code, out, _ = run("locate", file, "--json", "-", cwd=folder)
+    found = json.loads(out)
+    assert code == 0
+    assert found["nearest"][0][0] == "syn_satin_gold"
+    assert found["relative_error"] < 0.2
+    assert np.shape(found["colours"]) == (2, 3)  # path coordinates, and gains
+
+
+def test_a_located_file_is_written_as_the_map_reconstructs_it(run, folder, tmp_path):
+    file, output = folder / "files" / "syn_satin_gold_rgb.bsdf", tmp_path / "again_rgb.bsdf"
+    code, out, _ = run("locate", file, "-o", output, "--json", "-", cwd=folder)
+    found = json.loads(out)
+    model = Manifold.load(folder / "model.h5")
+    predicted = model.predict(found["latent"], np.array(found["colours"]))
+    wi, wo = _some_pairs()
+    assert code == 0
+    assert found["output"] == str(output)
+    assert MeasuredBRDF(read_bsdf(output)).eval(wi, wo) == pytest.approx(predicted.eval(wi, wo), rel=0.05)
+    assert f"latent ({','.join(found['coordinates'])})".replace(",", ", ") in read_bsdf(output).description
+
+
+def test_a_file_is_reconstructed_from_a_library_with_and_without_itself(run, folder, tmp_path):
+    file = folder / "files" / "syn_satin_gold_rgb.bsdf"
+    made = {}
+    for name, without in (("with", ()), ("without", ("--without", "syn_satin_gold"))):
+        output = tmp_path / f"{name}_rgb.bsdf"
+        code, out, err = run("reconstruct", file, *without, "-o", output, "--json", "-", cwd=folder)
+        assert code == 0, err
+        made[name] = json.loads(out)
+        error = relative_error(*_two_materials(file, output))
+        assert error == pytest.approx(made[name]["relative_error"], abs=0.05)
+    assert (made["with"]["materials"], made["without"]["materials"]) == (len(NAMES), len(NAMES) - 1)
+    assert made["with"]["parts"][0][0] == "syn_satin_gold"
+    assert "syn_satin_gold" not in dict(made["without"]["parts"])
+    assert made["with"]["ball"] < 0.1 < made["without"]["ball"]
+    assert any("leave it out" in note for note in made["with"]["diagnostics"])
+    assert not any("leave it out" in note for note in made["without"]["diagnostics"])
+
+
+def test_materials_are_held_out_of_a_model(run, folder, tmp_path):
+    model = tmp_path / "fewer.h5"
+    held_out = ("--without", "syn_satin_gold", "--without", "syn_gloss_red")
+    assert run("embed", *held_out, "-M", model, cwd=folder)[0] == 0
+    assert set(Manifold.load(model).names) == set(NAMES) - {"syn_satin_gold", "syn_gloss_red"}
+
+
+@pytest.mark.parametrize(
+    ("held_out", "words"),
+    [
+        (["satin"], "no material 'satin' in library.zarr; did you mean syn_satin_gold"),
+        (NAMES, "no material is left"),
+    ],
+)
+def test_held_out_names_are_materials_and_not_all(run, folder, held_out, words):
+    words_of = [word for name in held_out for word in ("--without", name)]
+    code, _, err = run("reconstruct", "files/syn_satin_gold_rgb.bsdf", *words_of, cwd=folder)
+    assert code == 2
+    assert words in one_line(err)
+    assert not (folder / "reconstructed.bsdf").exists()
+
+
+def _some_pairs():
+    rng = np.random.default_rng(0)
+    return (from_spherical(rng.uniform(0.1, 1.2, 50), rng.uniform(-3.0, 3.0, 50)) for _ in range(2))
+
+
+def _two_materials(*files):
+    """Values of two files on the grid of reports, and the weights of its pairs."""
+    pairs = EncodingPairs.default()
+    return *(MeasuredBRDF(read_bsdf(file)).eval(pairs.wi, pairs.wo) for file in files), pairs.cosines
+
+
+def test_good_files_are_imported_beside_bad_ones(run, tmp_path):
+    write_bsdf(tmp_path / "syn_felt_green_rgb.bsdf", measured("syn_felt_green"))
+    (tmp_path / "broken_rgb.bsdf").write_bytes((tmp_path / "syn_felt_green_rgb.bsdf").read_bytes()[:5000])
+    status, out, err = run("import", ".", cwd=tmp_path)
+    assert status == 1
+    assert "imported  1" in out
+    assert "left out  1" in out
+    assert "broken_rgb.bsdf" in one_line(err)
+    for number in range(20):
+        (tmp_path / f"bad{number}_rgb.bsdf").write_bytes(b"nothing")
+    _, _, err = run("import", ".", "--json", "i.json", cwd=tmp_path)
+    assert "21 left out" in one_line(err)
+    assert "and 18 more" in err
+    assert len(json.loads((tmp_path / "i.json").read_text())["failed"]) == 21
+
+
+def test_debug_shows_the_traceback_wherever_it_stands(run, tmp_path):
+    for arguments in (["--debug", "embed"], ["embed", "--debug"]):
+        status, _, err = run(*arguments, cwd=tmp_path)
+        assert status == 1
+        assert "Traceback" in err
+
+
+def test_a_pipe_gets_plain_text_and_may_close_early(folder):
+    status, out, err = manifold("info", "library.zarr", cwd=folder)
+    assert (status, err) == (0, "")
+    assert "\x1b" not in out
+    assert all(name in out for name in NAMES)
+    process = start("info", "library.zarr", cwd=folder)
+    process.stdout.close()
+    process.wait(timeout=120)
+    assert process.stderr.read() == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_behind_stdout_is_one_error(folder):
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", RUN, "info", "model.h5"]
+        done = subprocess.run(command, cwd=folder, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 1
+    assert "No space left" in one_line(done.stderr)
+
+
+def test_an_unexpected_error_is_one_line_that_asks_for_debug(run, folder, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("first line\nsecond line")
+
+    monkeypatch.setattr("manifold.workflows.pipeline.report", fail)
+    status, _, err = run("report", cwd=folder)
+    assert status == 1
+    assert "RuntimeError: first line second line; run again with --debug" in one_line(err)
+
+
+def test_an_interruption_before_the_command_runs_is_one_line(run, monkeypatch, tmp_path):
+    def interrupt(**_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("manifold.cli.main.app", interrupt)
+    status, _, err = run("corpus", "out", cwd=tmp_path)
+    assert status == 130
+    assert "interrupted" in one_line(err)
+
+
+def test_an_interruption_that_compiled_code_wraps_is_an_interruption(run, monkeypatch, tmp_path):
+    def interrupt(**_):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interruption:  # as CPython does where Numba loads a compiled function
+            raise SystemError("returned a result with an exception set") from interruption
+
+    monkeypatch.setattr("manifold.cli.main.app", interrupt)
+    status, _, err = run("corpus", "out", cwd=tmp_path)
+    assert status == 130
+    assert "interrupted" in one_line(err)
+
+
+def test_an_interruption_leaves_nothing_half_written(tmp_path):
+    process = start("corpus", "out", cwd=tmp_path)
+    deadline = time.monotonic() + 150
+    while not list(tmp_path.glob("out/[!.]*_spec.bsdf")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in one_line(err)
+    files = sorted((tmp_path / "out").iterdir())
+    assert files
+    for path in files:
+        read_bsdf(path)
+
+
+def test_the_package_installs_no_global_module_named_cli(tmp_path):
+    code = "import importlib.util, manifold.cli.main; print(importlib.util.find_spec('cli'))"
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert out.stdout.strip() == "None"
+
+
+def test_python_runs_the_package_as_the_command(tmp_path):
+    from manifold import __version__
+
+    done = subprocess.run(
+        [sys.executable, "-m", "manifold", "--version"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=True,
+    )
+    assert done.stdout == f"manifold {__version__}\n"
+
+
+def test_every_folder_is_installed():
+    settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+    folders = {path.parent.relative_to(REPOSITORY) for path in (REPOSITORY / "manifold").rglob("*.py")}
+    expected = {".".join(folder.parts) for folder in folders} | {"manifold.cli"}
+    assert set(settings["tool"]["setuptools"]["packages"]) == expected
+
+
+DIAGNOSED = {
+    "expected_ball",
+    "expected_cube_root",
+    "materials",
+    "is_extrapolation",
+    "nearest",
+    "plausibility",
+    "diagnostics",
+}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "find"),
+    [
+        (["predict", "--latent", "0.3,-0.2", "-o", "d_rgb.bsdf"], lambda document: document),
+        (
+            ["slices", "--latent", "0.3,-0.2"],
+            lambda document: document["predictions"]["predicted at 0.3,-0.2"],
+        ),
+        (["map", "--mark", "0.3,-0.2"], lambda document: document["prediction"]),
+        (
+            ["render", "--latent", "0.3,-0.2", "--size", "16", "--samples", "1"],
+            lambda document: document["prediction"],
+        ),
+        (["fit", "--latent", "0.3,-0.2", "--free", "roughness"], lambda document: document["predictions"][0]),
+        (
+            ["walk", "syn_felt_green", "syn_gloss_red", "--steps", "3"],
+            lambda document: document["predictions"][0],
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+@pytest.mark.usefixtures("quick_balls")
+def test_every_command_that_predicts_says_what_to_expect(run, folder, arguments, find):
+    status, out, err = run(*arguments, "--json", "-", cwd=folder)
+    assert status == 0, err
+    found = find(json.loads(out))
+    assert set(found) >= DIAGNOSED
+    model = Manifold.load(folder / "model.h5", folder / "library.zarr")
+    assert found["expected_ball"] == float(model.expected_error(np.array(found["latent"])).ball)

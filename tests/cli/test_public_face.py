@@ -1,0 +1,84 @@
+"""What `import manifold` offers, and what it costs."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.paths import REPOSITORY
+from helpers.small_library import NAMES, measured
+
+import manifold
+from manifold.io_rgl import write_bsdf
+
+PACKAGES = sorted(
+    ".".join(file.parent.relative_to(REPOSITORY).parts)
+    for file in (REPOSITORY / "manifold").rglob("__init__.py")
+)
+IN_PYTHON = (REPOSITORY / "README.md").read_text(encoding="utf-8").split("## In Python")[1].split("\n## ")[0]
+
+
+def test_the_names_of_the_package_are_those_that_the_readme_lists():
+    heads = re.findall(r"^\| (`.*?) \|", IN_PYTHON, flags=re.MULTILINE)
+    listed = [name for head in heads for name in re.findall(r"`(\w+)`", head) if name != "manifold"]
+    assert sorted(listed) == dir(manifold)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_package_lists_its_names_and_has_them(package):
+    module = importlib.import_module(package)
+    assert module.__all__
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+    with pytest.raises(AttributeError, match="no_such_name"):
+        module.no_such_name  # noqa: B018
+
+
+def test_importing_the_package_is_quick_and_loads_nothing_heavy():
+    script = (
+        "import sys, time; start = time.perf_counter(); import manifold; seconds = time.perf_counter() - start\n"
+        "heavy = {'mitsuba', 'drjit', 'zarr', 'matplotlib', 'numba', 'colour', 'sklearn', 'numpy'} & set(sys.modules)\n"
+        "print(seconds, *heavy)"
+    )
+    runs = [
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+        for _ in range(3)  # the least of three: other processes may be in the way of one
+    ]
+    assert all(len(run.stdout.split()) == 1 for run in runs), runs[0].stdout
+    assert min(float(run.stdout) for run in runs) < 0.3
+
+
+def test_the_readme_runs(tmp_path, monkeypatch):
+    (tmp_path / "corpus").mkdir()
+    for name in NAMES:
+        write_bsdf(tmp_path / "corpus" / f"{name}_spec.bsdf", measured(name))
+    script = "".join(re.findall(r"```python\n(.*?)```", IN_PYTHON, flags=re.DOTALL))
+    assert 'illuminant="F11"' in script  # which the RGB materials of this test do not take
+    script = script.replace("size=256", "size=24, samples=4").replace('illuminant="F11"', 'illuminant="D65"')
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(script, names)
+    assert names["picture"].shape == (24, 24, 3)
+    assert set(names["fit"].values) >= {"base_color", "roughness"}
+    assert Path("halfway_spec.bsdf").is_file()
+    wi, wo = names["wi"], names["wo"]
+    read, completed = (names[name].eval(wi, wo) for name in ("brdf", "completed"))
+    assert manifold.metrics.cube_root_error(read, completed) < 0.05  # at what was read
+    assert names["found"].relative_error < 0.05  # of the library itself: the posterior beside the material
+    assert Path("corpus.h5").is_file()
+    n = len(NAMES)
+    assert repr(manifold.Library.open("corpus.zarr")) == f"<Library: corpus.zarr, {n} materials, RGB>"
+    assert repr(names["model"]).startswith(f"<Manifold: {n} materials, RGB, 2 dimensions, kind blend")
+    assert repr(names["halfway"]).startswith("<PredictedBRDF: RGB, of syn_")
+    assert repr(names["brdf"]) == "MeasuredBRDF('syn_satin_gold', RGB)"
+
+
+def test_a_library_that_went_away_can_still_be_printed(tmp_path):
+    library = manifold.Library.create(tmp_path / "library.zarr", manifold.Bands(None))
+    shutil.rmtree(library.path)
+    assert repr(library) == "<Library: library.zarr, cannot be read, RGB>"

@@ -1,0 +1,53 @@
+"""What commands import: a prediction is not to wait for what it does without."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from helpers.small_library import small_model
+
+SCRIPT = """
+import contextlib, io, json, sys
+from manifold.cli.main import run
+for words in json.loads(sys.argv[1]):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+        run(words)
+    print(json.dumps([module for module in json.loads(sys.argv[2]) if module in sys.modules]))
+"""
+HEAVY = ["sklearn", "scipy.stats", "mitsuba", "drjit", "manifold.experiments", "manifold.fitting.principled"]
+PREDICT = ["predict", "--latent", "0.1,0.1", "-o", "made.bsdf"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("startup")
+    small_model(path)
+    return path
+
+
+def _loaded(folder, *commands):
+    """Which of the heavy modules are loaded after each command of one process."""
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, json.dumps(commands), json.dumps(HEAVY)],
+        cwd=folder, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def test_a_prediction_loads_neither_scikit_learn_nor_mitsuba(folder):
+    assert _loaded(folder, ["info", "model.h5"], ["info", "library.zarr"], PREDICT) == [[], [], []]
+    assert (folder / "made.bsdf").is_file()
+
+
+def test_maps_and_renders_load_no_scikit_learn(folder):
+    pytest.importorskip("mitsuba")
+    render = ["render", "--latent", "0.1,0.1", "--size", "16", "--samples", "1", "-o", "made.png"]
+    loaded = _loaded(folder, ["map", "-o", "map.png"], render)
+    assert [("sklearn" in modules, "manifold.experiments" in modules) for modules in loaded] == [
+        (False, False)
+    ] * 2
+    assert (folder / "map.png").is_file()
+    assert (folder / "made.png").is_file()

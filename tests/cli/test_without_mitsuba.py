@@ -1,0 +1,96 @@
+"""What the commands do where Mitsuba cannot be imported, as on platforms that it has no wheel for."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from helpers.small_library import small_library
+
+WITHOUT_MITSUBA = """
+import contextlib, io, json, sys
+sys.modules["mitsuba"] = sys.modules["drjit"] = None
+from manifold.cli.main import run
+for words in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            run(words)
+            status = 0
+        except SystemExit as leaving:
+            status = leaving.code
+    print(json.dumps([status, out.getvalue(), err.getvalue()]))
+"""
+
+WORKS = {
+    "import": ["import", "files"],
+    "info": ["info", "library.zarr"],
+    "embed": ["embed"],
+    "predict": ["predict", "--latent", "0.1,0.1", "--srgb", "#c87832", "-o", "made.bsdf"],
+    "locate": ["locate", "files/syn_satin_gold_rgb.bsdf"],
+    "reconstruct": ["reconstruct", "files/syn_satin_gold_rgb.bsdf", "--without", "syn_satin_gold"],
+    "slices": ["slices", "made.bsdf", "syn_satin_gold"],
+    "map": ["map", "--mark", "0.1,0.1"],
+    "report": ["report", "--picture", "report.png"],
+    "chart": ["chart", "--only", "nearest", "--only", "fit_gauss-newton"],
+}
+FAILS = {
+    "render": ["render", "made.bsdf"],
+    "compare": ["compare", "map.png", "report.png"],
+    "walk": ["walk", "syn_satin_gold", "syn_gloss_red"],
+    "fit": ["fit", "made.bsdf"],
+    "fit of a latent": ["fit", "--latent", "0.1,0.1"],
+    "budget": ["budget", "--example", "felt"],
+    "info --renderer": ["info", "--renderer"],
+}
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory):
+    """Status, stdout and stderr of every command, all run in one process, one after the other."""
+    folder = tmp_path_factory.mktemp("without")
+    small_library(folder, library=folder / "other.zarr")
+    commands = WORKS | FAILS
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_MITSUBA, json.dumps(list(commands.values()))],
+        cwd=folder, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return dict(zip(commands, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize("name", WORKS)
+def test_what_neither_renders_nor_fits_works(outcomes, name):
+    status, _, err = outcomes[name]
+    assert status == 0, err
+
+
+@pytest.mark.parametrize("name", FAILS)
+def test_what_renders_or_fits_says_in_one_line_what_is_missing(outcomes, name):
+    status, _, err = outcomes[name]
+    assert status == 1
+    (line,) = err.splitlines()
+    assert line.startswith("manifold: rendering and fitting need Mitsuba, which is missing (")
+    assert "pip install mitsuba" in line
+
+
+def test_a_map_says_that_its_balls_are_left_out(outcomes):
+    assert "left out rendered balls, since Mitsuba is missing" in " ".join(outcomes["map"][1].split())
+
+
+def test_a_chart_says_which_settings_are_left_out(outcomes):
+    assert "fit_gauss-newton was skipped: rendering and fitting need Mitsuba" in outcomes["chart"][1]
+
+
+def test_the_metals_of_the_corpus_need_no_mitsuba():
+    script = (
+        "import sys; from importlib.machinery import PathFinder\n"
+        "find = PathFinder.find_spec\n"
+        "PathFinder.find_spec = classmethod(lambda cls, name, *a: None if name == 'mitsuba' else find(name, *a))\n"
+        "from manifold.brdf.analytic import corpus; from manifold.records import Bands\n"
+        "every = (*corpus.isotropic_materials(), *corpus.anisotropic_materials())\n"
+        "print(len([material.truth(Bands((450.0, 550.0, 650.0))) for material in every]))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "62", done.stderr

@@ -1,0 +1,122 @@
+"""Spectra from three narrow bands: neutral colours, exposure, and errors beside other ways to take such bands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from manifold.colour.conversion import srgb_to_xyz, to_xyz
+from manifold.colour.difference import delta_e_2000
+from manifold.colour.narrow_bands import (
+    SPECTRUM,
+    _at,
+    _estimated,
+    _learned,
+    colour_errors,
+    estimate_spectra,
+    is_narrow,
+    with_spectra,
+)
+from manifold.colour.reflectances import diffuse_reflectance, diffuse_reflectance_names
+from manifold.directions import from_spherical
+from manifold.formats.readings import Readings
+from manifold.records import Array, Bands
+
+NARROW = Bands((465.0, 525.0, 630.0))
+FINE_NM = np.arange(400.0, 701.0, 1.0)
+
+
+def known() -> tuple[Array, Array]:
+    """Measured reflectances (n, 301), and readings of them (n, 3) in bands 20 nm wide."""
+    spectra = np.array([diffuse_reflectance(name, FINE_NM) for name in diffuse_reflectance_names()])
+    sensors = np.exp(
+        -0.5 * ((FINE_NM - np.array(NARROW.wavelengths_nm)[:, None]) / 8.5) ** 2
+    )  # 20 nm at half height
+    return spectra, spectra @ (sensors / sensors.sum(axis=1, keepdims=True)).T
+
+
+def test_neutral_colours_stay_neutral_and_estimates_are_in_proportion(rng):
+    np.testing.assert_allclose(estimate_spectra(np.full((2, 3), 0.3), NARROW), 0.3)
+    values = rng.random((20, 3))
+    np.testing.assert_allclose(
+        estimate_spectra(100.0 * values, NARROW), 100.0 * estimate_spectra(values, NARROW)
+    )
+    assert estimate_spectra(values - 0.5, NARROW).min() >= 0.0
+
+
+def test_colours_of_left_out_reflectances_are_nearer_than_interpolated_ones_and_than_bands_taken_for_rgb():
+    """Learned from the reflectances of every other name, those of the rest are read in bands 20 nm wide."""
+    spectra, read = known()
+    fine = Bands(tuple(FINE_NM))
+    truth, white = to_xyz(spectra, fine), to_xyz(np.ones(len(FINE_NM)), fine)
+    names = [name.partition("/")[2].lower() for name in diffuse_reflectance_names()]
+    half = np.array([sorted(set(names)).index(name) % 2 for name in names])
+    coarse = spectra[:, ::10]
+    estimated = np.empty_like(coarse)
+    for one in (0, 1):
+        learned = _learned(coarse[half != one], _at(coarse[half != one], NARROW))
+        estimated[half == one] = _estimated(read[half == one], learned)
+    ways = {
+        "estimated": to_xyz(estimated, SPECTRUM),
+        "interpolated": to_xyz(read, NARROW),
+        "taken for RGB": srgb_to_xyz(read[:, ::-1]),
+    }
+    errors = {way: delta_e_2000(xyz, truth, white) for way, xyz in ways.items()}
+    for way in ("interpolated", "taken for RGB"):
+        for share in (50, 90):
+            assert np.percentile(errors["estimated"], share) < np.percentile(errors[way], share)
+    assert np.median(errors["estimated"]) < 0.75 * np.median(errors["interpolated"])
+
+
+def test_expected_colour_errors_are_those_of_reflectances_left_out():
+    """They are larger than of reflectances that the estimate knows, and less than twice as large."""
+    spectra, read = known()
+    fine = Bands(tuple(FINE_NM))
+    xyz = to_xyz(estimate_spectra(read, NARROW), SPECTRUM), to_xyz(spectra, fine)
+    of_known = np.median(delta_e_2000(*xyz, to_xyz(np.ones(len(FINE_NM)), fine)))
+    median, most = colour_errors(NARROW)
+    assert 0.8 * of_known < median < 2.0 * of_known
+    assert most > 1.5 * median
+
+
+def test_a_red_keeps_its_hue():
+    """Linear interpolation turns a red of a ColorChecker towards orange."""
+    red = diffuse_reflectance("babel/red", np.array(SPECTRUM.wavelengths_nm))
+    read = np.interp(NARROW.wavelengths_nm, SPECTRUM.wavelengths_nm, red)
+    white = to_xyz(np.ones(SPECTRUM.count), SPECTRUM)
+
+    def hue_deg(values: Array, bands: Bands) -> float:
+        x, y, z = np.cbrt(to_xyz(values, bands) / white)  # none is so dark that CIELAB is linear
+        return float(np.degrees(np.arctan2(200.0 * (y - z), 500.0 * (x - y))))
+
+    truth = hue_deg(red, SPECTRUM)
+    assert abs(hue_deg(estimate_spectra(read, NARROW), SPECTRUM) - truth) < 0.5 * (
+        hue_deg(read, NARROW) - truth
+    )
+
+
+@pytest.mark.parametrize(
+    ("nm", "answer"),
+    [
+        ((465.0, 525.0, 630.0), True),
+        ((450.0, 550.0, 650.0), True),
+        ((800.0, 900.0, 1000.0), False),
+        ((550.0,), False),
+    ],
+)
+def test_narrow_bands_are_blue_green_and_red(nm, answer):
+    assert is_narrow(Bands(nm)) is answer
+    assert not is_narrow(Bands(None))
+
+
+def test_readings_become_spectra_with_a_note_and_others_stay(rng):
+    wi, wo = from_spherical(np.full(4, 0.3), np.pi), from_spherical(np.linspace(0.0, 1.0, 4), 0.0)
+    values = rng.random((4, 3))
+    values[2, 1] = np.nan
+    found = with_spectra(Readings("s", "camera", wi, wo, np.array(NARROW.wavelengths_nm), values))
+    assert found.bands == SPECTRUM
+    np.testing.assert_array_equal(found.measured.all(axis=1), [True, True, False, True])
+    assert "465, 525, 630 nm" in found.notes[-1]
+    assert "manifold calibrate" in found.notes[-1]
+    assert found.colour_error == colour_errors(NARROW)[0]
+    assert with_spectra(found) is found

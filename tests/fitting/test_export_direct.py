@@ -1,0 +1,88 @@
+"""Direct fits of targets' own models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from manifold.fitting import fit_samples
+from manifold.fitting.exports import TARGETS, Principled, blender, gltf, standard_surface
+from manifold.fitting.exports.direct import fit_target
+from manifold.fitting.exports.targets import TargetBRDF
+from manifold.fitting.fit_metrics import BallDifference
+
+TRUTH = Principled((0.6, 0.2, 0.1), roughness=0.35, specular=0.6, clearcoat=0.6, clearcoat_gloss=0.7)
+START = Principled((0.5, 0.5, 0.5), roughness=0.6, metallic=0.2)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "usd",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("gltf", "openpbr", "standard-surface", "blender", "unreal", "unity")
+        ),
+    ],
+)
+def test_a_material_of_the_target_is_found_again(name):
+    target = TARGETS[name]
+    truth = TargetBRDF(target, target.parameters(TRUTH))
+    found = fit_target(target, target.parameters(START), fit_samples.from_brdf(truth))
+    assert found.keys() == target.defaults.keys()
+
+    def difference(values):
+        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+
+    before = difference(target.parameters(START))
+    after = difference(found)
+    assert before > 5.0
+    assert after < 0.5  # a fit of 40 evaluations, pulled a little towards its start
+
+
+def test_what_nothing_determines_stays_and_a_coat_that_is_not_there_is_none():
+    target = TARGETS["gltf"]
+    metal = Principled((0.9, 0.6, 0.3), metallic=1.0, roughness=0.3)
+    truth = TargetBRDF(target, target.parameters(metal))
+    found = fit_target(target, target.parameters(metal), fit_samples.from_brdf(truth))
+    assert found["clearcoatFactor"] == found["clearcoatRoughnessFactor"] == 0.0
+    assert found["sheenColorFactor"] == [0.0, 0.0, 0.0]
+    assert found["anisotropyStrength"] == found["iridescenceFactor"] == 0.0
+    assert found["metallicFactor"] == 1.0  # not 0.9999999
+    np.testing.assert_allclose(found["baseColorFactor"], metal.base_color, atol=0.02)
+
+
+def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
+    # Narrower than principled's, it is a coloured line that hardly any sample determines.
+    target = TARGETS["gltf"]
+    narrow = {"sheenColorFactor": [1.0, 0.0, 0.0], "sheenRoughnessFactor": 0.05}
+    truth = TargetBRDF(target, target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5)) | narrow)
+    start = target.parameters(Principled((0.4, 0.3, 0.1), roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+    assert found["sheenRoughnessFactor"] == 0.0 or found["sheenRoughnessFactor"] >= gltf.SHEEN_ROUGHNESS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "film"),
+    [
+        ("gltf", dict(zip(gltf.FILM, (0.8, 420.0, 1.5), strict=True))),
+        ("standard-surface", dict(zip(standard_surface.FILM, (420.0, 1.5), strict=True))),
+        ("blender", dict(zip(blender.FILM, (420.0, 1.5), strict=True))),
+    ],
+)
+def test_a_thin_film_is_found_where_hues_change_with_the_angle(name, film):
+    target = TARGETS[name]
+    metal = target.parameters(Principled((0.7, 0.6, 0.5), metallic=1.0, roughness=0.4))
+    truth = TargetBRDF(target, metal | film)
+    start = target.parameters(Principled((0.6, 0.6, 0.6), metallic=0.8, roughness=0.5))
+    found = fit_target(target, start, fit_samples.from_brdf(truth))
+
+    def difference(values):
+        return BallDifference.between(TargetBRDF(target, values), truth).unseen_light
+
+    bare = fit_target(replace(target, film=()), start, fit_samples.from_brdf(truth))
+    assert difference(bare) > 2.3  # a just noticeable difference
+    assert difference(found) < 1.0

@@ -1,0 +1,243 @@
+"""Tables of directions as goniometers and people write them: units of angles, azimuths, what the values are."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from helpers.instrument_files import smooth
+from helpers.paths import REPOSITORY
+
+from manifold.directions import from_spherical
+from manifold.errors import FileFormatError
+from manifold.formats import registry
+from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
+from manifold.records import Array, Bands
+
+BLACK_LAB = REPOSITORY.parent / "shared" / "files" / "bsdf-tools" / "20250210_S7_sample_final.txt"
+BANDS = Bands((465.0, 525.0, 630.0))
+# theta_i, phi_i, theta_o, phi_o in degrees
+DIRECTIONS = np.array(
+    [
+        (i, 180.0, o, phi)
+        for i in (0.0, 20.0, 40.0, 60.0)
+        for o in (10.0, 40.0, 80.0)
+        for phi in (0.0, 75.0, 180.0)
+    ]
+)
+
+
+def truth(directions_deg: Array) -> Array:
+    """Values of `smooth` in 1/sr, (P, 3)."""
+    theta_i, phi_i, theta_o, phi_o = np.deg2rad(directions_deg).T
+    return smooth(BANDS).eval(from_spherical(theta_i, phi_i), from_spherical(theta_o, phi_o))
+
+
+def lines(*columns: Array, separator: str = ",") -> str:
+    """Rows of numbers."""
+    return "".join(separator.join(f"{x:.9g}" for x in row) + "\n" for row in np.hstack(columns))
+
+
+def assert_true(path, rtol=1e-6):
+    """All readings of a file are those of `smooth`, in the sense of the package's directions."""
+    found = registry.read_readings(path)
+    order = [BANDS.wavelengths_nm.index(nm) for nm in found.bands.wavelengths_nm]
+    expected = smooth(BANDS).eval(found.wi, found.wo)[:, order]
+    np.testing.assert_allclose(found.values, expected, rtol=rtol)
+    return found
+
+
+COSINE = np.cos(np.deg2rad(DIRECTIONS[:, 2:3]))
+
+
+@pytest.mark.parametrize("head", ["ARS", "CCBRDF", "BRDF*cos", "cos-corrected BRDF", "DSF"])
+def test_astm_values_that_include_the_cosine_are_divided_by_it(head, tmp_path):
+    path = tmp_path / "scan.astm"
+    values = truth(DIRECTIONS)[:, :1] * COSINE
+    path.write_text(
+        f"WAVELENGTH 465\nVARS theta_i,phi_i,theta_s,phi_s,{head}\n" + lines(np.deg2rad(DIRECTIONS), values)
+    )
+    assert any("cosine" in note for note in assert_true(path).notes)
+
+
+@pytest.mark.parametrize("measured", ["BRDF, not cosine weighted", "degreased plate", "BRDF"])
+def test_what_an_astm_table_says_in_prose_changes_nothing(measured, tmp_path):
+    path = tmp_path / "scan.astm"
+    path.write_text(
+        f'MEAS_NAME "{measured}"\nVARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n'
+        + lines(np.deg2rad(DIRECTIONS), truth(DIRECTIONS))
+    )
+    assert assert_true(path).notes == ()
+
+
+def test_transmission_in_radians_does_not_make_angles_degrees(tmp_path):
+    path = tmp_path / "both.astm"
+    behind = DIRECTIONS * [1, 1, -1, 1] + [0, 0, 180, 0]
+    both = np.vstack([DIRECTIONS, behind])
+    values = np.vstack([truth(DIRECTIONS), np.full((len(behind), 3), 0.01)])
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n" + lines(np.deg2rad(both), values))
+    found = assert_true(path)
+    assert len(found) == len(DIRECTIONS)
+    assert found.notes == (f"{len(behind)} rows of transmitted light (beyond 90 degrees) are left out",)
+
+
+def test_azimuths_beyond_a_turn_make_small_angles_degrees(tmp_path):
+    path = tmp_path / "near_the_normal.astm"
+    near = DIRECTIONS * [0.02, 1, 0.02, 1]
+    path.write_text("VARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n" + lines(near, truth(near)))
+    np.testing.assert_allclose(assert_true(path).wi[-1, 0], -np.sin(np.deg2rad(1.2)))
+
+
+def test_a_btdf_is_refused(tmp_path):
+    path = tmp_path / "glass.astm"
+    path.write_text(
+        'MEAS_NAME "BTDF"\nVARS theta_i,phi_i,theta_s,phi_s,465nm,525nm,630nm\n'
+        + lines(np.deg2rad(DIRECTIONS), truth(DIRECTIONS))
+    )
+    with pytest.raises(FileFormatError, match="MEAS_NAME is BTDF: transmitted light"):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "name"),
+    [
+        ("theta_i", "theta_i"), ("ThetaIn [rad]", "theta_i"), ("Incident angle (deg)", "theta_i"), ("AOI", "theta_i"),
+        ("theta_i_deg", "theta_i"), ("\u03b8i [\u00b0]", "theta_i"), ("SZA", "theta_i"), ("Source zenith", "theta_i"),
+        ("phi_in", "phi_i"), ("incident azimuth", "phi_i"), ("scatter_theta", "theta_o"), ("thetaR", "theta_o"),
+        ("Viewing zenith angle", "theta_o"), ("detector angle", "theta_o"), ("\u03c6_r", "phi_o"), ("phi", "phi_o"),
+        ("Viewing azimuth angle", "phi_o"), ("dphi", RELATIVE), ("relative azimuth", RELATIVE), ("theta_h", None),
+        ("theta_d", None), ("phi_d", None), ("Angle", None), ("465nm", None), ("R", None), ("time", None),
+    ],
+)  # fmt: skip
+def test_angles_are_known_in_every_spelling(head, name):
+    assert angle_name(head) == name
+
+
+@pytest.mark.parametrize(
+    ("head", "nm"),
+    [("400", 400), ("465nm", 465), ("465 [nm]", 465), ("R400 [%]", 400), ("SPECTRAL_NM_400", 400), ("BRDF_465", 465),
+     ("0.465 um", 465), ("0,6328 um", 632.8), ("BRF 465", 465), ("BRDF*cos 465", 465), ("BRDF_1", None), ("7000", None),
+     ("Sample 450", None), ("L*", None), ("Date 2024", None), ("(" * 100_000, None)],
+)  # fmt: skip
+def test_heads_of_bands_are_whole_words(head, nm):
+    assert wavelength(head) == pytest.approx(nm) if nm else wavelength(head) is None
+
+
+def test_heads_of_other_columns_are_no_values():
+    assert [value_head(head) for head in ("sigma", "BRDF, not cosine weighted", "time")] == [None] * 3
+
+
+RADIANS = np.deg2rad(DIRECTIONS)
+HEAD = "theta_i,phi_i,theta_o,phi_o,465,525,630"
+VALUES = truth(DIRECTIONS)
+TABLES = {
+    "degrees, not said": f"{HEAD}\n" + lines(DIRECTIONS, VALUES),
+    "radians in heads": re.sub(r"(theta|phi)_\w", r"\g<0> (rad)", HEAD) + "\n" + lines(RADIANS, VALUES),
+    "radians in names": re.sub(r"(theta|phi)_\w", r"\g<0>_rad", HEAD) + "\n" + lines(RADIANS, VALUES),
+    "degrees in names": re.sub(r"(theta|phi)_\w", r"\g<0>_deg", HEAD) + "\n" + lines(DIRECTIONS, VALUES),
+    "other words": "Incident angle,Incident azimuth,Viewing angle,Viewing azimuth,465 nm,525 nm,630 nm\n"
+    + lines(DIRECTIONS, VALUES),
+    "zenith angles": "SZA;SAA;VZA;VAA;465;525;630\n"
+    + lines(DIRECTIONS, VALUES, separator=";").replace(".", ","),
+    "blanks": HEAD.replace(",", " ") + "\n" + lines(DIRECTIONS, VALUES, separator="  "),
+    "a head in a comment": "# " + HEAD.replace(",", " ") + "\n" + lines(DIRECTIONS, VALUES, separator=" "),
+    "micrometres": HEAD.replace("465,525,630", "0.465 um,0.525 um,0.630 um")
+    + "\n"
+    + lines(DIRECTIONS, VALUES),
+    "percent": HEAD.replace("465", "465 (%)") + "\n" + lines(DIRECTIONS, 100.0 * np.pi * VALUES),
+    "BRF": HEAD.replace(",465", ",BRF 465") + "\n" + lines(DIRECTIONS, np.pi * VALUES),
+    "times the cosine": HEAD.replace(",465", ",BRDF*cos 465") + "\n" + lines(DIRECTIONS, COSINE * VALUES),
+    "differences of azimuths": "theta_i,theta_o,dphi,465,525,630\n"
+    + lines(DIRECTIONS[:, [0, 2]], DIRECTIONS[:, 3:] - 180.0, VALUES),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_directions_are_read_however_they_are_spelt(name, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(TABLES[name], encoding="utf-8")
+    found = assert_true(path)
+    assert found.bands == BANDS
+    mirror = np.einsum("pi,pi->p", found.wi * [-1.0, -1.0, 1.0], found.wo)
+    assert np.max(mirror) == pytest.approx(1.0)  # 40 degrees is among both elevations
+    assert np.argmax(found.values[:, 0]) == np.argmax(smooth(BANDS).eval(found.wi, found.wo)[:, 0])
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        "# BRDF, not cosine weighted",
+        "BRDF of a degreased plate",
+        "radial scan, Reflectance 99 %",
+        "0/45 configuration",
+    ],
+)
+def test_what_titles_say_changes_nothing(title, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(f"{title}\n" + TABLES["radians in heads"], encoding="utf-8")
+    assert len(assert_true(path)) == len(DIRECTIONS)
+
+
+def test_columns_of_the_black_lab_are_directions_of_reflectance_factors(tmp_path):
+    path = tmp_path / "white.txt"
+    titles = "BRF Values\nBRF values calculated using 0/45 configuration\n"
+    head = "src_z\tsrc_a\tview_z\tview_a\t465nm\t525nm\t630nm\n"
+    path.write_text(titles + head + lines(DIRECTIONS, np.pi * VALUES, separator="\t"))
+    assert_true(path)
+
+
+@pytest.mark.skipif(not BLACK_LAB.exists(), reason="the files of instruments are not here")
+def test_a_real_file_of_the_black_lab_holds_its_directions():
+    (found,) = registry.read_all(BLACK_LAB)
+    theta = np.rad2deg(np.arccos(found.wi[:, 2]))
+    assert (len(found), found.bands.count, len(np.unique(np.round(theta, 3)))) == (18, 11, 17)
+    np.testing.assert_allclose(np.pi * found.values[1, :2], [1.052150, 1.054446])
+
+
+@pytest.mark.parametrize(
+    ("head", "expected"),
+    [("BRDF", None), ("value", "no unit given: taken as BRDF in 1/sr"), ("Reflectance", "divided by pi")],
+)
+def test_what_a_column_of_values_is_taken_for_is_said(head, expected, tmp_path):
+    path = tmp_path / "one.csv"
+    scale = np.pi if head == "Reflectance" else 1.0
+    path.write_text(f"theta_i,phi_i,theta_r,phi_r,{head}\n" + lines(DIRECTIONS, scale * VALUES[:, 1:2]))
+    found = registry.read_readings(path)
+    np.testing.assert_allclose(found.values[:, 0], smooth(BANDS).eval(found.wi, found.wo)[:, 1], rtol=1e-6)
+    said = [note for note in found.notes if "1/sr" in note or "pi" in note]
+    assert said == [] if expected is None else expected in said[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("theta_i,phi_i,theta_o,phi_o,u,v\n1,2,3,4,5,6\n", "expected values beside the directions"),
+        ("theta_i,theta_i,theta_o,phi_o,465\n1,2,3,4,5\n", "theta_i appears twice"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n10,20,x,40,5\n", "row 2, theta_o: found 'x'"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n1,2,3,4,5\n,,,,6\n", "row 3: values without directions"),
+        ("theta_i,phi_i,theta_o,phi_o,465,525\n1,2,3,4,0.5,O.3\n", "row 2, column 6: found 'O.3'"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n", "a header but no rows"),
+        ("theta_i,phi_i,theta_o,phi_o,465,465\n10,20,30,40,5,6\n", "two columns of '465'"),
+        (
+            "theta_i,phi_i,theta_o,phi_o,465\n1,2,1.5,3,5\n",
+            "degrees or radians, expected heads such as theta_i .deg",
+        ),
+        ("theta_i (deg),phi_i (rad),theta_o,phi_o,465\n1,2,1.5,3,5\n", "expected one unit"),
+        ("theta_i,phi_i,theta_o,dphi,465\n10,20,30,40,5\n", "dphi beside phi_i"),
+        ("theta_i,phi_i,theta_o,465\n10,20,30,5\n", "phi_i without phi_o"),
+        ("wavelength,theta_i,phi_i,theta_o,phi_o,BRDF\n465,10,20,30,40,5\n", "a row per pair of directions"),
+        ("theta_i,phi_i,theta_o,phi_o,465,sigma\n10,20,30,40,5,6\n", "columns sigma: expected values"),
+        (
+            "10,20,30,40,5\ntheta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,5\n",
+            "row 1: readings above the header",
+        ),
+        ('theta_i,phi_i,theta_o,phi_o,465\n10,20,30,40,"5\n20,20,30,40,5"\n', "row 2: not cells of a table"),
+        ("theta_i,phi_i,theta_o,phi_o,465\n10,0,170,0,0.5\n", "no rows of reflected light"),
+    ],
+)
+def test_tables_of_directions_that_cannot_be_read_say_why(table, words, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text(table)
+    with pytest.raises(FileFormatError, match=words):
+        registry.read_all(path)

@@ -1,0 +1,247 @@
+"""Damaged and hostile files: every one ends in one clear line, or in a record that is whole."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+
+import numpy as np
+import pytest
+from helpers.instrument_files import SUFFIXES, write_every_format
+
+from manifold.errors import ManifoldError
+from manifold.formats import registry
+from manifold.formats.readings import Readings
+
+WORDS = (
+    b"nan",
+    b"inf",
+    b"-",
+    b"1e999",
+    b"99999999999",
+    b"-1",
+    b"",
+    b"\xff\xfe",
+    b"\x00" * 9,
+    b",",
+    b"\n",
+    b'"',
+)
+
+
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory):
+    paths = write_every_format(tmp_path_factory.mktemp("formats"))
+    return {name: path.read_bytes() for name, path in paths.items()}
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """A file with a few of the accidents that files have."""
+    for _ in range(int(rng.integers(1, 4))):
+        size = max(len(data), 1)
+        # Headers are short, and where most can go wrong.
+        at = int(rng.integers(size if rng.random() < 0.5 else min(size, 600)))
+        kind = int(rng.integers(7))
+        if kind == 0:
+            data = data[:at] + bytes([int(rng.integers(256))]) + data[at + 1 :]
+        elif kind == 1:
+            data = data[:at]
+        elif kind == 2:
+            data = data[:at] + data[at + int(rng.integers(1, 200)) :]
+        elif kind == 3:
+            data = data[:at] + data[max(at - 100, 0) : at] + data[at:]
+        elif kind == 4:
+            data = data[:at] + WORDS[int(rng.integers(len(WORDS)))] + data[at:]
+        elif kind == 5:  # a number is replaced
+            found = re.search(rb"[-+]?\d+(\.\d+)?", data[at : at + 200])
+            if found:
+                word = WORDS[int(rng.integers(len(WORDS)))]
+                data = data[: at + found.start()] + word + data[at + found.end() :]
+        else:
+            data = data[:at] + rng.bytes(int(rng.integers(1, 40))) + data[at:]
+    return data
+
+
+def mutated_workbook(data: bytes, rng: np.random.Generator) -> bytes:
+    """A workbook with a damaged part, packed anew."""
+    out = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(data)) as archive,
+        zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as made,
+    ):
+        names = archive.namelist()
+        chosen = names[int(rng.integers(len(names)))] if rng.random() < 0.5 else "xl/worksheets/sheet2.xml"
+        for name in names:
+            part = archive.read(name)
+            made.writestr(name, mutated(part, rng) if name == chosen else part)
+    return out.getvalue()
+
+
+def require_whole_or_one_line(path) -> bool:
+    """Whether the file was read; anything but a whole record or an error of one line fails."""
+    try:
+        records = registry.read_all(path)
+    except ManifoldError as error:
+        message = str(error)
+        assert path.name in message
+        assert "\n" not in message
+        assert len(message) < 600
+        return False
+    assert records
+    for record in records:
+        assert not np.any(np.isinf(record.values))
+        if isinstance(record, Readings):
+            assert np.all(np.isfinite(record.wi))
+            assert np.all(np.isfinite(record.wo))
+    return True
+
+
+def run(name: str, data: bytes, count: int, folder) -> int:
+    rng = np.random.default_rng([3, *name.encode()])
+    path = folder / f"mutated{SUFFIXES[name]}"
+    read = 0
+    for k in range(count):
+        workbook = name == "ma-t12" and k % 2
+        path.write_bytes(mutated_workbook(data, rng) if workbook else mutated(data, rng))
+        read += require_whole_or_one_line(path)
+    return read
+
+
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_damaged_files_end_in_one_line_or_a_whole_record(contents, name, tmp_path):
+    run(name, contents[name], {"merl": 8, "mini-diff": 20}.get(name, 100), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_a_thousand_damaged_files_of_each_format(contents, name, tmp_path):
+    run(name, contents[name], 1000, tmp_path)
+
+
+def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    path = tmp_path / "bomb.xlsx"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+        archive.writestr("xl/worksheets/sheet1.xml", bytes(100_000_000))
+    with pytest.raises(ManifoldError, match=r"^[^:]*: its \d+ parts unpack to 100 MB"):
+        registry.read_all(path)
+
+
+def repacked(data: bytes, path, change) -> None:
+    """A workbook with its parts (name, bytes) changed."""
+    with (
+        zipfile.ZipFile(io.BytesIO(data)) as archive,
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made,
+    ):
+        for name in archive.namelist():
+            made.writestr(*change(name, archive.read(name)))
+
+
+def test_cells_far_out_do_not_fill_the_memory(contents, tmp_path):
+    """In every sheet a few, which a limit for each sheet would let through."""
+    rows = b"".join(b'<row r="%d"><c r="XFD%d"><v>1</v></c></row>' % (k, k) for k in range(20, 60))
+    path = tmp_path / "far.xlsx"
+    repacked(
+        contents["ma-t12"], path, lambda n, part: (n, part.replace(b"</sheetData>", rows + b"</sheetData>"))
+    )
+    with pytest.raises(ManifoldError, match="2000000 cells in all"):
+        registry.read_all(path)
+
+
+def test_shared_strings_that_call_themselves_an_image_are_not_unpacked(contents, tmp_path):
+    kind = b"application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+    override = b'<Override PartName="/xl/media/image.xml" ContentType="%s"/></Types>' % kind
+
+    def hidden(name, part):
+        if name == "docProps/app.xml":
+            return "xl/media/image.xml", b"<sst>" + b"<si/>" * 10_000_000 + b"</sst>"
+        return name, part.replace(b"</Types>", override)
+
+    path = tmp_path / "hidden.xlsx"
+    repacked(contents["ma-t12"], path, hidden)
+    with pytest.raises(ManifoldError, match="not a readable workbook"):
+        registry.read_all(path)
+
+
+def test_cxf_spectra_of_thousands_of_wavelengths_are_refused(contents, tmp_path):
+    text = contents["cxf"].decode()
+    spectrum = re.search(r"<ns0:ReflectanceSpectrum.*?</ns0:ReflectanceSpectrum>", text, re.DOTALL)[0]
+    many = "".join(spectrum.replace('StartWL="400"', f'StartWL="{400 + 0.01 * k:.2f}"') for k in range(2000))
+    path = tmp_path / "shifted.cxf"
+    path.write_text(text.replace(spectrum, many))
+    with pytest.raises(ManifoldError, match=r"2011 spectra at .* expected the same wavelengths"):
+        registry.read_all(path)
+
+
+def test_entities_that_grow_are_refused(tmp_path):
+    path = tmp_path / "laughs.cxf"
+    path.write_text(
+        '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a "aaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+        '<CxF xmlns="http://colorexchangeformat.com/CxF3-core">&b;</CxF>'
+    )
+    with pytest.raises(ManifoldError, match="entities"):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("lighttools", rb"ScatterRadial \d+", b"ScatterRadial 99999999", "count"),
+        ("zemax", rb"ScatterAzimuth \d+", b"ScatterAzimuth -3", "count"),
+        ("mini-diff", rb"NUM_POINTS \d+", b"NUM_POINTS 99999", "truncated"),
+        ("mini-diff", rb"NUM_POINTS \d+", b"NUM_POINTS 1e300", "count"),
+        ("astm", rb"(VARS.*\n[^\n]*\n[^,\n]*),", rb"\1,nan,", "cells"),
+        ("pab-opto", rb"#incident_angle.*\n#intheta.*\n", b"", "incidence"),
+        ("csv", rb"\n45", b"\n195", "theta_i reaches 195"),
+        ("astm", rb",\d\.\d+\n", b",1e250\n", "value of 1e"),
+        ("cxf", rb"CxF3-core", b"CxF2-core", "older version"),
+        ("lighttools", rb"Wavelength \d+", b"Colour red", "given by Wavelength"),
+        (
+            "zemax",
+            rb"(?s)XYZ(.*)TristimulusX(.*)TristimulusY(.*)TristimulusZ",
+            rb"RGB\1Red\2Green\3Blue",
+            "SpectralContent RGB, expected",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named(contents, name, old, new, words, tmp_path):
+    data, count = re.subn(old, new, contents[name], count=0 if name == "cxf" else 1)
+    assert count
+    path = tmp_path / f"wrong{SUFFIXES[name]}"
+    path.write_bytes(data)
+    with pytest.raises(ManifoldError, match=words):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "empty file"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(64), "HDF5"),
+        (b"<!DOCTYPE html><html>cxf</html>", "HTML"),
+        (b"tensor_file\0" + bytes(40), "RGL"),
+        (b"SCATFUN" + bytes(40), "Fourier BSDF"),
+        (b"<?xml version='1.0'?><WindowElement/>", "Radiance"),
+        (b"PK\x03\x04word", "not a readable workbook"),
+        (b"<?xml version='1.0'?><svg/>", "an XML document"),
+        (b"OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\n", "Ansys Speos"),
+        (b"TracePro Surface Property Data\nFile Name\tx\nTable_BSDF_Data\n", "TracePro"),
+        (b"type bsdf_data\nformat angles=deg bsdf=value scale=1\n10\t0\n", "FRED"),
+        (b"VERSION 0.2\n\nDATA_TYPE brdf\nPARAM0_LIST 0\nDATA ascii\n0.3\n", "SSDD"),
+        (b";; x\nSource Measured\nTypeSym PSYM\nTypeColorModel BW\nsigma 2\n 0 30\n", "Integra"),
+        (b"#ALTA HEADER BEGIN\n#DIM 2 3\n#PARAM_IN COS_TH_TD\n0.1 0.2 1 1 1\n", "ALTA"),
+        (b"analytic\n::begin parameters\n::begin shader\n", "BRDF Explorer"),
+        (b"#  \tLongDim\nSphereMesh:\t3\t2\t0\t0\t360\t90\n1\t2\t3\n", "LightTools"),
+        (b"REFLET\nPhi measure step : 10\nTheta Lighting : 0\n-90\t0.01\n", "REFLET measurement"),
+        (b"H|\\^&|||Host^1\nP|1\nO|1|123\n", "clinical analyser"),
+        (b"just words\n" * 9, "text file"),
+        (("15\u00b0, 25\u00b0\n" * 9).encode(), "text file"),
+    ],
+)
+def test_foreign_files_are_named_for_what_they_are(content, words, tmp_path):
+    for suffix in (".bsdf", ".xlsx", ".binary", ".bin", ".csv", ".astm"):
+        path = tmp_path / f"foreign{suffix}"
+        path.write_bytes(content)
+        with pytest.raises(ManifoldError, match=words):
+            registry.read_all(path)

@@ -1,0 +1,150 @@
+"""One sample in every format of instruments, as small as the format allows, quick to write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import colour_cxf
+import numpy as np
+from colour_cxf import cxf3
+
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.instruments import (
+    MA_T12_BANDS,
+    MINI_DIFF_BANDS,
+    ma_t12_readings,
+    write_mini_diff,
+)
+from manifold.brdf.analytic.microfacet import Plastic
+from manifold.formats import astm, csv_table, lighttools, ma_t12, merl, utia, zemax
+from manifold.formats.csv_table import angles_deg
+from manifold.formats.dense import DenseTable
+from manifold.formats.readings import MA_T12_NAMES, Readings
+from manifold.records import Array, Bands
+from manifold.system import atomic
+
+RGB = Bands(None)
+
+
+def smooth(bands: Bands) -> Plastic:
+    """A rough, coloured BRDF."""
+    colour = np.linspace(0.2, 0.7, bands.count)
+    return Plastic(GGX.isotropic(0.4), np.array(1.5), colour, bands)
+
+
+def dense(bands: Bands, coordinates: str, axes: tuple[Array, ...]) -> DenseTable:
+    """`smooth` at the nodes of a table, NaN below the horizon."""
+    shape = tuple(a.size for a in axes)
+    table = DenseTable("smooth", "test", coordinates, axes, _nm(bands), np.zeros((*shape, bands.count)))
+    wi, wo = table.directions()
+    above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
+    values = np.full((len(wi), bands.count), np.nan)
+    values[above] = smooth(bands).eval(wi[above], wo[above])
+    return DenseTable("smooth", "test", coordinates, axes, _nm(bands), values.reshape(*shape, bands.count))
+
+
+def _nm(bands: Bands) -> Array | None:
+    return None if bands.wavelengths_nm is None else np.array(bands.wavelengths_nm)
+
+
+def lighttools_axes() -> tuple[Array, ...]:
+    """Incidences, one azimuth, elevations and azimuths in radians."""
+    return tuple(
+        np.deg2rad(a)
+        for a in ([0.0, 30.0, 60.0], [180.0], np.arange(0.0, 90.0, 5.0), np.arange(0.0, 360.0, 30.0))
+    )
+
+
+def zemax_file(path: Path) -> Path:
+    """`smooth` in linear sRGB about the mirror direction."""
+    theta, azimuth, radial = (
+        np.deg2rad(a) for a in ([0.0, 30.0, 60.0], np.arange(0.0, 361.0, 30.0), np.arange(0.0, 90.0, 5.0))
+    )
+    values = np.zeros((theta.size, azimuth.size, radial.size, 3))
+    for k, t in enumerate(theta):
+        wi, wo = zemax.directions(t, radial[None, :], azimuth[:, None])
+        values[k] = smooth(RGB).eval(wi, wo)
+    zemax.write(path, "smooth", theta, azimuth, radial, values)
+    return path
+
+
+def write_cxf(path: Path, readings: Readings) -> None:
+    """Readings at the 12 geometries of an MA-T12 as CxF3; 10 nm steps are taken from the first two bands."""
+    nm = readings.bands.wavelengths_nm or ()
+    specifications, spectra = [], []
+    for name, row in zip(MA_T12_NAMES, readings.values, strict=True):
+        anchor, _, aspecular = name.partition("as")
+        angle = cxf3.Brdfangle(
+            illumination_angle=float(anchor), aspecular=float(aspecular),
+            notation=name,
+        )  # fmt: skip
+        measurement = cxf3.MeasurementSpec(
+            measurement_type=cxf3.MeasurementType(cxf3.EspectrumType.SPECTRUM_REFLECTANCE),
+            geometry_choice=cxf3.GeometryChoice(choice=cxf3.MultiAngleType([angle])),
+            wavelength_range=cxf3.WavelengthRange(start_wl=int(nm[0]), increment=int(nm[1] - nm[0])),
+            device=cxf3.Device(model=readings.instrument),
+        )
+        specifications.append(cxf3.ColorSpecification(measurement_spec=measurement, id=f"M0_{name}"))
+        spectra.append(
+            cxf3.ReflectanceSpectrum(
+                value=[float(v) for v in np.pi * row], color_specification=f"M0_{name}", start_wl=int(nm[0])
+            )
+        )
+    item = cxf3.Object(
+        color_values=cxf3.ColorValues(choice=list(spectra)),
+        name=readings.name,
+        id="o1",
+        object_type="Standard",
+    )
+    document = cxf3.CxF(
+        resources=cxf3.Resources(
+            object_collection=cxf3.ObjectCollection([item]),
+            color_specification_collection=cxf3.ColorSpecificationCollection(specifications),
+        )
+    )
+    atomic.write_text(path, colour_cxf.write_cxf(document).decode("utf-8"))
+
+
+def write_pab_opto(path: Path, readings: Readings) -> None:
+    """A pab-opto file of one band at one incidence, that of the first reading."""
+    wi = readings.wi[0]
+    rows = np.flatnonzero(np.isclose(readings.wi, wi).all(axis=1) & readings.measured[:, 0])
+    theta_i, phi_i = angles_deg(readings)[0, :2]
+    nm = (readings.bands.wavelengths_nm or (0.0,))[0]
+    lines = [
+        f"#sample_name {readings.name}", f"#incident_angle {theta_i:.9g} {phi_i:.9g}", f"#intheta {theta_i:.9g}",
+        f"#inphi {phi_i:.9g}", f"#wavelength {nm:g}", f"#datapoints_in_file: {rows.size}",
+        "#format: theta phi DSF",
+    ]  # fmt: skip
+    values = readings.values[rows, 0] * readings.wo[rows, 2]
+    for (theta, phi), value in zip(angles_deg(readings)[rows, 2:], values, strict=True):
+        lines.append(f"{theta:.9g}\t{phi:.9g}\t{value:.9g}")
+    atomic.write_text(path, "\n".join(lines) + "\n")
+
+
+def write_every_format(folder: Path) -> dict[str, Path]:
+    """A file of each format, by its name."""
+    spectro = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
+    paths = {name: folder / f"smooth{suffix}" for name, suffix in SUFFIXES.items()}
+    ma_t12.write(paths["ma-t12"], spectro)
+    csv_table.write(paths["csv"], spectro)
+    write_cxf(paths["cxf"], spectro)
+    astm.write(paths["astm"], spectro)
+    write_mini_diff(paths["mini-diff"], smooth(MINI_DIFF_BANDS), "smooth")
+    write_pab_opto(paths["pab-opto"], spectro.select_bands([10]))
+    lighttools.write(paths["lighttools"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
+    zemax_file(paths["zemax"])
+    merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))
+    utia.write(paths["utia"], dense(RGB, "incident-outgoing", utia.axes()))
+    return paths
+
+
+SUFFIXES = {
+    "ma-t12": ".xlsx", "csv": ".csv", "cxf": ".cxf", "astm": "_table.astm", "mini-diff": ".astm", "pab-opto": ".txt",
+    "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin",
+}  # fmt: skip
+TITLES = {
+    "ma-t12": "spectrophotometer workbook (.xlsx)", "csv": "CSV table", "cxf": "CxF3", "astm": "ASTM table",
+    "mini-diff": "ASTM table", "pab-opto": "pab-opto text", "lighttools": "LightTools BSDF text",
+    "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA",
+}  # fmt: skip

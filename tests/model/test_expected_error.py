@@ -1,0 +1,131 @@
+"""What error to expect of a prediction, by materials that were left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.small_library import small_library
+from scipy.stats import spearmanr
+
+from manifold.latent.expected_error import ExpectedError
+from manifold.library.store import Library
+from manifold.model.diagnostics import in_words, predict
+from manifold.model.left_out import LeftOut
+from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return Library.open(small_library(tmp_path_factory.mktemp("expected")))
+
+
+@pytest.fixture(scope="module")
+def model(library):
+    return Manifold.fit(library)
+
+
+@pytest.fixture
+def scattered(rng):
+    """Sixty places whose errors grow along the first axis, with scatter."""
+    X = rng.uniform(-4.0, 4.0, (60, 2))
+    errors = np.exp(0.6 * X[:, 0] + rng.normal(scale=0.4, size=60))
+    return X, errors
+
+
+def test_nine_in_ten_left_out_materials_err_by_less_than_twice_the_expected(scattered):
+    X, errors = scattered
+    expected = []
+    for i in range(len(X)):
+        others = np.delete(np.arange(len(X)), i)
+        fitted = ExpectedError.calibrate(X[others], X[others], errors[others], 1.0, 1e-3)
+        expected.append(fitted.at(X[i : i + 1])[0])
+    share = np.mean(errors < 2.0 * np.array(expected))
+    assert 0.8 < share < 1.0  # 0.9, with 60 of them
+    assert spearmanr(expected, errors)[0] > 0.6
+
+
+def test_the_expected_error_grows_with_the_errors_around_and_with_the_distance(scattered):
+    X, errors = scattered
+    fitted = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3)
+    worse = ExpectedError.calibrate(X, X, 3.0 * errors, 1.0, 1e-3)
+    x = np.array([[0.3, 0.2]])
+    np.testing.assert_allclose(worse.at(x), 3.0 * fitted.at(x), rtol=1e-9)
+    away = fitted.at(np.array([[10.0, 0.0], [20.0, 0.0], [40.0, 0.0]]))
+    assert np.all(np.diff(away) > 0.0)
+
+
+def test_the_expected_error_is_continuous(scattered, rng):
+    X, errors = scattered
+    fitted = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3)
+    x = rng.uniform(-4.0, 4.0, (200, 2))
+    step = fitted.at(x + 1e-4) / fitted.at(x)
+    assert np.abs(np.log(step)).max() < 1e-2  # weights turn over within a few tenths at most
+
+
+def test_a_residual_tells_more_than_the_place(scattered, rng):
+    X, errors = scattered
+    residuals = 0.1 * errors * np.exp(rng.normal(scale=0.2, size=60))
+    places = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3)
+    located = ExpectedError.calibrate(X, X, errors, 1.0, 1e-3, residuals)
+    x = rng.uniform(-4.0, 4.0, (200, 2))
+    true = np.exp(rng.normal(scale=1.0, size=200))  # whatever the place
+    of_residual = np.array([located.at(x[[m]], 0.1 * true[m])[0] for m in range(200)])
+    assert spearmanr(of_residual, true)[0] > 0.8 > 0.2 > abs(spearmanr(places.at(x), true)[0])
+
+
+def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_expected_to_be_exact(library):
+    """Copies are found where the other is, without error; what has other colours is not."""
+    model = Manifold.fit(library)
+    k = 2
+    errors = LeftOut(
+        model.space, model.left_out.places, np.where(np.arange(len(model.names)) == k, 1e-6, model.left_out.ball),
+        model.left_out.cube_root, model.left_out.residual,
+    )  # fmt: skip
+    place = errors.expected(model.X[k])
+    exact, other = (errors.expected(model.X[k], residual) for residual in (1e-9, 0.1))
+    assert exact.ball < other.ball
+    assert other.ball > 2.0 * place.ball
+
+
+@pytest.mark.parametrize("kind", ["blend", "monochrome", "material"])
+def test_every_kind_is_calibrated_and_a_model_file_remembers(library, tmp_path, kind):
+    fitted = Manifold.fit(library, Settings(kind=kind))
+    assert np.all(fitted.left_out.ball > 0.0)
+    assert np.all(np.isfinite(fitted.left_out.places))
+    fitted.save(tmp_path / "model.h5")
+    loaded = Manifold.load(tmp_path / "model.h5", library)
+    x = fitted.X.mean(axis=0) + 0.1
+    assert float(loaded.expected_error(x).ball) == float(fitted.expected_error(x).ball)
+
+
+def test_without_calibration_nothing_is_expected_and_the_remedy_is_named(library):
+    fitted = Manifold.fit(library, calibrate=False)
+    assert fitted.expected_error(fitted.X.mean(axis=0)) is None
+    made = predict(fitted, fitted.X.mean(axis=0))
+    assert made.expected is None
+    assert "unknown: the model is not calibrated" in in_words(made.expected, made.materials)
+
+
+def test_a_left_out_material_is_predicted_by_the_others_alone(model):
+    """Its error is that of an encode-decode without it: never 0, though the material itself is in the model."""
+    assert model.left_out.ball.min() > 0.05
+    assert np.all(np.any(model.left_out.places != model.X, axis=1))
+
+
+def test_a_material_s_own_place_has_no_error_and_its_neighbourhood_has(model):
+    own = model.expected_error(model.X[0])
+    assert (float(own.ball), float(own.cube_root)) == (0.0, 0.0)
+    assert float(model.expected_error(model.X[0] + 1e-3).ball) > 0.1
+
+
+def test_far_from_all_materials_the_data_support_nothing(model):
+    assert model.is_extrapolation(model.X + 50.0).all()
+    assert not model.is_extrapolation(model.X[1])
+
+
+def test_errors_that_do_not_fit_the_materials_are_refused(model):
+    arrays = model.left_out.arrays
+    arrays["left_out_ball"] = arrays["left_out_ball"][:-1]
+    with pytest.raises(ValueError, match="'left_out_ball' has shape"):
+        LeftOut.from_arrays(arrays, model.space)

@@ -1,0 +1,435 @@
+"""The fitted manifold: reconstruction, predictions, files, and libraries that changed under it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import shutil
+import warnings
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from helpers.small_library import NAMES, measured, small_library
+
+from manifold.brdf.analytic.base import Lambert
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
+from manifold.errors import (
+    BandMismatchError,
+    LibraryError,
+    ModelError,
+    ShapeError,
+    UsageError,
+)
+from manifold.io_rgl import write_bsdf
+from manifold.latent.decoder import EncodingPairs
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.mapping import mapping_named
+from manifold.metrics import RusinkiewiczGrid, cosine_weight, cube_root_error, relative_error, rmse
+from manifold.model import gram, model_file
+from manifold.model.fitting import BrightMaterialWarning
+from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
+from manifold.model.model_file import read_model, write_model
+from manifold.model.settings import KINDS
+from manifold.records import Bands
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return Library.open(small_library(tmp_path_factory.mktemp("model")))
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def model(request, library):
+    return Manifold.fit(library, Settings(kind=request.param), calibrate=False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mapping"),
+    [
+        ("blend", "cube-root"),
+        *itertools.product(("monochrome", "material"), ("identity", "cube-root", "log", "log-relative")),
+    ],
+)
+def test_prediction_at_a_training_latent_is_the_measured_file(library, mapping, kind):
+    model = Manifold.fit(library, Settings(kind=kind, mapping=mapping), calibrate=False)
+    wi, wo, above = RusinkiewiczGrid().directions()
+    wi, wo = wi[above][::7], wo[above][::7]
+    for name in model.names:
+        measured = MeasuredBRDF(library.read(name)).eval(wi, wo)
+        predicted = model.predict(model.latent(name)).eval(wi, wo)
+        np.testing.assert_array_equal(predicted, measured)
+        assert rmse(measured, predicted) == 0.0
+
+
+def test_weights_sum_to_one_and_are_unit_at_the_materials(model):
+    np.testing.assert_array_equal(model.weights(model.X), np.eye(len(NAMES)))
+    x = np.array([[0.1, 0.2], [5.0, -5.0]])
+    np.testing.assert_allclose(model.weights(x).sum(axis=1), 1.0, rtol=1e-12)
+
+
+def test_uncertainty_is_zero_at_materials_and_full_far_away(model):
+    assert np.all(model.std(model.X) == 0.0)
+    far = np.array([50.0, -50.0])
+    assert model.std(far) == pytest.approx(1.0)
+    assert model.is_extrapolation(far)
+    assert not np.any(model.is_extrapolation(model.X))
+
+
+def test_nearest_material_of_a_latent_is_the_nearest(model):
+    name, distance = model.nearest(model.latent("syn_gloss_red") + 1e-9, 1)[0]
+    assert name == "syn_gloss_red"
+    assert distance == pytest.approx(np.sqrt(2) * 1e-9)
+
+
+def test_gram_matrix_agrees_with_a_loop(library, model):
+    materials = model.materials.filled()
+    grid = RusinkiewiczGrid(6, 5, 4)
+    found = gram.gram_matrix(materials, mapping_named("cube-root"), grid)
+    S = np.zeros((len(materials), len(materials)))
+    wi, wo, above = grid.directions()
+    for k in np.flatnonzero(above):
+        T = np.array([np.cbrt(m.eval(wi[k], wo[k])) for m in materials])
+        S += cosine_weight(wi[k], wo[k]) * T @ T.T
+    np.testing.assert_allclose(found.S, S, rtol=1e-12)
+    assert found.n_outputs == above.sum() * 3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gram_matrix_is_remembered_by_the_library(library, monkeypatch, kind):
+    first = Manifold.fit(library, Settings(kind=kind), calibrate=False)
+    monkeypatch.setattr(gram, "gram_matrix", lambda *_, **__: pytest.fail("computed again"))
+    np.testing.assert_array_equal(Manifold.fit(library, Settings(kind=kind), calibrate=False).X, first.X)
+
+
+def test_a_saved_model_is_the_same_model(model, tmp_path):
+    path = model.library.path.parent / "kept.h5"
+    model.save(path)
+    loaded = Manifold.load(path)
+    assert loaded.names == model.names
+    assert loaded.settings == model.settings
+    assert loaded.statistics == model.statistics
+    for name, array in model.space.arrays.items():
+        np.testing.assert_array_equal(loaded.space.arrays[name], array)
+    x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    np.testing.assert_array_equal(loaded.predict(x).eval(wi, wo), model.predict(x).eval(wi, wo))
+
+
+def test_model_and_library_can_be_moved_together(library, model, tmp_path):
+    folder = tmp_path / "a"
+    folder.mkdir()
+    shutil.copytree(library.path, folder / "library.zarr")
+    Manifold.fit(Library.open(folder / "library.zarr"), calibrate=False).save(folder / "model.h5")
+    folder.rename(tmp_path / "b")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Manifold.load(tmp_path / "b" / "model.h5").names == model.names
+
+
+def test_a_changed_library_is_noticed(library, tmp_path):
+    copy = tmp_path / "library.zarr"
+    shutil.copytree(library.path, copy)
+    Manifold.fit(Library.open(copy), calibrate=False).save(tmp_path / "model.h5")
+    small_library(tmp_path / "other", names=("syn_satin_blue",), library=copy)
+    with pytest.warns(LibraryChangedWarning, match="embed again"):
+        Manifold.load(tmp_path / "model.h5")
+
+
+def test_a_library_that_lost_a_material_is_refused(library, tmp_path):
+    copy = tmp_path / "library.zarr"
+    shutil.copytree(library.path, copy)
+    Manifold.fit(Library.open(copy), calibrate=False).save(tmp_path / "model.h5")
+    shutil.rmtree(copy / "materials" / "syn_felt_green")
+    with pytest.raises(LibraryError, match="syn_felt_green"):
+        Manifold.load(tmp_path / "model.h5")
+
+
+def test_what_is_no_model_is_refused(tmp_path):
+    with pytest.raises(ModelError, match="no such model"):
+        Manifold.load(tmp_path / "absent.h5")
+    (tmp_path / "text.h5").write_text("not HDF5")
+    with pytest.raises(ModelError, match=r"text\.h5"):
+        Manifold.load(tmp_path / "text.h5")
+    with h5py.File(tmp_path / "foreign.h5", "w") as file:
+        file["data"] = np.zeros(3)
+    with pytest.raises(ModelError, match="expected a manifold model"):
+        Manifold.load(tmp_path / "foreign.h5")
+
+
+def _rewritten(path, **changes):
+    """A model file whose record was changed by this program: its hash is right."""
+    write_model(path, replace(read_model(path), **changes))
+
+
+def test_a_model_that_lacks_any_part_is_refused(model, tmp_path):
+    path = tmp_path / "lacking.h5"
+    model.save(path)
+    whole = read_model(path)
+    for part in ("names", "settings"):
+        _rewritten(path, **{part: type(getattr(whole, part))()})
+        with pytest.raises(ModelError, match="embed again"):
+            Manifold.load(path)
+        write_model(path, whole)
+    for name in whole.arrays:
+        _rewritten(path, arrays={n: a for n, a in whole.arrays.items() if n != name})
+        with pytest.raises(ModelError, match="embed again"):
+            Manifold.load(path)
+        write_model(path, whole)
+
+
+def test_a_model_whose_parts_do_not_fit_is_refused(model, tmp_path):
+    path = tmp_path / "unfit.h5"
+    model.save(path)
+    whole = read_model(path)
+    for name, array in whole.arrays.items():
+        if array.ndim == 2:
+            _rewritten(path, arrays=whole.arrays | {name: array[:-1]})
+            with pytest.raises(ModelError, match="embed again"):
+                Manifold.load(path)
+
+
+def test_what_is_not_finite_is_not_written(model, tmp_path):
+    path = tmp_path / "infinite.h5"
+    model.save(path)
+    for changes in (
+        {"arrays": {"X": np.array([[np.nan]])}},
+        {"statistics": {"objective": float("inf")}},
+    ):
+        with pytest.raises(ModelError, match=r"infinite\.h5"):
+            _rewritten(path, **changes)
+
+
+def test_other_programs_read_the_arrays_of_a_model(model, tmp_path):
+    path = tmp_path / "open.h5"
+    model.save(path)
+    with h5py.File(path) as file:
+        np.testing.assert_array_equal(file["space/X"], model.X)
+        assert json.loads(bytes(file["record"][...]))["names"] == list(model.names)
+
+
+def test_a_model_with_a_changed_latent_is_refused_by_its_hash(model, tmp_path):
+    path = tmp_path / "changed.h5"
+    model.save(path)
+    np.testing.assert_array_equal(Manifold.load(path).X, model.X)
+    with h5py.File(path, "a") as file:
+        file["space/X"][0, 0] = np.nextafter(model.X[0, 0], np.inf)
+    with pytest.raises(ModelError, match="hash"):
+        Manifold.load(path)
+
+
+def test_every_flipped_bit_of_a_model_is_found(model, tmp_path, rng):
+    path = tmp_path / "flipped.h5"
+    model.save(path)
+    whole = path.read_bytes()
+    # All of the user block, where the hash itself stands, and some of the rest.
+    for bit in (*range(8 * 80), *rng.integers(0, 8 * len(whole), 300)):
+        content = bytearray(whole)
+        content[bit // 8] ^= 1 << (bit % 8)
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=r"flipped\.h5"):
+            read_model(path)
+
+
+def test_a_model_that_is_cut_off_or_grew_is_refused(model, tmp_path):
+    path = tmp_path / "cut.h5"
+    model.save(path)
+    whole = path.read_bytes()
+    for content in (whole[:10], whole[:60], whole[:300], whole[:-1], whole + b"\0"):
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match="embed again"):
+            read_model(path)
+
+
+def test_an_array_that_unpacks_to_more_than_the_file_is_refused(model, tmp_path):
+    path = tmp_path / "bomb.h5"
+    model.save(path)
+    with h5py.File(path, "r+") as file:
+        file["space"].create_dataset("bomb", shape=(1 << 40,), dtype="f8", compression="gzip")
+    content = bytearray(path.read_bytes())
+    content[model_file._DIGEST] = model_file._digest(content)
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"more than the file holds.*embed again"):
+        read_model(path)
+
+
+def test_a_model_without_a_hash_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "old.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["format"], file.attrs["format_version"] = "manifold-model", 2
+    with pytest.raises(ModelError, match=r"^\S*old\.h5: .*embed again") as caught:
+        read_model(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+@pytest.mark.parametrize("kernel", ["matern32+linear", "matern52", "rq"])
+def test_a_model_keeps_its_kernel(library, tmp_path, kind, kernel):
+    made = Manifold.fit(library, Settings(kind=kind, kernel=kernel), calibrate=False)
+    made.save(tmp_path / "model.h5")
+    found = Manifold.load(tmp_path / "model.h5", library)
+    assert found.gp.kernel == made.settings.covariance() == found.settings.covariance()
+    x = made.between(made.names[0], made.names[1], 0.3)
+    np.testing.assert_array_equal(found.std(x), made.std(x))
+    np.testing.assert_array_equal(found.weights(x), made.weights(x))
+
+
+def test_far_from_all_materials_a_linear_kernel_extrapolates_too(library):
+    model = Manifold.fit(library, Settings(kind="material", kernel="se+linear"), calibrate=False)
+    assert not model.is_extrapolation(model.X).any()
+    assert model.is_extrapolation(model.X + 50.0).all()
+
+
+def test_a_model_of_another_version_is_refused(model, tmp_path, monkeypatch):
+    path = tmp_path / "newer.h5"
+    monkeypatch.setattr(model_file, "FORMAT_VERSION", 99)
+    model.save(path)
+    monkeypatch.undo()
+    with pytest.raises(ModelError, match="format 99"):
+        Manifold.load(path)
+
+
+@pytest.mark.parametrize(
+    ("x", "words"),
+    [
+        ([0.0], "found 1 coordinates, expected 2"),
+        ([0.0, 0.0, 0.0], "found 3 coordinates, expected 2"),
+        ([np.nan, 0.0], "expected finite coordinates"),
+        ([np.inf, 0.0], "expected finite coordinates"),
+    ],
+)
+def test_latents_that_are_none_are_refused(model, x, words):
+    with pytest.raises(ShapeError, match=words):
+        model.predict(np.array(x))
+
+
+def test_impossible_settings_are_refused(library):
+    with pytest.raises(UsageError, match="latent dimensions"):
+        Manifold.fit(library, Settings(latent_dim=len(NAMES)), calibrate=False)
+    with pytest.raises(UsageError, match="cube-root"):
+        Manifold.fit(library, Settings(mapping="cuberoot"), calibrate=False)
+    with pytest.raises(UsageError, match="monochrome or material"):
+        Settings(kind="metal")
+    with pytest.raises(UsageError, match="expected l-bfgs"):
+        Settings(kind="monochrome", optimizer="dls")
+
+
+def test_unknown_materials_are_refused_with_near_names(model):
+    with pytest.raises(UsageError, match="syn_satin_gold"):
+        model.latent("syn_satin_goldd")
+
+
+def test_a_material_of_the_library_is_embedded_where_it_lies(model):
+    for name in ("syn_felt_green", "syn_satin_gold"):
+        found = model.embed(model.material(name))
+        assert model.nearest(found.latent)[0][0] == name
+        assert found.relative_error < 0.2
+        again = model.predict(found.latent, found.colours)
+        wi, wo = from_spherical(0.5, 0.0), from_spherical(0.3, 1.0)
+        np.testing.assert_allclose(again.eval(wi, wo), model.material(name).eval(wi, wo), rtol=0.3)
+
+
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+def test_the_criterion_of_an_embedding_is_what_it_is_best_at(library, kind):
+    model = Manifold.fit(library, Settings(kind=kind, optimizer="l-bfgs"), calibrate=False)
+    brdf, pairs = MeasuredBRDF(measured("syn_metallic_gold")), EncodingPairs.default()
+    f, errors = brdf.eval(pairs.wi, pairs.wo), {}
+    for criterion in ("decoded", "cube-root"):
+        found = model.embed(brdf, criterion)
+        predicted = model.predict(found.latent, found.colours).eval(pairs.wi, pairs.wo)
+        errors[criterion] = [e(f, predicted, pairs.cosines) for e in (relative_error, cube_root_error)]
+    assert errors["decoded"][0] < errors["cube-root"][0]
+    assert errors["cube-root"][1] < errors["decoded"][1]
+
+
+@pytest.mark.parametrize("kind", ["monochrome", "material"])
+def test_a_model_finds_new_materials_by_the_criterion_of_its_settings(library, tmp_path, kind):
+    settings = Settings(kind=kind, optimizer="l-bfgs", criterion="mapped")
+    model, brdf = (
+        Manifold.fit(library, settings, calibrate=False),
+        MeasuredBRDF(measured("syn_metallic_gold")),
+    )
+    model.save(tmp_path / "model.h5")
+    loaded = Manifold.load(tmp_path / "model.h5", library)
+    assert loaded.settings.criterion == "mapped"
+    np.testing.assert_array_equal(loaded.embed(brdf).latent, model.embed(brdf, "mapped").latent)
+    assert np.any(model.embed(brdf, "cube-root").latent != model.embed(brdf, "mapped").latent)
+
+
+def test_blends_have_one_criterion_and_unknown_ones_are_refused():
+    with pytest.raises(UsageError, match="criterion 'decoded' for kind blend, expected cube-root"):
+        Settings(criterion="decoded")
+    with pytest.raises(UsageError, match="criterion 'best', expected one of decoded"):
+        Settings(kind="material", criterion="best")
+
+
+def test_a_material_with_other_bands_is_not_embedded(model):
+    lambert = Lambert(np.array([0.2, 0.3]), Bands((500.0, 600.0)))
+    with pytest.raises(BandMismatchError, match="500"):
+        model.embed(lambert)
+
+
+def test_interpolation_begins_and_ends_at_the_materials(model):
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    a, b = "syn_felt_green", "syn_satin_gold"
+    for t, name in ((0.0, a), (1.0, b)):
+        expected = model.material(name).eval(wi, wo)
+        np.testing.assert_array_equal(model.interpolate(a, b, t).eval(wi, wo), expected)
+
+
+def test_monochrome_predictions_agree_with_the_sum_written_out(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
+    x = model.between("syn_felt_green", "syn_satin_gold", 0.4)
+    colours = model.colours.like(x, "syn_gloss_red")
+    wi, wo = from_spherical(0.5, 0.0), from_spherical(0.4, 2.0)
+    V = model.gp.weights(np.column_stack([np.tile(x, (3, 1)), colours]))
+    T = np.concatenate([np.cbrt(m.eval(wi, wo)) for m in model.materials.filled()])
+    found = model.predict(x, colours).eval(wi, wo)
+    np.testing.assert_allclose(found, (V @ T) ** 3, rtol=1e-6)  # roots in single precision
+    of_materials = V.reshape(3, len(model.names), -1).sum(axis=2).mean(axis=0)
+    np.testing.assert_allclose(model.weights(x, colours), of_materials, rtol=1e-9)
+    own = model.weights(model.X[1], model.space.own_colours[1])
+    np.testing.assert_array_equal(own, np.eye(len(model.names))[1])
+
+
+def test_a_structure_takes_the_reflectance_it_is_given(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
+    x = model.between("syn_felt_green", "syn_paper_white", 0.5)
+    wi = from_spherical(np.deg2rad(8.0), 0.0)
+    asked = np.array([0.5, 0.3, 0.2])
+    colours, reached = model.colours.of_reflectance(x, asked)
+    np.testing.assert_allclose(reached, asked, atol=1e-12)
+    np.testing.assert_allclose(model.predict(x, colours).albedo(wi), asked, atol=0.01)
+    assert np.all(np.diff(colours) < 0)  # larger colour coordinates are brighter
+
+
+def test_a_reflectance_out_of_reach_is_met_as_nearly_as_can_be(library):
+    model = Manifold.fit(library, Settings(kind="monochrome"), calibrate=False)
+    colours, reached = model.colours.of_reflectance(model.latent("syn_metal_copper"), np.full(3, 5.0))
+    assert np.all(np.isfinite(colours))
+    assert np.all(reached < 5.0)
+
+
+def test_colours_are_refused_where_materials_carry_them(library):
+    model = Manifold.fit(library, Settings(kind="material"), calibrate=False)
+    for ask in (
+        lambda: model.colours.like(model.X[0], model.names[0]),
+        lambda: model.colours.of_reflectance(model.X[0], np.full(3, 0.5)),
+        lambda: model.predict(model.X[0], np.zeros(3)),
+    ):
+        with pytest.raises(UsageError, match="cannot be chosen"):
+            ask()
+
+
+def test_a_material_that_is_too_bright_to_be_one_is_named(tmp_path):
+    files = [measured(name) for name in NAMES[:3]]
+    bright = replace(files[0], name="bright", spectra=files[0].spectra * np.float32(30.0))
+    for file in (*files, bright):
+        write_bsdf(tmp_path / f"{file.name}_rgb.bsdf", file)
+    import_files(tmp_path / "library.zarr", [tmp_path])
+    with pytest.warns(BrightMaterialWarning, match=r"^bright has a directional albedo of [0-9.]+") as caught:
+        Manifold.fit(Library.open(tmp_path / "library.zarr"), Settings(latent_dim=1), calibrate=False)
+    assert len(caught) == 1

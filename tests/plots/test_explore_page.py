@@ -1,0 +1,355 @@
+"""The page in a browser: it predicts as Python does, and every control works by mouse and by keyboard."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from helpers.browser import settle, state, visit
+from helpers.paths import REPOSITORY
+from helpers.small_library import NAMES, small_library
+
+from manifold.colour import ball_colours
+from manifold.colour.conversion import decode_srgb, srgb_to_xyz
+from manifold.directions import from_spherical
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.plots.explorer.direction_grid import AngleGrid, tabulated_pairs
+from manifold.plots.explorer.page import make_page
+from manifold.plots.explorer.tables import tabulate, to_document
+
+sys.path.insert(0, str(REPOSITORY / "benchmarks"))
+import bench_page
+
+HOSTILE = "</script><img src=x onerror=alert(1)>"
+
+
+@pytest.fixture(scope="module")
+def opened(browser, address):
+    return visit(browser, address)
+
+
+@pytest.fixture
+def visited(opened):
+    """The one open page as it was at the start; no test leaves an error or a request behind."""
+    opened.page.evaluate("window.explorer.reset()")
+    yield opened
+    assert opened.errors == []
+    assert opened.requests == []
+
+
+def ball_of_page(page, places):
+    """Encoded sRGB (K, 3) of the page's ball at places (K, 2), right and up in radii."""
+    script = """(places) => {
+      const canvas = document.getElementById("ball"), gl = canvas.getContext("webgl2");
+      window.explorer.drawBalls();
+      const { width, height } = canvas, side = Math.min(width, height), picture = new Uint8Array(4 * width * height);
+      gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, picture);
+      return places.map(([x, y]) => {
+        const [i, j] = [x, y].map((v, k) => Math.floor([width, height][k] / 2 + (v / 1.02) * side / 2));
+        return [...picture.slice(4 * (j * width + i), 4 * (j * width + i) + 3)];
+      });
+    }"""
+    return np.array(page.evaluate(script, places.tolist())) / 255.0
+
+
+def test_weights_are_those_of_python(visited, model, rng):
+    places = np.vstack([rng.normal(size=(50, 2)) * 2.0, model.X, model.X + 1e-7])
+    script = "(places) => places.map((x) => window.explorer.materials.weights(x))"
+    found = np.array(visited.page.evaluate(script, places.tolist()))
+    assert np.allclose(found, model.weights(places), rtol=0, atol=1e-5)
+
+
+def table_of_page(page, x, *, refine=True):
+    """Cube roots of colours that the shader has summed on the grid at a place, at rest or moving, (P, 3)."""
+    script = """([x, refine]) => {
+      const { balls } = window.explorer, { gl } = balls;
+      window.explorer.change({ x });
+      window.explorer.refresh();
+      if (refine) balls.refine(0);
+      const { target, width, height } = balls.surfaces[0].table, values = new Float32Array(4 * width * height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+      gl.readPixels(0, 0, width, height, gl.RGBA, gl.FLOAT, values);
+      return [...values];
+    }"""
+    return np.array(page.evaluate(script, [list(x), refine])).reshape(-1, 4)[:, :3]
+
+
+def test_the_shader_sums_the_prediction_of_python(visited, model, document, rng):
+    pairs = tabulated_pairs(AngleGrid())
+    wi, wo = pairs.wi[: pairs.n_grid], pairs.wo[: pairs.n_grid]
+    is_beside_the_plane = np.abs(wo[:, 1]) < 1e-9  # elsewhere the page has the mean of both sides
+    for shares in rng.dirichlet(np.ones(len(NAMES)), 3):
+        x = shares @ model.X
+        f = model.predict(x).eval(wi, wo) * pairs.amplitude[: pairs.n_grid, None] ** 3
+        expected = np.cbrt(f @ np.array(document["toSrgb"]["D65"]))[is_beside_the_plane]
+        found = table_of_page(visited.page, x)[is_beside_the_plane]
+        # Components past the first are bytes relative to it, and texels are half floats.
+        assert np.median(np.abs(found - expected)) < 2e-3 * np.median(expected)
+        assert np.mean(np.abs(found - expected)) < 0.01 * np.mean(expected)
+
+
+def test_shaders_ask_for_full_precision(visited):
+    """Else half vectors are 16 bits wide where drivers take the defaults of GLSL at their word: 0.3 CIEDE2000."""
+    script = """() => {
+      const { balls } = window.explorer, { gl } = balls;
+      const programs = [...Object.values(balls.programs), balls.show, ...balls.blends.programs.values()];
+      return programs.map(({ handle }) => gl.getShaderSource(gl.getAttachedShaders(handle)[1]).split("\\n")[1]);
+    }"""
+    found = visited.page.evaluate(script)
+    assert len(found) >= 6
+    assert set(found) == {"precision highp float; precision highp int; precision highp sampler2D;"}
+
+
+def test_a_moving_ball_makes_up_for_the_materials_that_it_leaves_out(visited, model):
+    x = model.X[0] + [0.05, 0.0]
+    at_rest = table_of_page(visited.page, x)
+    moving = table_of_page(visited.page, x, refine=False)
+    assert not np.array_equal(moving, at_rest)
+    assert np.mean(np.abs(moving - at_rest)) < 0.005 * np.mean(
+        at_rest
+    )  # five shares of less than a thousandth
+
+
+def test_the_ball_of_the_page_is_that_of_the_package(visited, model, rng):
+    ball = ball_colours.ball(rings=54, spokes=36)  # finer than the page at rest
+    errors = []
+    for shares in rng.dirichlet(np.ones(len(NAMES)), 10):
+        x = shares @ model.X
+        visited.page.evaluate("(x) => window.explorer.change({ x })", x.tolist())
+        settle(visited.page)
+        visited.page.evaluate("window.explorer.balls.refine(0)")
+        shown = srgb_to_xyz(decode_srgb(ball_of_page(visited.page, ball.places)))
+        expected = ball.xyz(model.predict(x).eval(ball.wi, ball.wo), model.bands)
+        errors.append(ball_colours.delta_e(shown, expected))
+    print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
+    assert np.mean(errors) < 1.0
+
+
+def test_a_path_has_the_colours_between_its_ends(visited, model):
+    """In reflectance and on the ball as `Manifold.interpolate`; pinned, and in a link, it stays so."""
+    page, (start, end), ball = visited.page, NAMES[:2], ball_colours.ball(rings=54, spokes=36)
+    x = model.between(start, end, 0.4).tolist()
+    path = {"from": start, "to": end, "t": 0.4}
+    page.evaluate("([x, path]) => window.explorer.change({ x, path, colour: 'blend' })", [x, path])
+    settle(page)
+    page.evaluate("window.explorer.balls.refine(0)")
+    brdf = model.interpolate(start, end, 0.4)
+    shown = srgb_to_xyz(decode_srgb(ball_of_page(page, ball.places)))
+    found = ball_colours.delta_e(shown, ball.xyz(brdf.eval(ball.wi, ball.wo), model.bands))
+    assert found < 1.0  # what the page may differ by anywhere
+    expected = brdf.albedo(from_spherical(np.deg2rad(8.0), 0.0))
+    found = page.evaluate("window.explorer.reflectance")
+    assert np.allclose(found, expected, atol=0.01)  # by spheres of different nodes
+    assert f"40 % of the way from {start} to {end}" in page.locator("#caption").inner_text()
+    page.locator("#pin").click()
+    page.evaluate("window.explorer.goTo(2)")
+    settle(page)
+    link = page.evaluate("location.hash")
+    page.evaluate("window.explorer.reset()")
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
+    page.evaluate(
+        "([a, b]) => { location.hash = '#path=' + encodeURIComponent(JSON.stringify([a, b, 0.4])); }",
+        NAMES[:2],
+    )
+    settle(page)
+    assert np.allclose(state(page)["x"], x)  # a path says where it is
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
+    pinned = page.evaluate("window.explorer.pinned.prediction.reflectance()")
+    assert np.allclose(pinned, expected, atol=0.01)
+    page.locator("#unpin").click()
+    settle(page)
+
+
+@pytest.mark.slow
+def test_the_ball_of_the_page_is_that_of_mitsuba_in_the_same_light(visited, model):
+    places = bench_page.places(model, 10, 0)
+    errors = [bench_page.compare_balls(visited.page, model, x, 128).file for x in places]
+    print("mean CIEDE2000 of ten balls", np.mean(errors), max(errors))
+    assert np.mean(errors) <= 1.0
+
+
+@pytest.mark.parametrize("choice", [{"like": "syn_metal_copper"}, {"srgb": "#3070c0"}, {"srgb": "#101010"}])
+def test_a_chosen_colour_gives_the_reflectance_that_python_gives(visited, model, choice, rng):
+    x = rng.dirichlet(np.ones(len(NAMES))) @ model.X
+    colours = choose_colour(model, x, ColourChoice(**choice)).colours
+    expected = model.colours.reached(x, colours)
+    mode = {"colour": "like" if "like" in choice else "picked", **choice}
+    visited.page.evaluate("([x, mode]) => window.explorer.change({ x, ...mode })", [x.tolist(), mode])
+    settle(visited.page)
+    found = visited.page.evaluate("window.explorer.reflectance")
+    assert np.allclose(found, expected, atol=0.01)  # spheres of 200 and of 1024 nodes
+
+
+def test_dragging_and_keys_move_the_point(visited):
+    page = visited.page
+    box = page.locator("#map").bounding_box()
+    page.mouse.move(box["x"] + 20, box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 250, steps=4)
+    settle(page)  # the last frame of the drag is drawn before the button is let go
+    page.mouse.up()
+    settle(page)
+    assert page.locator("#undo").is_enabled()
+    dragged = state(page)["x"]
+    assert f"x={dragged[0]:.3f}"[:6] in page.evaluate("decodeURIComponent(location.hash)")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowUp")
+    settle(page)
+    moved = state(page)["x"]
+    assert moved[0] > dragged[0]
+    assert moved[1] > dragged[1]
+    page.keyboard.press("Enter")
+    settle(page)
+    assert state(page)["at"] in NAMES
+    page.keyboard.press("Control+z")
+    settle(page)
+    assert state(page)["x"] == pytest.approx(moved)
+    page.locator("#redo").click()
+    settle(page)
+    assert state(page)["at"] in NAMES
+
+
+def test_every_control_does_what_it_says(visited):
+    page = visited.page
+    page.locator("#search").fill("copper")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert state(page)["at"] == "syn_metal_copper"
+    page.locator("#pin").press("Enter")
+    page.locator("#nearest button").nth(1).press("Enter")
+    page.locator('input[name="light"][value="lamp"]').press("Space")
+    page.locator("#ball").focus()
+    page.keyboard.press("ArrowLeft")
+    page.locator("#ball").hover(position={"x": 150, "y": 100})
+    page.locator("#exposure").press("ArrowRight")
+    page.locator("#like").select_option("syn_felt_green")
+    settle(page)
+    now = state(page)
+    assert now["pin"]["at"] == "syn_metal_copper"
+    assert now["at"] != "syn_metal_copper"
+    assert now["light"] == "lamp"
+    assert now["exposure"] == 0.25
+    assert now["like"] == "syn_felt_green"
+    page.locator("#picked").fill("#3366aa")
+    settle(page)
+    assert state(page)["colour"] == "picked"
+    page.locator('input[name="colour"][value="blend"]').check()
+    page.locator("#path-from").select_option(NAMES[0])
+    page.locator("#path-to").select_option(NAMES[3])
+    page.locator("#path-t").press("End")
+    settle(page)
+    assert state(page)["at"] == NAMES[3]
+    assert state(page)["path"]["t"] == 1
+    page.locator("#pinned").select_option(NAMES[1])
+    page.locator("#unpin").click()
+    settle(page)
+    assert state(page)["pin"] is None
+    page.locator("#coordinates input").first.fill("0.25")
+    page.keyboard.press("Tab")
+    settle(page)
+    assert state(page)["x"][0] == 0.25
+    before = page.evaluate("document.body.dataset.theme")
+    page.locator("#theme").press("Enter")
+    assert page.evaluate("document.body.dataset.theme") != before
+    page.locator("#zoom-in").click()
+    page.locator("#zoom-out").press("Enter")
+    assert page.evaluate("window.explorer.map.zoom") == 1
+
+
+def test_the_page_says_what_it_shows_of_anisotropic_materials(visited, document):
+    assert document["anisotropic"] == [False] * len(document["names"])
+    found = visited.page.evaluate(
+        """() => {
+          const { data } = window.explorer, before = window.explorer.diagnostics();
+          data.anisotropic.fill(true);
+          const after = window.explorer.diagnostics();
+          data.anisotropic.fill(false);
+          return after.filter((text) => !before.includes(text));
+        }"""
+    )
+    assert [text.startswith("anisotropic: the page shows it") for text in found] == [True]
+
+
+def test_a_link_restores_what_was_shown(visited):
+    def follow(fragment):
+        visited.page.evaluate("(fragment) => (location.hash = fragment)", fragment)
+        settle(visited.page)
+        return state(visited.page)
+
+    now = follow("#x=0.5,-0.25&srgb=%23336699&lamp=0.2,0.3&exposure=1&pin=syn_metal_copper")
+    assert now["x"] == [0.5, -0.25]
+    assert (now["colour"], now["srgb"]) == ("picked", "#336699")
+    assert (now["light"], now["exposure"]) == ("lamp", 1)
+    assert now["pin"]["at"] == "syn_metal_copper"
+    now = follow("#x=nan,1&like=%3Cimg%3E&pin=1&path=%5B1&exposure=1e9")
+    assert now["pin"] is None
+    assert (now["colour"], now["exposure"]) == ("blend", 3)
+
+
+def test_downloads_hold_the_latent_and_the_colours(visited):
+    page = visited.page
+    page.locator("#like").select_option("syn_felt_green")
+    documents = {}
+    for name in ("latent", "colours"):
+        with page.expect_download() as download:
+            page.locator(f"#save-{name}").click()
+        with open(download.value.path(), encoding="utf-8") as stream:
+            documents[name] = json.load(stream)
+    assert documents["latent"]["latent"] == state(page)["x"]
+    assert sum(documents["latent"]["weights"].values()) == pytest.approx(1.0)
+    assert documents["colours"]["colour"] == {"like": "syn_felt_green"}
+    assert len(documents["colours"]["reflectance"]) == 3
+
+
+def test_hostile_names_are_text(browser, document, tmp_path):
+    page = tmp_path / "hostile.html"
+    names = [HOSTILE, "javascript:alert(1)", *document["names"][2:]]
+    page.write_text(make_page(document | {"names": names, "library": HOSTILE}), encoding="utf-8")
+    made = visit(browser, page.as_uri())
+    dialogs = []
+    made.page.on("dialog", lambda dialog: dialogs.append(dialog.message) or dialog.dismiss())
+    made.page.locator("#search").fill("script")
+    made.page.keyboard.press("Enter")
+    made.page.locator("#pin").click()
+    made.page.locator("#map").hover()
+    assert HOSTILE in made.page.locator("#library").text_content()
+    assert made.page.locator("img").count() == 0
+    assert dialogs == []
+    assert made.errors == []
+    assert made.requests == []
+    made.page.close()
+
+
+def test_everything_that_can_be_operated_has_a_name(visited):
+    script = """[...document.querySelectorAll("button, select, input, canvas, svg")].filter((e) =>
+      !(e.getAttribute("aria-label") || e.labels?.length || e.textContent.trim())).map((e) => e.outerHTML)"""
+    assert visited.page.evaluate(script) == []
+    assert visited.page.locator("[aria-live=polite]").count() == 1
+
+
+def test_nothing_is_wider_than_the_window(visited):
+    for width in (360, 390, 768, 1280):
+        visited.page.set_viewport_size({"width": width, "height": 900})
+        assert visited.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_three_dimensions_have_a_slider(browser, tmp_path):
+    from manifold.library.store import Library
+    from manifold.model.settings import Settings
+
+    model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(latent_dim=3))
+    (tmp_path / "map.html").write_text(make_page(to_document(model, tabulate(model))), encoding="utf-8")
+    made = visit(browser, (tmp_path / "map.html").as_uri())
+    before = state(made.page)["x"]
+    made.page.locator("#coordinates input[type=range]").press("ArrowRight")
+    settle(made.page)
+    after = state(made.page)["x"]
+    assert after[:2] == before[:2]
+    assert after[2] > before[2]
+    assert made.errors == []
+    made.page.close()

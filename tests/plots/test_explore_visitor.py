@@ -1,0 +1,355 @@
+"""The page under odd links, several spectra, a lost WebGL context, and by keyboard alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from itertools import pairwise
+
+import pytest
+from helpers.browser import settle, state, visit
+from helpers.small_library import NAMES
+
+from manifold.colour.reflectances import read_reflectance
+from manifold.errors import FileFormatError
+from manifold.plots.explorer.actions import Context
+from manifold.plots.explorer.jobs import Queue
+from manifold.plots.explorer.page import make_page
+from manifold.plots.explorer.server import ExplorerServer
+from manifold.records import Bands
+
+ENDS = Bands((400.0, 700.0))
+
+
+@pytest.fixture(scope="module")
+def opened(browser, address):
+    """A page that stays for many tests."""
+    return visit(browser, address)
+
+
+@pytest.fixture
+def page(opened):
+    """The open page as it was at the start, which leaves no error behind."""
+    page = opened.page
+    opened.errors.clear()
+    page.set_viewport_size({"width": 1280, "height": 900})
+    page.evaluate("""() => {
+      document.activeElement.blur();
+      document.getElementById("search").value = "";
+      scrollTo(0, 0);
+      Object.assign(window.explorer, { spectra: [] }).problem("");
+      window.explorer.reset();
+    }""")
+    settle(page)
+    yield page
+    assert opened.errors == []
+
+
+@pytest.fixture(scope="module")
+def elsewhere(browser, address):
+    """A window that shows one page after the other: to open one takes Chromium seconds."""
+    return visit(browser, address)
+
+
+@pytest.fixture(scope="module")
+def served(document, tmp_path_factory):
+    """A server whose commands do nothing."""
+    folder = tmp_path_factory.mktemp("served")
+    context = Context(folder, folder / "model.h5", folder / "library.zarr", NAMES, 2, True)
+    queue = Queue(folder, (sys.executable, "-c", "print('{}')"))
+    server = ExplorerServer(
+        make_page(document | {"served": {"targets": [["gltf", "glTF 2.0"]]}}), context, queue=queue
+    )
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(scope="module")
+def served_page(browser, served):
+    return visit(browser, served.address)
+
+
+def choose_spectrum(page, name, blue, red):
+    text = "".join(f"{nm} {blue if nm < 580 else red}\n" for nm in range(380, 781, 10))
+    page.locator("#spectrum-file").set_input_files(
+        {"name": name, "mimeType": "text/plain", "buffer": text.encode()}
+    )
+    page.locator("#caption", has_text=name).wait_for()
+
+
+@pytest.mark.parametrize(
+    "fragment",
+    ["illuminant=toString", "x=1e308,1e308", "x=-1e9,0&pin=1e300,0", "lamp=5,5",
+     f'path=["{NAMES[0]}","{NAMES[1]}",null]', f'path=["{NAMES[0]}","{NAMES[1]}","1"]'],
+)  # fmt: skip
+def test_a_link_that_nobody_copied_opens_a_page_that_works(elsewhere, address, fragment):
+    elsewhere.open(f"{address}#{fragment}")
+    page = elsewhere.page
+    now = state(page)
+    reach = page.evaluate("window.explorer.map.reach")
+    for place in filter(None, (now["x"], (now["pin"] or {}).get("x"))):
+        assert all(low <= v <= high for v, (low, high) in zip(place, reach, strict=True))
+    assert now["lamp"][0] ** 2 + now["lamp"][1] ** 2 < 1
+    assert now["illuminant"] == "D65"
+    assert now["path"] is None
+    assert "NaN" not in page.locator("#facts").inner_text()
+    assert elsewhere.errors == []
+
+
+def test_each_state_keeps_the_spectrum_that_it_was_shown_in(page):
+    choose_spectrum(page, "red.txt", 0.05, 0.6)
+    red = page.evaluate("window.explorer.reflectance")
+    page.locator("#pin").click()
+    choose_spectrum(page, "blue.txt", 0.6, 0.05)
+    settle(page)
+    assert page.locator("#pin-caption").text_content().endswith("red.txt")
+    assert page.locator("#spectrum-name").text_content() == "blue.txt"
+    page.locator("#undo").click()
+    settle(page)
+    assert page.locator("#caption").text_content().endswith("red.txt")
+    assert page.evaluate("window.explorer.reflectance") == red
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("nm,R,deviation\n400,0.5,a\n700,0.25,b\n", [0.5, 0.25]),
+        ("400 0.5\r700 0.25\r", [0.5, 0.25]),
+        ("# of a lamp\n700\t0.25\n\n400\t0.5", [0.5, 0.25]),
+        ("400;0,5\n700;0,25", [0.5, 0.25]),
+        ('"400,0" 0.5\n700 , 0,25 0,1', [0.5, 0.25]),
+        ("400,0,5\n700,0,25", "at least two rows"),
+        ("400,0.5\n700,0,25", "in the line “700,0,25”"),
+        ("400 50\n700 40", "percent"),
+        ("0.4 0.5\n700 0.25", "wavelengths in nm"),
+        ("400 0.5\n700 nan", "in the line “700 nan”"),
+    ],
+)
+def test_a_spectrum_is_read_as_the_command_reads_it(page, tmp_path, text, expected):
+    (tmp_path / "spectrum.txt").write_bytes(text.encode())
+    found = page.evaluate(
+        """async (text) => {
+          await window.explorer.takeSpectrum(new File([text], "spectrum.txt"));
+          const said = document.getElementById("problem-text").textContent;
+          return window.explorer.spectrum?.rows.map((row) => row[1]) ?? said;
+        }""",
+        text,
+    )
+    if isinstance(expected, str):
+        assert expected in found
+        with pytest.raises(FileFormatError):
+            read_reflectance(tmp_path / "spectrum.txt", ENDS)
+    else:
+        assert found == expected == read_reflectance(tmp_path / "spectrum.txt", ENDS).tolist()
+
+
+def test_a_coordinate_that_is_no_number_or_out_of_reach_is_put_right(page):
+    field = page.locator("#coordinates input").first
+    field.fill("0.25")
+    field.press("Tab")
+    field.fill("")
+    field.press("Tab")
+    settle(page)
+    assert state(page)["x"][0] == 0.25
+    assert field.input_value() == "0.250"
+    field.fill("99")
+    field.press("Enter")
+    settle(page)
+    assert float(field.input_value()) == pytest.approx(state(page)["x"][0], abs=1e-3)
+    assert state(page)["x"][0] < 99
+
+
+def test_balls_come_back_after_the_graphics_were_lost(page):
+    page.wait_for_selector("[data-complete]", state="attached")
+    page.evaluate(
+        "window.lost = window.explorer.balls.gl.getExtension('WEBGL_lose_context'); lost.loseContext()"
+    )
+    page.locator("#problem", has_text="graphics were lost").wait_for()
+    page.locator("#like").select_option(NAMES[2])  # would compile a shader
+    page.locator("#map").press("ArrowLeft")
+    settle(page)
+    assert state(page)["like"] == NAMES[2]
+    page.evaluate("lost.restoreContext()")
+    page.locator("#problem").wait_for(state="hidden")
+    page.evaluate("window.explorer.drawBalls()")
+    pixel = """() => { const { gl } = window.explorer.balls, found = new Uint8Array(4);
+      window.explorer.drawBalls();
+      gl.readPixels(gl.drawingBufferWidth / 2, gl.drawingBufferHeight / 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, found);
+      return [...found]; }"""
+    assert page.evaluate(pixel)[3] == 255
+
+
+def test_a_search_without_a_result_says_so(page):
+    page.locator("#search").fill("zzz")
+    assert page.locator("#found").inner_text() == "no material has such a name"
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Enter")
+    settle(page)
+    assert "at" not in state(page)
+
+
+def test_a_message_is_seen_wherever_the_page_is_and_can_be_closed(page):
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    bad = {"name": "bad.txt", "mimeType": "text/plain", "buffer": b"no numbers"}
+    page.locator("#spectrum-file").set_input_files(bad)
+    page.locator("#problem", has_text="bad.txt").wait_for()
+    page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    box = page.locator("#problem").bounding_box()
+    assert 0 <= box["y"] < 844 - box["height"]
+    page.locator("#problem-close").press("Enter")
+    assert page.locator("#problem").is_hidden()
+
+
+def test_a_map_without_a_field_of_errors_goes_to_a_material_too(elsewhere, document, tmp_path):
+    """As maps of four dimensions are."""
+    (tmp_path / "four.html").write_text(make_page(document | {"error": None}), encoding="utf-8")
+    elsewhere.open((tmp_path / "four.html").as_uri())
+    assert elsewhere.page.locator("#error-value").inner_text() == "not computed above three dimensions"
+    elsewhere.page.locator("#map").press("Enter")
+    elsewhere.page.locator("#error-value", has_text="measured material").wait_for()
+    assert elsewhere.errors == []
+
+
+def test_curves_are_described_as_text_and_dashed_ones_named(page):
+    page.locator("#pinned").select_option(NAMES[3])
+    settle(page)
+    red = page.evaluate("window.explorer.reflectance[0]")
+    assert f"red {red:.2f}" in page.locator("#spectrum").get_attribute("aria-label")
+    assert "incidence 40° at most" in page.locator("#slices").get_attribute("aria-label")
+    for part in ("slices", "spectrum"):
+        assert NAMES[3] in page.locator(f"#{part}").get_attribute("aria-label")
+        assert NAMES[3] in page.locator(f"#{part}-part .note").inner_text()
+
+
+def test_only_one_place_of_the_page_speaks_by_itself(page):
+    """An output element does so unless it is told not to: at every step of a slider."""
+    script = """[...document.querySelectorAll("output, [role=status], [aria-live]")]
+      .filter((e) => e.getAttribute("aria-live") !== "off").map((e) => e.id)"""
+    assert page.evaluate(script) == ["live"]
+    page.locator("#exposure").press("ArrowRight")
+    assert page.locator("#exposure").get_attribute("aria-valuetext") == "+0.25 EV"
+
+
+def test_a_move_is_said_once(page):
+    """Not by the name of the map too, which screen readers read again where it has the focus."""
+    page.locator("#map").focus()
+    name, said = page.locator("#map").get_attribute("aria-label"), page.locator("#live").text_content()
+    page.keyboard.press("Enter")
+    page.wait_for_function("(said) => document.getElementById('live').textContent !== said", arg=said)
+    place = state(page)["at"]
+    assert place in page.locator("#live").text_content()
+    assert page.locator("#map").get_attribute("aria-label") == name
+    page.keyboard.press("Tab")
+    assert place in page.locator("#map").get_attribute("aria-label")
+    page.evaluate("document.getElementById('live').textContent = ''")
+    page.locator("#exposure").press("ArrowRight")
+    page.wait_for_timeout(600)
+    assert page.locator("#live").text_content() == ""
+
+
+def test_the_focus_is_not_lost_with_the_button_that_has_it(page):
+    page.locator("#map").press("Enter")
+    settle(page)
+    for button, other in (("undo", "redo"), ("redo", "undo")):
+        page.locator(f"#{button}").press("Enter")
+        settle(page)
+        assert page.evaluate("document.activeElement.id") == other
+    page.locator("#pin").press("Enter")
+    settle(page)
+    page.locator("#unpin").press("Enter")
+    settle(page)
+    assert page.evaluate("document.activeElement.id") == "pin"
+    page.evaluate("window.explorer.problem('a message')")
+    page.locator("#problem-close").press("Enter")
+    assert page.evaluate("document.activeElement.id") == "map"
+
+
+def test_a_name_that_was_found_is_chosen_by_a_click_alone(page):
+    """As screen readers do; a finger that touches the list may mean to scroll it."""
+    page.locator("#search").fill("syn")
+    page.locator("#found li").nth(1).dispatch_event("pointerdown")
+    settle(page)
+    assert "at" not in state(page)
+    page.locator("#found li").nth(1).dispatch_event("click")
+    settle(page)
+    assert state(page)["at"] in NAMES
+
+
+def test_without_webgl_the_reason_is_said(browser, address):
+    context = browser.new_context()
+    context.add_init_script("HTMLCanvasElement.prototype.getContext = ((get) => function (kind, ...rest) {"
+                            " return kind === 'webgl2' ? null : get.call(this, kind, ...rest); })"
+                            "(HTMLCanvasElement.prototype.getContext)")  # fmt: skip
+    without = context.new_page()
+    without.goto(address)
+    without.locator("#problem", has_text="has no WebGL2, or it is switched off").wait_for()
+    without.locator("#map").press("Enter")
+    without.locator("#error-value", has_text="measured material").wait_for()
+    context.close()
+
+
+def test_tab_goes_through_a_narrow_page_from_top_to_bottom(page):
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.locator("#map").focus()
+    tops = []
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        top = page.evaluate("document.activeElement.getBoundingClientRect().top + scrollY")
+        if page.evaluate("document.activeElement === document.body"):
+            break
+        tops.append(page.evaluate("document.activeElement.closest('section')?.id") and top)
+    assert len(tops) > 20
+    assert all(b > a - 60 for a, b in pairwise(tops))  # beside each other in a row
+
+
+def test_a_folder_or_a_file_that_is_gone_is_a_message(served_page):
+    served_page.page.evaluate("""() => {
+      const gone = () => Promise.reject(new DOMException("it could not be read", "NotReadableError"));
+      return window.explorer.takeDropped([{ name: "folder", size: 0, slice: () => ({ text: gone }), text: gone }]);
+    }""")
+    assert "folder: it could not be read" in served_page.page.locator("#problem").inner_text()
+    assert served_page.errors == []
+
+
+def test_dropped_files_are_located_completed_or_a_colour_by_what_they_hold(served_page, served):
+    spectrum = "nm reflectance\n" + "".join(f"{nm} 0.5\n" for nm in range(380, 781, 20))
+    readings = "Geometry,450,550,650\n45as15,0.1,0.2,0.5\n45as45,0.1,0.2,0.5\n"
+    dropped = [["b \u00e9.bsdf", "tensor_file..."], ["my sheet.csv", readings], ["red.txt", spectrum]]
+    page = served_page.page
+    page.evaluate(
+        """(dropped) => {
+      const files = new DataTransfer();
+      for (const [name, text] of dropped) files.items.add(new File([text], name));
+      document.dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
+    }""",
+        dropped,
+    )
+    page.locator("#caption", has_text="red.txt").wait_for()
+    for title in ("locate b-", "complete my-sheet_rgb.bsdf"):
+        page.locator("#jobs li[data-state=done]", has_text=title).wait_for()
+    page.locator("#do-export").press("Enter")
+    page.locator("#jobs li[data-state=done]", has_text="export here.glb").wait_for()
+    titles = {job.action.title for job in served.queue.jobs}
+    assert titles == {"locate b-", "complete my-sheet_rgb.bsdf", "export here.glb"}
+    assert served_page.errors == []
+
+
+def test_a_tab_that_is_shown_again_lists_the_jobs_of_another(browser, served, served_page):
+    other, asked = visit(browser, served.address).page, "render here.png"
+    other.locator("#do-render").click()
+    other.locator("#jobs li", has_text=asked).wait_for()
+    assert served_page.page.locator("#jobs li", has_text=asked).count() == 0
+    served_page.page.evaluate("window.dispatchEvent(new Event('focus'))")
+    served_page.page.locator("#jobs li", has_text=asked).wait_for()
+    other.close()
+
+
+def test_a_widget_without_its_package_is_one_clear_line():
+    script = "import sys; sys.modules['anywidget'] = None; import manifold.plots.explorer.widget"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "pip install brdf-manifold[notebook]" in run.stderr.splitlines()[-1]
+    assert "During handling" not in run.stderr

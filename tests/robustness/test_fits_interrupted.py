@@ -1,0 +1,55 @@
+"""Fits in several processes: Ctrl-C, and a process that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from helpers.small_library import measured
+
+from manifold.errors import RendererError
+from manifold.io_rgl import write_bsdf
+from manifold.workflows import fits
+from manifold.workflows.fits import FitSettings
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder `files` of eight materials."""
+    (tmp_path / "files").mkdir()
+    for k in range(8):
+        write_bsdf(tmp_path / "files" / f"felt_{k}_rgb.bsdf", measured("syn_felt_green"))
+    return tmp_path
+
+
+def test_ctrl_c_ends_all_processes_and_keeps_finished_fits(folder):
+    out = folder / "out"
+    words = ["fit", str(folder / "files"), "-o", str(out), "-j", "2"]
+    program = subprocess.Popen(
+        [sys.executable, "-m", "manifold", *words], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    end = time.monotonic() + 120.0
+    while not list(out.glob("*.fit.json")) and time.monotonic() < end:
+        time.sleep(0.05)
+    os.killpg(program.pid, signal.SIGINT)  # as a terminal does
+    _, complained = program.communicate(timeout=120)
+    assert program.returncode == 130
+    assert "Traceback" not in complained
+    assert all(path.name.endswith(".fit.json") for path in out.iterdir())
+
+
+def killed(path, target, settings):
+    """A fit whose process is killed, as where memory is short."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_one_error(folder, monkeypatch):
+    monkeypatch.setattr(fits, "_fit_file", killed)
+    with pytest.raises(RendererError, match=r"a process was killed .*finished fits are kept"):
+        fits.fit_files([folder / "files"], folder / "out", FitSettings(), jobs=2)

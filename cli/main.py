@@ -66,7 +66,7 @@ def run(arguments: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
-    terminal.warned.clear()
+    terminal.begin()
     if strict:
         warnings.simplefilter("always", UserWarning)  # also what this process was warned of before
     if strict or not debug:

@@ -37,6 +37,13 @@ _last_line = time.monotonic()
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
+def begin() -> None:
+    """Start the clock of silence, and forget the warnings of an earlier command in this process."""
+    global _last_line
+    _last_line = time.monotonic()
+    warned.clear()
+
+
 @contextmanager
 def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress | None]:
     """A progress bar on stderr, or a line there every ten seconds where it is no terminal.

@@ -80,7 +80,11 @@ def atoms(library):
 @pytest.fixture
 def run(capsys, monkeypatch):
     """The command in this process, in a given folder: status, stdout, stderr."""
+    from manifold.cli import terminal
     from manifold.cli.main import run as run_main
+
+    # Lines that only say that a command lives depend on the speed of the machine.
+    monkeypatch.setattr(terminal, "_SILENT_SECONDS", 1e3)
 
     def call(*arguments, cwd):
         monkeypatch.chdir(cwd)

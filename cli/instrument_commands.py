@@ -13,7 +13,7 @@ from .application import app
 
 @app.command(
     "convert",
-    short_help="Convert between RGL, MERL, UTIA, LightTools, Zemax, ASTM and CSV files.",
+    short_help="Convert between files of BRDFs, of instruments and of simulators.",
     epilog="Example: manifold convert satin_rgb.bsdf -o satin.binary",
 )
 def convert(
@@ -24,7 +24,9 @@ def convert(
     output: Annotated[
         Path,
         options.output_option(
-            "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .astm, or .csv.", "OUT"
+            "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .brdf or .anisotropicbsdf (Speos), .xompt "
+            "(OpenMATERIAL 3D), .astm, or .csv.",
+            "OUT",
         ),
     ],
     to: Annotated[
@@ -33,7 +35,8 @@ def convert(
             "--format",
             "-f",
             metavar="FORMAT",
-            help="rgl, merl, utia, lighttools, zemax, astm or csv, where the suffix of OUT is ambiguous.",
+            help="rgl, merl, utia, lighttools, zemax, fred, speos, speos-anisotropic, openmaterial, astm or csv, where "
+            "the suffix of OUT is ambiguous.",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -52,8 +55,9 @@ def convert(
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
 
-    Reads RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12 workbooks,
-    CSV and CxF3, recognised by their content. The result is read back and compared at the file's own nodes.
+    Reads RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables (Mini-Diff),
+    pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result is read back
+    and compared at the file's own nodes.
     """
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options

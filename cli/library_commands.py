@@ -207,8 +207,8 @@ def info(
 ) -> None:
     """Show what a file, a library, a model, or a fit contains.
 
-    Files may be RGL and MERL files, UTIA, LightTools and Zemax text, ASTM tables (Mini-Diff), pab-opto text, MA-T12
-    workbooks, CSV and CxF3; formats are recognised by their content.
+    Files may be RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables
+    (Mini-Diff), pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3; they are recognised by their content.
     """
     from manifold.workflows import inspection
 

@@ -56,17 +56,21 @@ class BsdfText:
     blocks: list[Block] = field(default_factory=list)
 
     def directions(self) -> tuple[Array, Array, Indices]:
-        """Azimuth and radial angle (n,) in degrees of the directions of a table, and where they stand in it.
+        """`unique_directions` of the tables."""
+        return unique_directions(self.lists["scatterazimuth"], self.lists["scatterradial"])
 
-        A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
-        """
-        azimuths, radials = self.lists["scatterazimuth"], self.lists["scatterradial"]
-        keep = np.ones((azimuths.size, radials.size), dtype=bool)
-        if azimuths.size > 1 and np.isclose(azimuths[-1] - azimuths[0], 360.0):
-            keep[-1] = False
-        keep[1:, np.isclose(radials, 0.0)] = False
-        azimuth, radial = (a[keep] for a in np.meshgrid(azimuths, radials, indexing="ij"))
-        return azimuth, radial, np.flatnonzero(keep)
+
+def unique_directions(azimuths: Array, radials: Array) -> tuple[Array, Array, Indices]:
+    """Azimuth and radial angle (n,) in degrees of a table's directions, azimuths first, and where they stand in it.
+
+    A full turn appears once; radial 0 is one direction, of which the first azimuth is taken.
+    """
+    keep = np.ones((azimuths.size, radials.size), dtype=bool)
+    if azimuths.size > 1 and np.isclose(azimuths[-1] - azimuths[0], 360.0):
+        keep[-1] = False
+    keep[1:, np.isclose(radials, 0.0)] = False
+    azimuth, radial = (a[keep] for a in np.meshgrid(azimuths, radials, indexing="ij"))
+    return azimuth, radial, np.flatnonzero(keep)
 
 
 def read_blocks(path: Path) -> BsdfText:

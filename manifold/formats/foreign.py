@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 
 # By how files begin.
 _FOREIGN = (
@@ -10,7 +11,7 @@ _FOREIGN = (
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file (a model, AxF, or another)"),
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "a gzip archive"),
-    (b"\xd0\xcf\x11\xe0", "an old Office file such as .xls; save it as .xlsx"),
+    (b"\xd0\xcf\x11\xe0", "an old Office file such as .xls"),
     (b"%PDF", "a PDF document"),
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),
@@ -21,25 +22,29 @@ _FOREIGN = (
     (b"NVIDIA ARBSDF", "a measured BSDF of MDL (.mbsdf)"),
     (b"MATLAB 5.0", "a MATLAB file"),
     (b"\x93NUMPY", "a NumPy array"),
-    (b"OPTIS - ", "a BSDF of Ansys Speos"),
+    (b"OPTIS - ", "a surface file of Ansys Speos"),
     (b"TracePro", "a surface property file of TracePro"),
-    (b"type bsdf_data", "a BSDF table of FRED"),
+    (b"#?RADIANCE", "a picture or BSDF interpolant of Radiance"),
     (b"H|", "a message of a clinical analyser (ASTM E1394)"),
     (b"version https://git-lfs", "a Git LFS pointer, not the file itself"),
 )
-_FOREIGN_WORDS = (
-    (("<!doctype html", "<html"), "an HTML page, as failed downloads leave"),
-    (("<windowelement", "<opticsdefinition"), "a Radiance / WINDOW BSDF (XML)"),
-    (("<?xml",), "an XML document"),
-    (("#alta ", "\n#param_in", "#dim "), "a data or function file of ALTA"),
-    (("param0_list",), "a BSDF of BSDFProcessor (SSDD)"),
-    (("typecolormodel",), "a BRDF or BTDF of Integra (.ddr, .ddt)"),
-    (("spheremesh:",), "a spherical mesh of LightTools"),
-    (("::begin shader",), "an analytic BRDF of Disney's BRDF Explorer"),
-    (("theta lighting", "phi measure step"), "a REFLET measurement (Light Tec)"),
-    # Mini-Diff files share most words with Zemax files; only theirs write the incidence as AOI.
-    (("mini-diff", "minidiff", "reflet", "lighttools", "light tools", "\naoi"), "a Synopsys Mini-Diff BSDF"),
-    (("spectralcontent", "scattertype", "sampleorientation", "samplerotation", "zemax"), "a Zemax BSDF"),
+# By tags, and by keys at the beginning of a line, in lower case: words of prose say nothing.
+_ZEMAX = r"^\W*(spectralcontent|scattertype|sampleorientation|samplerotation)\b"
+_FOREIGN_PATTERNS = (
+    (r"\A\W*<(!doctype )?html\b", "an HTML page, as failed downloads leave"),
+    (r"<(\w+:)?(windowelement|opticsdefinition)\b", "a Radiance / WINDOW BSDF (XML)"),
+    (r"\A\W*<\?xml\b", "an XML document"),
+    (r"^#(alta|param_in|dim) ", "a data or function file of ALTA"),
+    (r"^param0_list\b", "a BSDF of BSDFProcessor (SSDD)"),
+    (r"^typecolormodel\b", "a BRDF or BTDF of Integra (.ddr, .ddt)"),
+    (r"^spheremesh:", "a spherical mesh of LightTools"),
+    (r"^::begin shader\b", "an analytic BRDF of Disney's BRDF Explorer"),
+    (r"^(theta lighting|phi measure step)\b", "a REFLET measurement (Light Tec)"),
+    (r"^\s*bsdfdata\b", "a scatter model of ASAP"),
+    (r"^table_bsdf_data\b", "a surface property file of TracePro"),
+    # Mini-Diff files share most keys with Zemax files; only theirs write the incidence as AOI.
+    (rf"^\s*aoi\b|mini[ -]?diff(?s:.*){_ZEMAX}", "a Synopsys Mini-Diff BSDF"),
+    (_ZEMAX, "a Zemax BSDF"),
 )
 
 
@@ -48,9 +53,11 @@ def name_format(head: bytes) -> str:
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             return name
-    text = head.replace(b"\0", b"").decode("latin-1").lower()  # without zeros UTF-16 reads like ASCII
-    for words, name in _FOREIGN_WORDS:
-        if any(word in text for word in words):
+    text = (
+        head.replace(b"\0", b"").decode("latin-1").lower().replace("\r", "\n")
+    )  # without zeros UTF-16 reads like ASCII
+    for pattern, name in _FOREIGN_PATTERNS:
+        if re.search(pattern, text, re.MULTILINE):
             return name
     if not any(byte < 32 and byte not in b"\t\n\r\f" for byte in head) and _is_utf8(head):
         return "a text file"

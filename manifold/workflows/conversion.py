@@ -20,6 +20,7 @@ from manifold.system import atomic
 from manifold.workflows.conversion_source import (
     LEAST_COSINE,
     Source,
+    in_luminance,
     open_source,
     with_estimated_spectra,
 )
@@ -112,11 +113,18 @@ def convert(
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
     source, notes = open_source(paths, sample, learned), list[str]()
-    is_single = source.nodes.bands.count == 1
-    if target.is_rgb and not source.nodes.bands.is_rgb and not (target is TARGETS["zemax"] and is_single):
+    is_single, is_rgb = source.nodes.bands.count == 1, source.nodes.bands.is_rgb
+    if target.holds == "wavelengths" and is_rgb:
+        raise UsageError(
+            f"{paths[0]}: linear sRGB, but {target.title} has wavelengths; convert a file with spectral bands"
+        )
+    if target.holds.startswith("RGB") and not is_rgb and not (target.holds == "RGB or one" and is_single):
         if is_single:
             notes.append(f"{source.nodes.bands} is written to all three channels")
         source = open_source(paths, sample, learned, rgb=True)
+    elif target.holds == "one" and not is_single:
+        notes.append(f"luminance (CIE Y under D65) is written: {target.title} holds one band")
+        source = in_luminance(source if is_rgb else open_source(paths, sample, learned, rgb=True))
     elif target is TARGETS["rgl"]:
         source = with_estimated_spectra(source)
     notes += target.write(output, source, options or Options())

@@ -13,7 +13,7 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.tabulated import DenseBRDF, ReadingsBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.wrapped import WrappedBRDF
-from manifold.colour.conversion import file_to_srgb, to_srgb
+from manifold.colour.conversion import file_to_srgb, luminance, to_srgb
 from manifold.colour.correction import ColourCorrection
 from manifold.colour.narrow_bands import SPECTRUM, estimate_spectra, is_narrow, with_spectra
 from manifold.completion.instruments import correct_colours
@@ -28,6 +28,7 @@ from manifold.system.reading import begins_with
 
 MOST_NODES = 100_000
 """Nodes at which the error of a conversion is measured; an even choice where a file has more."""
+_LUMINANCE = Bands((550.0,))
 LEAST_COSINE = float(np.sin(np.deg2rad(2.0)))
 """Of both directions: f = f_cos / cos of RGL files says nothing nearer to the horizon."""
 
@@ -67,6 +68,19 @@ class SrgbBRDF(WrappedBRDF):
     def eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, shape (..., 3)."""
         return to_srgb(self._brdf.eval(wi, wo), self._brdf.bands)
+
+
+class LuminanceBRDF(WrappedBRDF):
+    """The luminance (CIE Y under D65) of a BRDF in linear sRGB, as one band."""
+
+    def __init__(self, brdf: BRDF) -> None:
+        """Wrap a BRDF in linear sRGB."""
+        super().__init__(brdf)
+        self.bands = _LUMINANCE
+
+    def eval(self, wi: Array, wo: Array) -> Array:
+        """f in 1/sr, shape (..., 1)."""
+        return luminance(self._brdf.eval(wi, wo), self._brdf.bands)[..., None]
 
 
 class EstimatedSpectraBRDF(WrappedBRDF):
@@ -117,6 +131,16 @@ def open_source(
     else:
         source = _of_readings(record if correction is None else correct_colours(record, correction))
     return _in_srgb(source) if rgb else source
+
+
+def in_luminance(source: Source) -> Source:
+    """The luminance of a source in linear sRGB, as one band."""
+    nodes, brdf = source.nodes, source.interpolated
+    values = luminance(nodes.values, nodes.bands)[:, None]
+    nodes = replace(nodes, wavelengths_nm=np.array(_LUMINANCE.wavelengths_nm), values=values)
+    return replace(
+        source, nodes=nodes, interpolated=brdf if isinstance(brdf, UsageError) else LuminanceBRDF(brdf)
+    )
 
 
 def with_estimated_spectra(source: Source) -> Source:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from manifold import __version__
 from manifold.brdf import goniometer
 from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
-from manifold.formats import astm, csv_table, lighttools, merl, utia, zemax
+from manifold.formats import astm, csv_table, fred, lighttools, merl, openmaterial, speos, utia, zemax
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.io_rgl import write_bsdf
@@ -29,15 +29,19 @@ _STEEPEST = np.deg2rad(85.0)
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
+Holds = Literal["any", "RGB", "RGB or one", "one", "wavelengths"]
+"""The bands that a format holds."""
+
+
 class Target(NamedTuple):
-    """A format to write: its title, suffixes that stand for it, whether it holds three channels only, and a function.
+    """A format to write: its title, suffixes that stand for it, the bands that it holds, and a function.
 
     The function writes a source; its notes say what was left out.
     """
 
     title: str
     suffixes: tuple[str, ...]
-    is_rgb: bool
+    holds: Holds
     write: Callable[[Path, Source, Options], list[str]]
 
 
@@ -121,12 +125,51 @@ def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
 
 def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
     fine = source.nodes.bands.count <= 31
-    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, 1.0 if fine else 2.0), 89.0))
-    azimuth = np.deg2rad(np.arange(0.0, 360.0, 5.0 if fine else 10.0))
-    is_isotropic = source.brdf.is_isotropic
-    phi_i = np.array([np.pi]) if is_isotropic else np.deg2rad(np.arange(0.0, 360.0, 30.0))
-    lighttools.write(path, _sampled(source, (_incidences(source), phi_i, radial, azimuth)))
+    lighttools.write(path, _about_the_normal(source, 1.0 if fine else 2.0, 5.0 if fine else 10.0))
     return []
+
+
+def _write_fred(path: Path, source: Source, options: Options) -> list[str]:
+    fred.write(path, _about_the_normal(source, 1.0, 5.0, one_turn=True))
+    return _one_turn(source)
+
+
+def _write_speos(path: Path, source: Source, options: Options) -> list[str]:
+    speos.write(path, _about_the_normal(source, 2.0, 10.0, one_turn=True))
+    return _one_turn(source)
+
+
+def _write_speos_anisotropic(path: Path, source: Source, options: Options) -> list[str]:
+    speos.write_anisotropic(path, _about_the_normal(source, 1.0, 5.0))
+    return []
+
+
+def _write_openmaterial(path: Path, source: Source, options: Options) -> list[str]:
+    coarse = source.nodes.bands.count > 31  # a row per value: a million of them are 45 MB
+    openmaterial.write(
+        path, _about_the_normal(source, 5.0 if coarse else 2.0, 15.0 if coarse else 10.0, one_turn=True)
+    )
+    return [
+        *_one_turn(source),
+        "copyright, license and authors are to be filled in: 'not stated' stands there",
+    ]
+
+
+def _one_turn(source: Source) -> list[str]:
+    return (
+        [] if source.brdf.is_isotropic else ["one rotation of the sample is written: the format is isotropic"]
+    )
+
+
+def _about_the_normal(
+    source: Source, radial_step: float, azimuth_step: float, *, one_turn: bool = False
+) -> DenseTable:
+    """The BRDF at its incidences and every so many degrees about the normal."""
+    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, radial_step), 89.0))
+    azimuth = np.deg2rad(np.arange(0.0, 360.0, azimuth_step))
+    is_one = one_turn or source.brdf.is_isotropic
+    phi_i = np.array([np.pi]) if is_one else np.deg2rad(np.arange(0.0, 360.0, 30.0))
+    return _sampled(source, (_incidences(source), phi_i, radial, azimuth))
 
 
 def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
@@ -140,7 +183,7 @@ def _write_zemax(path: Path, source: Source, options: Options) -> list[str]:
     for block, theta in zip(values, theta_i, strict=True):
         block[:] = brdf.eval(*zemax.directions(theta, radial[None, :], azimuth[:, None]))
     zemax.write(path, source.nodes.name, theta_i, azimuth, radial, values)
-    return [] if brdf.is_isotropic else ["one sample rotation is written: the sample is anisotropic"]
+    return _one_turn(source)
 
 
 def _write_astm(path: Path, source: Source, options: Options) -> list[str]:
@@ -207,13 +250,19 @@ def _off_horizon(w: Array) -> Array:
 
 
 TARGETS: Mapping[str, Target] = {
-    "rgl": Target("RGL file", (".bsdf",), False, _write_rgl),
-    "merl": Target("MERL", (".binary",), True, _write_merl),
-    "utia": Target("UTIA", (".bin",), True, _write_utia),
-    "lighttools": Target("LightTools BSDF text", (), False, _write_lighttools),
-    "zemax": Target("Zemax BSDF text", (), True, _write_zemax),
-    "astm": Target("ASTM table", (".astm",), False, _write_astm),
-    "csv": Target("CSV table", (".csv",), False, _write_csv),
+    "rgl": Target("RGL file", (".bsdf",), "any", _write_rgl),
+    "merl": Target("MERL", (".binary",), "RGB", _write_merl),
+    "utia": Target("UTIA", (".bin",), "RGB", _write_utia),
+    "lighttools": Target("LightTools BSDF text", (), "any", _write_lighttools),
+    "zemax": Target("Zemax BSDF text", (), "RGB or one", _write_zemax),
+    "fred": Target("FRED table", (), "one", _write_fred),
+    "speos": Target("Ansys Speos BRDF", (".brdf",), "wavelengths", _write_speos),
+    "speos-anisotropic": Target(
+        "Ansys Speos anisotropic BSDF", (".anisotropicbsdf",), "one", _write_speos_anisotropic
+    ),
+    "openmaterial": Target("OpenMATERIAL 3D", (".xompt",), "wavelengths", _write_openmaterial),
+    "astm": Target("ASTM table", (".astm",), "any", _write_astm),
+    "csv": Target("CSV table", (".csv",), "any", _write_csv),
 }
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import colour_cxf
 import numpy as np
+import xlwt
 from colour_cxf import cxf3
 
 from manifold.brdf.analytic.ggx import GGX
@@ -16,7 +17,19 @@ from manifold.brdf.analytic.instruments import (
     write_mini_diff,
 )
 from manifold.brdf.analytic.microfacet import Plastic
-from manifold.formats import astm, csv_table, lighttools, ma_t12, merl, utia, zemax
+from manifold.directions import from_spherical
+from manifold.formats import (
+    astm,
+    csv_table,
+    fred,
+    lighttools,
+    ma_t12,
+    merl,
+    openmaterial,
+    speos,
+    utia,
+    zemax,
+)
 from manifold.formats.csv_table import angles_deg
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import MA_T12_NAMES, Readings
@@ -122,6 +135,27 @@ def write_pab_opto(path: Path, readings: Readings) -> None:
     atomic.write_text(path, "\n".join(lines) + "\n")
 
 
+def write_rt300s(
+    path: Path, brdf: Plastic, measured: list[tuple[float, float, float]], titles: int = 1
+) -> None:
+    """An RT-300S workbook of `titles` sheets and an empty one; (azimuth, incidence, receive) in degrees."""
+    book = xlwt.Workbook()
+    for sheet, own in enumerate(np.array_split(np.array(measured), titles)):
+        table = book.add_sheet(f"Sheet{sheet + 1}")
+        azimuth, incidence, receive = own.T
+        wi = from_spherical(np.deg2rad(incidence), np.pi)
+        wo = from_spherical(np.deg2rad(receive), np.deg2rad(90.0 + azimuth))
+        signal = np.pi * brdf.eval(wi, wo)[:, 0] * wo[:, 2]
+        rows = {" Method": ["BRDF_LD"] * len(own), " Model ID": [""] * len(own), " Azimuth": azimuth}
+        rows |= {" Incidence": incidence, " Receive": receive, " L*": [""] * len(own), " RT": signal}
+        for row, (head, cells) in enumerate(rows.items()):
+            for column, cell in enumerate([head, *cells]):
+                table.write(row, column, cell if isinstance(cell, str) else float(cell))
+    book.add_sheet("empty")
+    with atomic.replacing(path) as partial:
+        book.save(str(partial))
+
+
 def write_every_format(folder: Path) -> dict[str, Path]:
     """A file of each format, by its name."""
     spectro = ma_t12_readings(smooth(MA_T12_BANDS), "smooth")
@@ -134,6 +168,15 @@ def write_every_format(folder: Path) -> dict[str, Path]:
     write_pab_opto(paths["pab-opto"], spectro.select_bands([10]))
     lighttools.write(paths["lighttools"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
     zemax_file(paths["zemax"])
+    one_band = dense(Bands((550.0,)), "incident-outgoing", lighttools_axes())
+    fred.write(paths["fred"], one_band)
+    speos.write(paths["speos"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
+    speos.write_anisotropic(paths["speos-anisotropic"], one_band)
+    openmaterial.write(paths["openmaterial"], dense(MINI_DIFF_BANDS, "incident-outgoing", lighttools_axes()))
+    angles = [
+        (a, i, r) for a in (-90.0, -45.0, 0.0) for i in (20.0, 50.0) for r in np.arange(-70.0, 71.0, 20.0)
+    ]
+    write_rt300s(paths["rt-300s"], smooth(Bands((550.0,))), angles)
     merl.write(paths["merl"], dense(RGB, "half-difference", merl.axes()))
     utia.write(paths["utia"], dense(RGB, "incident-outgoing", utia.axes()))
     return paths
@@ -142,9 +185,13 @@ def write_every_format(folder: Path) -> dict[str, Path]:
 SUFFIXES = {
     "ma-t12": ".xlsx", "csv": ".csv", "cxf": ".cxf", "astm": "_table.astm", "mini-diff": ".astm", "pab-opto": ".txt",
     "lighttools": "_lt.bsdf", "zemax": "_zemax.bsdf", "merl": ".binary", "utia": ".bin",
+    "fred": "_fred.txt", "speos": ".brdf", "speos-anisotropic": ".anisotropicbsdf", "openmaterial": ".xompt",
+    "rt-300s": ".xls",
 }  # fmt: skip
 TITLES = {
     "ma-t12": "spectrophotometer workbook (.xlsx)", "csv": "CSV table", "cxf": "CxF3", "astm": "ASTM table",
     "mini-diff": "ASTM table", "pab-opto": "pab-opto text", "lighttools": "LightTools BSDF text",
     "zemax": "Zemax BSDF text", "merl": "MERL", "utia": "UTIA",
+    "fred": "FRED table", "speos": "Ansys Speos text", "speos-anisotropic": "Ansys Speos text",
+    "openmaterial": "OpenMATERIAL 3D (.xompt)", "rt-300s": "RT-300S workbook (.xls)",
 }  # fmt: skip

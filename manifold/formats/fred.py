@@ -1,0 +1,84 @@
+"""Tables of FRED: a line `theta phi` per incidence, then lines `theta phi value`, in degrees about the normal.
+
+The lines of incidence name the mirror direction. Azimuths count from the sample's x axis, so that the mirror direction
+of an incidence lies at its own azimuth. Values are the BRDF in 1/sr, one band without a wavelength.
+
+Source: Photon Engineering, FRED help, "Tabulated BSDF" and "SetTabulatedScatter".
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from manifold.formats.angles import directions
+from manifold.formats.dense import DenseTable
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.readings import Readings
+from manifold.formats.text import decode, read_lines
+from manifold.formats.values import unnamed_band
+from manifold.system import atomic
+
+_TYPE, _FORMAT = "type bsdf_data", "format angles=deg bsdf=value scale=1"
+_MOST_ROWS = 5_000_000
+_REMEDY = f"write it with the lines '{_TYPE}' and '{_FORMAT}'"
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file begins as these tables do."""
+    return re.match(r"\s*type\s+bsdf_data\b", decode(head), re.IGNORECASE) is not None
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings of reflected light at all incidences.
+
+    Raises:
+        FileFormatError: other units, an incidence without values, or a line of neither two nor three numbers.
+        UsageError: the file cannot be read.
+    """
+    context = ErrorContext(path, _REMEDY)
+    lines = [(k, line) for k, line in enumerate(read_lines(path), start=1) if line.strip()]
+    said = " ".join(lines[1][1].lower().split()) if len(lines) > 1 else "no line"
+    if said != _FORMAT:
+        raise context.error(f"found '{said[:60]}', expected '{_FORMAT}'", "line 2")
+    if len(lines) > _MOST_ROWS:
+        raise context.error(f"{len(lines)} lines, expected at most {_MOST_ROWS}")
+    rows: list[list[float]] = []
+    incidence: list[float] = []
+    begins = 0  # of the incidence's rows
+    for number, line in lines[2:]:
+        cells = context.numbers(line.split(), number)
+        if len(cells) == 3 and incidence:
+            rows.append([*incidence, *cells])
+        elif len(cells) == 2 and (not incidence or len(rows) > begins):
+            incidence, begins = cells, len(rows)
+        else:
+            expected = "theta phi value" if incidence else "theta phi of an incidence"
+            raise context.error(f"{len(cells)} numbers, expected {expected}", f"line {number}")
+    if not rows or begins == len(rows):
+        raise context.error("the file ends without values of an incidence: it is cut off")
+    theta_i, phi_m, theta_o, phi_o, values = np.array(rows).T
+    angles = {"theta_i": theta_i, "phi_i": phi_m + 180.0, "theta_o": theta_o, "phi_o": phi_o}
+    notes: list[str] = []
+    kept, wi, wo = directions({key: np.deg2rad(a) for key, a in angles.items()}, context, notes)
+    nm = unnamed_band(notes)
+    return [Readings(path.stem, "FRED table", wi, wo, nm, values[kept, None], notes=tuple(notes))]
+
+
+def write(path: Path, table: DenseTable) -> None:
+    """The table of an isotropic sample in one band, its mirror direction at azimuth 0.
+
+    Args:
+        path: where to.
+        table: of incident and outgoing angles, light at azimuth 180 degrees.
+    """
+    theta_i, _, theta_o, phi_o = (np.rad2deg(axis) for axis in table.axes)
+    lines = [_TYPE, _FORMAT]
+    for incidence, block in zip(theta_i, np.maximum(table.values[:, 0, :, :, 0], 0.0), strict=True):
+        lines.append(f"{incidence:.6g}\t0")
+        for theta, row in zip(theta_o, block, strict=True):
+            azimuths = phi_o if theta > 0.0 else phi_o[:1]
+            lines += [f"{theta:.6g}\t{phi:.6g}\t{v:.7g}" for phi, v in zip(azimuths, row, strict=False)]
+    atomic.write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,122 @@
+"""BRDF look-up tables of ASAM OpenMATERIAL 3D, `.xompt`: JSON rows of wavelength, theta_i, theta_o, phi_o and BRDF.
+
+Metres, radians and 1/sr; phi_o counts from the azimuth of the light, so that the mirror direction lies at pi.
+
+Source: ASAM OpenMATERIAL 3D 1.0, material_brdf_schema.json.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from manifold.formats.angles import directions
+from manifold.formats.column_heads import RELATIVE
+from manifold.formats.dense import DenseTable
+from manifold.formats.error_context import ErrorContext
+from manifold.formats.readings import Readings
+from manifold.formats.text import decode, read_bytes
+from manifold.records import Array
+from manifold.system import atomic
+from manifold.system.names import in_one_line
+
+_REMEDY = "export the look-up table again"
+_LARGEST = 100_000_000  # bytes: two million rows as this module writes them
+_COLUMNS = ("wavelength", "theta_i", "theta_o", "phi_o", "BRDF")
+_SCHEMA = "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/material_brdf_schema.json"
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file's beginning is JSON that names OpenMATERIAL."""
+    text = decode(head)
+    return text.lstrip().startswith("{") and re.search(r"openmaterial", text, re.IGNORECASE) is not None
+
+
+def read(path: Path) -> list[Readings]:
+    """Readings in all bands; a pair of directions that lacks a band is not measured there.
+
+    Raises:
+        FileFormatError: no JSON of a BRDF look-up table, or a row that is not what its columns hold.
+        UsageError: the file cannot be read.
+    """
+    context = ErrorContext(path, _REMEDY)
+    try:
+        content = json.loads(read_bytes(path, _LARGEST))
+        rows = content["brdf"]["lookupTable"]
+        name = content.get("metadata", {}).get("name") or path.stem
+    except (ValueError, RecursionError) as error:
+        raise context.error(f"no JSON ({' '.join(str(error).split())[:80]})") from None
+    except (KeyError, TypeError, AttributeError):
+        raise context.error("no brdf.lookupTable, expected a BRDF table of OpenMATERIAL 3D") from None
+    table = _table(rows, context)
+    nm, band = np.unique(np.round(1e9 * table[:, 0], 6), return_inverse=True)
+    pairs, pair = np.unique(table[:, 1:4], axis=0, return_inverse=True)
+    if nm.size * len(pairs) > 10 * len(table) + 1000:
+        raise context.error(
+            f"{nm.size} bands at {len(pairs)} pairs of directions in {len(table)} rows: few have a value"
+        )
+    values = np.full((len(pairs), nm.size), np.nan)
+    values[pair.reshape(-1), band.reshape(-1)] = table[:, 4]
+    if len(np.unique(pair.reshape(-1) * nm.size + band.reshape(-1))) < len(table):
+        raise context.error("two rows of the same wavelength and directions, expected one")
+    notes: list[str] = []
+    angles = dict(zip(("theta_i", "theta_o", RELATIVE), pairs.T, strict=True))
+    kept, wi, wo = directions(angles, context, notes)
+    return [Readings(str(name), "OpenMATERIAL 3D", wi, wo, nm, values[kept], notes=tuple(notes))]
+
+
+def _table(rows: Any, context: ErrorContext) -> Array:
+    """The rows as numbers, shape (rows, 5), NaN for values that are null."""
+    if not isinstance(rows, list) or not rows:
+        raise context.error("an empty brdf.lookupTable, expected rows of five numbers")
+    for k, row in enumerate(rows, start=1):
+        if not isinstance(row, list) or len(row) != len(_COLUMNS):
+            raise context.error(f"found '{str(row)[:40]}', expected {', '.join(_COLUMNS)}", f"row {k}")
+        for column, cell in zip(_COLUMNS, row, strict=True):
+            is_number = isinstance(cell, int | float) and not isinstance(cell, bool) and 0.0 <= cell < 1e300
+            if not is_number and not (cell is None and column == "BRDF"):
+                raise context.error(
+                    f"{column} is {str(cell)[:24]}, expected a number of at least 0", f"row {k}"
+                )
+    table = np.array(rows, dtype=np.float64)
+    if np.any(table[:, 0] <= 0.0):
+        raise context.error("a wavelength of 0, expected metres")
+    return table
+
+
+def write(path: Path, table: DenseTable) -> None:
+    """The look-up table of an isotropic sample. Who owns and who may use the data is left to be filled in.
+
+    Args:
+        path: where to.
+        table: of incident and outgoing angles, light at azimuth 180 degrees; it has wavelengths.
+    """
+    theta_i, _, theta_o, phi_o = table.axes
+    wavelengths = [float(f"{1e-9 * nm:.9g}") for nm in table.bands.wavelengths_nm or ()]
+    azimuths = np.mod(phi_o - np.pi, 2.0 * np.pi)
+    order = np.argsort(azimuths)
+    angles = [[min(round(float(a), 6), 1.570796) for a in axis] for axis in (theta_i, theta_o)]
+    exits = [round(float(azimuths[k]), 6) for k in order]
+    values = np.maximum(table.values[:, 0, :, order], 0.0)  # azimuths first, as numpy has it
+    lines = [
+        f"[{wavelength:g},{i:g},{o:g},{phi:g},{values[p, t, s, b]:.7g}]"
+        for b, wavelength in enumerate(wavelengths)
+        for t, i in enumerate(angles[0])
+        for s, o in enumerate(angles[1])
+        for p, phi in enumerate(exits if o > 0.0 else exits[:1])
+    ]
+    metadata = {
+        "name": in_one_line(table.name),
+        "uuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{table.name} {values.tobytes().hex()[:4096]}")),
+        "materialVersion": "1.0.0", "openMaterial3dVersion": "1.0.0", "copyrights": ["not stated"],
+        "license": "not stated", "authors": ["not stated"], "sources": in_one_line(table.instrument),
+    }  # fmt: skip
+    head = json.dumps({"$schema": _SCHEMA, "metadata": metadata}, indent=1)[:-2]
+    rows = ",\n".join(lines)
+    brdf = f'"brdf": {{"wavelengths": {json.dumps(wavelengths)}, "lookupTable": [\n{rows}\n]}}'
+    atomic.write_text(path, f"{head},\n {brdf}\n}}\n")

@@ -28,6 +28,7 @@ from manifold.rendering import images
 from manifold.rendering.render import RenderSettings
 from manifold.workflows import renders
 from manifold.workflows.output_files import write_checked
+from manifold.workflows.sources import FileSource
 
 SUGGESTED = 3
 GLOSS_DEG = (20, 60)
@@ -75,7 +76,7 @@ def main() -> None:
                     write_bsdf(file, library.read(name))
                 else:
                     write_checked(file, ClippedBRDF(found.brdf), OutputOptions(force=True))
-                renders.render_file(file, picture, settings)
+                renders.render(FileSource(file), picture, settings)
                 balls.append(images.read_image(picture))
             columns.append(np.vstack(balls))
     images.write_image(given.output, np.hstack(columns))

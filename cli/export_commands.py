@@ -31,10 +31,12 @@ TargetName = Literal[
 )
 def export(
     source: Annotated[
-        Path | None,
+        str | None,
         typer.Argument(
-            help="The JSON of a fit, or a .bsdf file, which is fitted; or a library or folder of them.",
+            help="The JSON of a fit; or a .bsdf file, a material of the library, or a place on the map, which is "
+            "fitted; or a library or folder of them.",
             metavar="SOURCE",
+            show_default=False,
         ),
     ] = None,
     latent: options.PlaceOption = None,
@@ -73,20 +75,20 @@ def export(
     from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
+    from manifold.workflows.sources import FileSource
 
     results = terminal.Results(json)
-    if (source is None) == (latent is None):
-        raise UsageError("expected either a source or --latent X,Y; name what to export")
-    refused = None if source is None else "--latent; a file has its own colour"
-    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
-    if source is not None and source.is_dir():
+    material = options.one_material(
+        source, latent, model, library, like=like, reflectance=reflectance, srgb=srgb
+    )
+    if isinstance(material, FileSource) and material.path.is_dir():
         if against is not None:
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         many = TARGETS[target or "gltf"]
         folder = or_default(output, "exports")
         with terminal.progress("Exporting") as step:
             outcomes = export_folders.export_all(
-                source, many, folder, step, is_mapped=mapped, with_pictures=picture
+                material.path, many, folder, step, is_mapped=mapped, with_pictures=picture
             )
         _show_all(results, outcomes, folder)
         return
@@ -95,16 +97,7 @@ def export(
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
         stages = Stages(step, {"": 8, "evaluating the target's model": 2})
-        if source is not None:
-            subject = exports.subject_of(source, against)
-        else:
-            subject = exports.subject_of_prediction(
-                model,
-                latent or "",
-                library=library,
-                colour=colour,
-                on_progress=stages.begin(""),
-            )
+        subject = exports.subject_of_source(material, against, stages.begin(""))
         stages.begin("evaluating the target's model")
         drawn = path.with_suffix(".png") if picture else None
         outcome = exports.export(subject, chosen, path, is_mapped=mapped, picture=drawn)

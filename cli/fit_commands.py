@@ -13,8 +13,8 @@ from . import options, terminal
 from .application import app
 
 if TYPE_CHECKING:
-    from manifold.model.colours import ColourChoice
     from manifold.workflows.output_index import Outcome
+    from manifold.workflows.sources import MaterialSource
 
 
 Method = Literal["gauss-newton", "adam", "swarm"]
@@ -28,9 +28,9 @@ Metric = Literal["appearance", "cube-root", "linear", "log"]
 )
 def fit(
     sources: Annotated[
-        list[Path] | None,
-        typer.Argument(help=".bsdf files, files of readings, or folders of .bsdf files (searched "
-        "recursively).", metavar="FILE"),
+        list[str] | None,
+        typer.Argument(help=".bsdf files, files of readings, folders of .bsdf files (searched recursively), "
+        "materials of the library, or places on the map.", metavar="MATERIAL"),
     ] = None,
     latent: options.PlaceOption = None,
     like: options.LikeOption = None,
@@ -83,19 +83,28 @@ def fit(
     from manifold.fitting.bsdf_parameters import principled
     from manifold.formats import registry
     from manifold.workflows import fits
+    from manifold.workflows.sources import FileSource, PlaceSource
 
-    if bool(sources) == (latent is not None):
-        raise UsageError("expected either files or --latent X,Y; name what to fit")
-    refused = "--latent; a file has its own colour" if sources else None
-    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
-    if latent is not None and sample is not None:
-        raise UsageError("--sample is of a file of readings; leave it or --latent out")
+    materials = options.material_sources(
+        sources or [], [] if latent is None else [latent], model, library,
+        like=like, reflectance=reflectance, srgb=srgb,
+    )  # fmt: skip
+    if not materials:
+        raise UsageError("found nothing to fit; name files, materials of the library, or places on the map")
+    places = [source for source in materials if isinstance(source, PlaceSource)]
+    measured = [
+        source.path if isinstance(source, FileSource) else source
+        for source in materials
+        if not isinstance(source, PlaceSource)
+    ]
+    if places and sample is not None:
+        raise UsageError("--sample is of a file of readings; leave it or the places out")
     if bsdf is not None and (free is not None or wide_colours):
         raise UsageError(
             "--bsdf goes with neither --free nor --wide-colours: its file has free parameters and ranges"
         )
-    for path in sources or () if picture else ():
-        if path.is_file() and (known := registry.identify(path)) is not None:
+    for path in measured if picture else ():
+        if isinstance(path, Path) and path.is_file() and (known := registry.identify(path)) is not None:
             raise UsageError(
                 f"{path}: {known.name}, which cannot be rendered; leave --picture out, or write a .bsdf with "
                 f"`manifold convert` or `manifold complete`"
@@ -105,23 +114,27 @@ def fit(
     if free is not None:
         family = principled([name.strip() for name in free.split(",")], wide_colours=wide_colours)
     settings = fits.FitSettings(family, method, metric, noise, wide_colours, sample)
-    outcomes: list[Outcome[Any]]
-    if latent is not None:
-        with terminal.progress("Reading materials") as step:
-            outcomes = [
-                fits.fit_prediction(
-                    model, latent, output, settings, library=library, colour=colour, on_progress=step
-                )
-            ]
-    else:
+    fitted: list[tuple[Outcome[Any], MaterialSource]] = []
+    if places and len(materials) > 1:
+        fits.make_folder(output or Path(), f"{len(materials)} fits")
+    if measured:
         with terminal.progress("Fitting") as step:
-            outcomes = [*fits.fit_files(sources or [], output, settings, jobs=jobs, on_progress=step)]
+            for outcome in fits.fit_files(measured, output, settings, jobs=jobs, on_progress=step):
+                source = outcome.source
+                fitted.append((outcome, FileSource(source) if isinstance(source, Path) else source))
+    predictions = []
+    for place in places:
+        target = output if len(materials) == 1 else (output or Path()) / f"{place}.fit.json"
+        with terminal.progress("Reading materials") as step:
+            predicted = fits.fit_prediction(place, target, settings, step)
+        predictions.append(predicted.source)
+        fitted.append((predicted, place))
+    outcomes = [outcome for outcome, _ in fitted]
     _show(results, outcomes)
-    predictions = [outcome.source for outcome in outcomes] if latent is not None else []
     for prediction in predictions:
         results.rows("Fitted to a prediction", prediction.rows)
     if picture:
-        _draw(results, outcomes, model, library, colour)
+        _draw(results, fitted)
     failed = [f"{outcome.name}: {outcome.failure}" for outcome in outcomes if outcome.failure is not None]
     results.document(
         {
@@ -149,32 +162,22 @@ def _failures(outcomes: list[Outcome[Any]]) -> str:
     return terminal.first_three(said)
 
 
-def _draw(
-    results: terminal.Results,
-    outcomes: list[Outcome[Any]],
-    model: Path,
-    library: Path | None,
-    colour: ColourChoice,
-) -> None:
+def _draw(results: terminal.Results, fitted: list[tuple[Outcome[Any], MaterialSource]]) -> None:
     """A picture beside the JSON of every fit."""
-    from manifold.workflows import fit_pictures
+    from manifold.workflows.fit_pictures import picture_of_fit
+    from manifold.workflows.sources import source_file
 
     rows = []
     with terminal.progress("Drawing") as step:
-        for done, outcome in enumerate(outcomes, start=1):
+        for done, (outcome, source) in enumerate(fitted, start=1):
             if outcome.content is None:
                 continue
             target = outcome.path.with_suffix(".png")
-            if isinstance(outcome.source, Path):
-                delta_e, flip = fit_pictures.picture_of_fit(outcome.path, outcome.source, target)
-            else:
-                latent = outcome.content["source"]["latent"]
-                delta_e, flip = fit_pictures.picture_of_prediction_fit(
-                    outcome.path, model, latent, target, library=library, colour=colour
-                )
+            with source_file(source) as path:
+                delta_e, flip = picture_of_fit(outcome.path, path, target)
             rows.append([target.name, f"{delta_e:.2f}", f"{flip:.3f}"])
             if step is not None:
-                step(done, len(outcomes), outcome.name)
+                step(done, len(fitted), outcome.name)
     results.table(["picture", "CIEDE2000", "FLIP"], rows)
 
 

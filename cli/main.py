@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -20,6 +21,7 @@ from manifold.system.names import printable
 from . import terminal
 from .application import app
 
+_COORDINATES = re.compile(r"-[\d.][-+\d.eE]*(,[-+\d.eE]+)+")  # such as -0.3,1.2, which is no option
 _EXIT_ERROR = 1
 _EXIT_USAGE = 2
 _EXIT_INTERRUPTED = 130
@@ -63,6 +65,8 @@ def run(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug, strict = "--debug" in arguments, "--strict" in arguments
     arguments = [argument for argument in arguments if argument not in ("--debug", "--strict")]
+    # Behind a blank, which all that takes coordinates ignores, they are no option to Click.
+    arguments = [f" {argument}" if _COORDINATES.fullmatch(argument) else argument for argument in arguments]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from manifold.errors import UsageError
+from manifold.errors import ManifoldError, UsageError
 
 from . import options, terminal
 from .application import app
@@ -17,6 +17,7 @@ from .point_options import PointsOption, folder_or_default, show_points
 if TYPE_CHECKING:
     from manifold.model.diagnostics import Prediction
     from manifold.model.located import Reconstruction
+    from manifold.workflows.sources import MaterialSource
 
 AUTO = "auto"
 
@@ -24,7 +25,12 @@ AUTO = "auto"
 Kind = Literal["blend", "monochrome", "material"]
 Optimizer = Literal["dls", "l-bfgs", "multistart"]
 Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
-MeasuredArgument = Annotated[Path, typer.Argument(help="A measured .bsdf file.", metavar="FILE")]
+MaterialArgument = Annotated[
+    str,
+    typer.Argument(
+        help="A .bsdf file, a material of the library, or a place on the map.", metavar=options.MATERIAL
+    ),
+]
 WithoutOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -300,7 +306,7 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     epilog="Example: manifold locate my_paint_spec.bsdf",
 )
 def locate(
-    path: MeasuredArgument,
+    material: MaterialArgument,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: Annotated[
@@ -319,16 +325,17 @@ def locate(
     from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
+    source = options.material_source(material, model, library)
     with terminal.progress("Reading materials") as step:
         found = reconstruction.locate(
-            model, path, output, library=library, options=OutputOptions(physical, force), on_progress=step
+            model, source, output, library=library, options=OutputOptions(physical, force), on_progress=step
         )
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
         "expected error there": in_words(found.expected, found.materials),
     }
-    _show_reconstruction(results, f"Located {path}", rows, found, path, output)
+    _show_reconstruction(results, f"Located {source}", rows, found, source, output)
 
 
 @app.command(
@@ -337,7 +344,8 @@ def locate(
     epilog="Example: manifold reconstruct my_paint_spec.bsdf -o nearest_spec.bsdf",
 )
 def reconstruct(
-    path: MeasuredArgument,
+    material: MaterialArgument,
+    model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     without: WithoutOption = None,
     numbers: Annotated[
@@ -366,16 +374,17 @@ def reconstruct(
 
     results = terminal.Results(json)
     target = or_default(output, "reconstructed.bsdf")
+    source = options.material_source(material, model, library)
     with terminal.progress("Reading materials") as step:
         made = reconstruction.reconstruct(
-            library, path, target, without=without or (), numbers=numbers,
+            library, source, target, without=without or (), numbers=numbers,
             options=OutputOptions(physical, force), on_progress=step,
         )  # fmt: skip
     rows: dict[str, object] = {
         "combination of": f"{made.materials} materials, and analytic lobes",
         "largest shares": [f"{name} ({share:.2f})" for name, share in made.largest_parts],
     }
-    _show_reconstruction(results, f"Reconstructed {path}", rows, made, path, target)
+    _show_reconstruction(results, f"Reconstructed {source}", rows, made, source, target)
 
 
 def _show_reconstruction(
@@ -383,9 +392,13 @@ def _show_reconstruction(
     title: str,
     rows: dict[str, object],
     made: Reconstruction,
-    path: Path,
+    source: MaterialSource,
     output: Path | None,
 ) -> None:
-    written = {} if output is None else {"written to": output}
+    """Print what was found, also where its file was refused; then say why."""
+    written = {} if output is None or made.refusal is not None else {"written to": output}
     results.rows(title, rows | written | made.rows)
-    results.document({"path": str(path), "output": output and str(output)} | made.to_json())
+    path = None if not written else str(output)
+    results.document({"path": str(source), "output": path} | made.to_json())
+    if made.refusal is not None:
+        raise ManifoldError(made.refusal)

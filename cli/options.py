@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +13,7 @@ from manifold.errors import UsageError
 
 if TYPE_CHECKING:
     from manifold.model.colours import ColourChoice
+    from manifold.workflows.sources import MaterialSource
 
 DEFAULT_LIBRARY = Path("library.zarr")
 DEFAULT_MODEL = Path("model.h5")
@@ -43,10 +46,12 @@ SrgbOption = Annotated[
 PlaceOption = Annotated[
     str | None,
     typer.Option(
-        help="Instead of files: a latent coordinate, a material's name, or FROM:TO:T between two.",
+        help="The same for the prediction at a place: coordinates, a material's name, or FROM:TO:T between two.",
         metavar="X,Y|NAME|FROM:TO:T",
     ),
 ]
+MATERIAL = "FILE|NAME|X,Y|FROM:TO:T"
+"""Metavariable of a material: a file, a material of the library, or a place on the map."""
 CorrectionOption = Annotated[
     Path | None,
     typer.Option(
@@ -96,3 +101,51 @@ def colour_choice(
     if refused is not None and colour != NEAREST:
         raise UsageError(f"--like, --reflectance and --srgb go with {refused}")
     return colour
+
+
+def material_source(text: str, model: Path, library: Path | None) -> MaterialSource:
+    """What an argument means that stands for a material.
+
+    Raises:
+        UsageError: it is no file, no material of the library, and no place.
+    """
+    from manifold.workflows.sources import parse_source
+
+    return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
+
+
+def material_sources(
+    texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
+    like: str | None, reflectance: Path | None, srgb: str | None,
+) -> list[MaterialSource]:  # fmt: skip
+    """Arguments that stand for materials, then places of `--latent`, predictions in the colour of the options.
+
+    Raises:
+        UsageError: one means nothing, or a colour is given where nothing is predicted.
+    """
+    from manifold.workflows.sources import PlaceSource
+
+    found: list[MaterialSource] = [material_source(text, model, library) for text in texts]
+    found += [PlaceSource(model, latent.strip(), library) for latent in latents]
+    are_measured = not any(isinstance(source, PlaceSource) for source in found)
+    refused = "predictions; files and materials have their own colours" if are_measured else None
+    colour = colour_choice(like, reflectance, srgb, refused=refused)
+    return [replace(source, colour=colour) if isinstance(source, PlaceSource) else source for source in found]
+
+
+def one_material(
+    text: str | None, latent: str | None, model: Path, library: Path | None, *,
+    like: str | None, reflectance: Path | None, srgb: str | None,
+) -> MaterialSource:  # fmt: skip
+    """The one material of a command, see `material_sources`.
+
+    Raises:
+        UsageError: none is named, or two.
+    """
+    if (text is None) == (latent is None):
+        found = "nothing" if text is None else f"{text} and --latent {latent}"
+        raise UsageError(
+            f"found {found}, expected one material: a file, a name, or a place like -0.3,1.2 or FROM:TO:T"
+        )
+    texts, latents = ([given] if given is not None else [] for given in (text, latent))
+    return material_sources(texts, latents, model, library, like=like, reflectance=reflectance, srgb=srgb)[0]

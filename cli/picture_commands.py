@@ -109,7 +109,9 @@ def walk(
 def slices(
     names: Annotated[
         list[str] | None,
-        typer.Argument(help=".bsdf files, fits, or materials of the model.", metavar="NAME"),
+        typer.Argument(
+            help=".bsdf files, fits, materials of the library, or places on the map.", metavar="MATERIAL"
+        ),
     ] = None,
     latent: Annotated[
         list[str] | None,
@@ -137,12 +139,13 @@ def slices(
     from manifold.plots import figures
     from manifold.workflows import pictures
 
-    refused = None if latent else "--latent; materials have their own colours"
-    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     results = terminal.Results(json)
     figures.require_writable(output)
     wavelengths = parse_wavelengths(bands) if bands is not None else []
-    drawn = pictures.sources(names or [], latent or [], model, library, colour)
+    materials = options.material_sources(
+        names or [], latent or [], model, library, like=like, reflectance=reflectance, srgb=srgb
+    )
+    drawn = pictures.sources(materials)
     pictures.slices(drawn, output, kind=kind, wavelengths_nm=wavelengths)
     labels = [source.label for source in drawn]
     results.rows(f"Drawn {output}", {"materials": labels})

@@ -42,16 +42,15 @@ SeedOption = Annotated[
     epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
 )
 def render(
-    file: Annotated[
-        Path | None, typer.Argument(help="A .bsdf file, or the JSON of a fit.", metavar="FILE")
-    ] = None,
-    latent: Annotated[
+    material: Annotated[
         str | None,
-        typer.Option(
-            help="Instead of a file: latent coordinates, like -0.3,1.2, a material's name, or FROM:TO:T between two.",
-            metavar="X,Y|NAME|FROM:TO:T",
+        typer.Argument(
+            help="A .bsdf file, the JSON of a fit, a material of the library, or a place on the map.",
+            metavar=options.MATERIAL,
+            show_default=False,
         ),
     ] = None,
+    latent: options.PlaceOption = None,
     points: PointsOption = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
@@ -75,7 +74,7 @@ def render(
     seed: SeedOption = 0,
     json: options.JsonOption = None,
 ) -> None:
-    """Render a ball of a measured file, or of the prediction at a latent, under an environment light.
+    """Render a ball of a file, of a material of the library, or of a prediction, under an environment light.
 
     Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
@@ -83,21 +82,12 @@ def render(
     from manifold.workflows import renders
 
     results = terminal.Results(json)
-    places = {"a file": file, "--latent": latent, "--from": points}
-    given = [name for name, value in places.items() if value is not None]
-    if len(given) != 1:
-        raise UsageError(
-            f"found {' and '.join(given) or 'nothing to render'}, expected a file, --latent X,Y or --latent NAME, or "
-            "--from with a table of latents"
-        )
-    refused = "--latent; files and tables have their own colours" if latent is None else None
-    colour = options.colour_choice(like, reflectance, srgb, refused=refused)
-    if file is not None and direct:
-        raise UsageError("--direct goes with --latent and --from; a file holds its values")
     settings = make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
+        if (material, latent, like, reflectance, srgb) != (None,) * 5:
+            raise UsageError("found --from and a material or colour; write these into columns of the table")
         from manifold.workflows import many_points, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
@@ -107,21 +97,13 @@ def render(
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
-    output = or_default(output, "render.png")
+    source = options.one_material(
+        material, latent, model, library, like=like, reflectance=reflectance, srgb=srgb
+    )
     with terminal.progress("Rendering") as step:
-        if file is not None:
-            made = renders.render_file(file, output, settings, step)
-        elif latent is not None:
-            made = renders.render_latent(
-                model,
-                latent,
-                output,
-                settings,
-                library=library,
-                colour=colour,
-                direct=direct,
-                on_progress=step,
-            )
+        made = renders.render(
+            source, or_default(output, "render.png"), settings, direct=direct, on_progress=step
+        )
     _show(results, made)
 
 
@@ -146,8 +128,16 @@ def _show(results: terminal.Results, made: Rendered) -> None:
     epilog="Example: manifold compare satin_gold_spec.bsdf predicted_spec.bsdf -o difference.png",
 )
 def compare(
-    a: Annotated[Path, typer.Argument(help="A picture, a .bsdf file, or the JSON of a fit.", metavar="A")],
-    b: Annotated[Path, typer.Argument(help="Another of the same kind.", metavar="B")],
+    a: Annotated[
+        str,
+        typer.Argument(
+            help="A picture; or a .bsdf file, the JSON of a fit, a material of the library, a place on the map.",
+            metavar="A",
+        ),
+    ],
+    b: Annotated[str, typer.Argument(help="Another picture, or another material.", metavar="B")],
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     output: Annotated[Path, options.output_option("The figure: .png, .pdf or .svg.")] = Path(
         "comparison.png"
     ),
@@ -158,7 +148,7 @@ def compare(
     seed: SeedOption = 0,
     json: options.JsonOption = None,
 ) -> None:
-    """Put two pictures side by side, with maps of CIEDE2000 and FLIP; .bsdf files are rendered alike first.
+    """Put two pictures side by side, with maps of CIEDE2000 and FLIP; materials are rendered alike first.
 
     A CIEDE2000 of 1, or a Delta E_ITP of 1 on a display with a white of 100 cd/m2, is about the just noticeable
     difference side by side. FLIP ranges from 0 to 1 and ignores detail too fine to be visible. All three include
@@ -172,13 +162,14 @@ def compare(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     with terminal.progress("Comparing") as step:
-        made = renders.compare(a, b, output, settings, step)
+        sources = [options.material_source(text, model, library) for text in (a, b)]
+        made = renders.compare(sources[0], sources[1], output, settings, step)
     rows = {}
     for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
         if made.ball:
             rows[f"{name} of the ball"] = _summary(made.ball[key])
         rows[f"{name} of the picture"] = _summary(made.pixels[key])
-    results.rows(f"Compared {a} and {b} in {output}", rows)
+    results.rows(f"Compared {made.a} and {made.b} in {output}", rows)
     results.document(made.to_json())
 
 

@@ -93,6 +93,18 @@ class Bands:
             raise BandMismatchError(f"{where}: found {other}, expected {self}; {remedy}")
 
 
+_ORIGINS = {
+    "Predicted at": "predicted",
+    "Completed from": "completed",
+    "Reconstruction of": "reconstructed",
+}
+
+
+def origin_of(description: str) -> str:
+    """Where the values of a file come from: `measured`, unless its description is one that this package writes."""
+    return next((word for start, word in _ORIGINS.items() if description.startswith(start)), "measured")
+
+
 @dataclass(frozen=True, eq=False)
 class BsdfFile:
     """One RGL tensor file. P incident azimuths, T incident elevations, B bands.
@@ -143,6 +155,11 @@ class BsdfFile:
     def is_isotropic(self) -> bool:
         """Whether the file looks normals up relative to the incident azimuth (Mitsuba's rule: P <= 2)."""
         return self.phi_i_rad.shape[0] <= 2
+
+    @property
+    def origin(self) -> str:
+        """`measured`, `predicted`, `completed` or `reconstructed`; see `origin_of`."""
+        return origin_of(self.description)
 
     @cached_property
     def measured_mask(self) -> Mask:

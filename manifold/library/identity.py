@@ -6,7 +6,8 @@ import hashlib
 import json
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.library.schema import FIELDS
-from manifold.records import Array, BsdfFile
+from manifold.records import Array, BsdfFile, origin_of
 
 _MOST_BYTES = 1 << 60  # of a material; more is damage
 
@@ -47,9 +48,22 @@ class MaterialInfo:
     bytes: int
 
     @property
+    def origin(self) -> str:
+        """`measured`, `synthetic`, `predicted`, `completed` or `reconstructed`; see `records.origin_of`."""
+        found = origin_of(self.description)
+        return "synthetic" if found == "measured" and self.is_synthetic else found
+
+    @property
     def is_isotropic(self) -> bool:
         """Whether one incident azimuth was measured, as `BsdfFile.is_isotropic` has it."""
         return self.shape[0] <= 2
+
+
+def origins_in_words(materials: Iterable[MaterialInfo]) -> str:
+    """How many materials were not measured, such as `3 of them synthetic, 1 of them predicted`; may be empty."""
+    origins = Counter(material.origin for material in materials)
+    del origins["measured"]
+    return ", ".join(f"{count} of them {origin}" for origin, count in origins.most_common())
 
 
 def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:

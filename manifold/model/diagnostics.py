@@ -12,6 +12,7 @@ from manifold.brdf.physical import RECIPROCITY_ERROR
 from manifold.brdf.plausibility import Plausibility, plausibility
 from manifold.latent.expected_error import COARSE_BELOW
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
+from manifold.model.comparison import BRDFErrors
 from manifold.records import Array
 
 if TYPE_CHECKING:
@@ -223,11 +224,22 @@ def of_measured(found: Plausibility) -> tuple[str, ...]:
     return tuple(diagnostics)
 
 
-def of_projection(found: Plausibility) -> tuple[str, ...]:
-    """Of a file that was projected to be physical, by measurements on it."""
+def of_projection(before: Plausibility, found: Plausibility, change: BRDFErrors) -> tuple[str, ...]:
+    """Of a file that was projected to be physical.
+
+    Args:
+        before, found: measurements on the file without the projection, and with it.
+        change: from the one to the other.
+    """
+    changed = (
+        f"made physical: largest albedo {before.max_albedo:.2f} to {found.max_albedo:.2f}, reciprocity error "
+        f"{100.0 * before.reciprocity_error:.0f} to {100.0 * found.reciprocity_error:.0f} %; changed by "
+        f"{change.ball:.1f} CIEDE2000 of the ball, {100.0 * change.cube_root:.0f} % in cube roots",
+    )
     if found.reciprocity_error <= RECIPROCITY_ERROR:
-        return ()
+        return changed
     return (
+        *changed,
         f"not reciprocal: the file's f(wi, wo) and f(wo, wi) still differ by {100.0 * found.reciprocity_error:.0f} %, "
         f"expected at most {100.0 * RECIPROCITY_ERROR:.0f} %; write a finer grid and more incidences",
     )

@@ -32,8 +32,9 @@ class Reconstruction:
         brdf: the description.
         materials: how many others there are.
         errors: of the description.
-        plausibility: of the file that it was written to; None where it was not written.
+        plausibility: of the file that it was written to, or would have been; None where none was asked for.
         diagnostics: defects found, as sentences.
+        refusal: why the file was not written, else None.
     """
 
     brdf: PredictedBRDF
@@ -41,6 +42,7 @@ class Reconstruction:
     errors: BRDFErrors
     plausibility: Plausibility | None = None
     diagnostics: tuple[str, ...]
+    refusal: str | None = None
 
     @property
     def rows(self) -> dict[str, object]:
@@ -70,6 +72,7 @@ class Reconstruction:
             "ball": self.errors.ball,
             "plausibility": self.plausibility and vars(self.plausibility),
             "diagnostics": self.diagnostics,
+            "refusal": self.refusal,
         }
 
 

@@ -14,7 +14,13 @@ from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import new_figure, shortened
-from manifold.plots.plot_latents import MARK, draw_expected_error, latent_axes, two_dimensions
+from manifold.plots.plot_latents import (
+    MARK,
+    draw_expected_error,
+    latent_axes,
+    material_labels,
+    two_dimensions,
+)
 from manifold.records import Array
 
 _BALL_POINTS = 30.0  # diameter of a ball on the map
@@ -40,7 +46,7 @@ def ball_map(
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
     X = two_dimensions(model.X)
-    names = [_in_lines(name.removeprefix("syn_").replace("_", " ")) for name in model.names]
+    names = [_in_lines(name) for name in material_labels(model)]
     shown = list(images)
     if marked is not None and marked_image is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])

@@ -11,6 +11,7 @@ from matplotlib.patheffects import withStroke
 
 from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.directions import from_spherical
+from manifold.library.identity import origins_in_words
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import new_figure, place_names, shortened
 from manifold.records import Array
@@ -40,7 +41,7 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
         draw_expected_error(figure, axes, model)
     colours = _material_colours(model)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
-    names = [shortened(name.removeprefix("syn_").replace("_", " ")) for name in model.names]
+    names = [shortened(name) for name in material_labels(model)]
     if marked is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
         names.append("predicted")
@@ -50,15 +51,23 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     return figure
 
 
+def material_labels(model: Manifold) -> list[str]:
+    """Names of the materials on a map; of those that were not measured also what they are."""
+    labels = []
+    for name in model.names:
+        origin = model.library.attributes(name).origin
+        what = "" if origin in ("measured", "synthetic") else f" ({origin})"
+        labels.append(name.removeprefix("syn_").replace("_", " ") + what)
+    return labels
+
+
 def latent_axes(axes: Axes, model: Manifold) -> None:
     """Title and labels of a map of latents; with the number of dimensions that are not drawn."""
     dims = model.settings.latent_dim
-    count = len(model.names)
-    synthetic = sum(model.library.attributes(name).is_synthetic for name in model.names)
-    kind = {0: "measured materials", count: "synthetic materials"}.get(
-        synthetic, f"materials, {synthetic} of them synthetic"
-    )
-    title = f"Material manifold: {count} {kind}, {model.bands}"
+    materials = [model.library.attributes(name) for name in model.names]
+    origins = {material.origin for material in materials}
+    kind = f"{origins.pop()} materials" if len(origins) == 1 else f"materials, {origins_in_words(materials)}"
+    title = f"Material manifold: {len(materials)} {kind}, {model.bands}"
     title += f"; 2 of {dims} dimensions" if dims > 2 else "; one dimension" if dims == 1 else ""
     axes.set_title(title + " (expected errors are drawn for two only)" * (dims != 2), fontsize=12)
     axes.set_xlabel("latent $x_1$ (length scales)")

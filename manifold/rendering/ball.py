@@ -41,7 +41,7 @@ class BallMaterial:
 
 
 def read_material(path: Path) -> BallMaterial:
-    """A measured file, or the JSON of a fit.
+    """An RGL file, or the JSON of a fit.
 
     Raises:
         FileFormatError: it is no RGL file, and no fit.
@@ -62,7 +62,7 @@ def read_material(path: Path) -> BallMaterial:
             f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
         )
     bsdf = {"type": "measured", "filename": str(path)}
-    return BallMaterial(material_name(path), bsdf, file.bands.is_rgb, "measured file")
+    return BallMaterial(material_name(path), bsdf, file.bands.is_rgb, f"{file.origin} file")
 
 
 def make_settings(

@@ -132,7 +132,7 @@ def complete_readings(
     calibration = calibrate(atoms, made.readings, opened)
     suggested = suggest(atoms, count, made, instrument) if count else None
     stages.begin("writing")
-    plausibility = write_checked(
+    written = write_checked(
         output,
         made.brdf,
         options,
@@ -143,11 +143,17 @@ def complete_readings(
     if picture is not None:
         from manifold.rendering.render import RenderSettings
         from manifold.workflows import renders
+        from manifold.workflows.sources import FileSource
 
-        renders.render_file(output, picture, RenderSettings(samples=32), stages.begin("rendering"))
-    notes = (*made.notes, *calibration.notes(made), *diagnostics.of_prediction(False, plausibility))
-    if options.physical:
-        notes += diagnostics.of_projection(plausibility)
+        step = stages.begin("rendering")
+        renders.render(FileSource(output), picture, RenderSettings(samples=32), on_progress=step)
+    plausibility = written.plausibility
+    notes = (
+        *made.notes,
+        *calibration.notes(made),
+        *diagnostics.of_prediction(False, plausibility),
+        *written.projection,
+    )
     return Completed(
         output, picture, made, correction, calibration.expected(made), plausibility, suggested, notes,
         time.perf_counter() - start,

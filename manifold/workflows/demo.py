@@ -30,6 +30,7 @@ from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.pictures import slices, sources
 from manifold.workflows.prediction import predict
+from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource
 
 START, END = "syn_satin_gold", "syn_metallic_gold"
 """The materials that the demo predicts between, and walks between."""
@@ -94,7 +95,12 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
         path = folder / "predicted_spec.bsdf"
         predicted = predict(fitted, _BETWEEN, path, on_progress=step)
     pictures = [folder / "slices.png", folder / "map.png"]
-    slices(sources([START, END, str(path)], [], model), pictures[0])
+    golds: list[MaterialSource] = [
+        LibrarySource(library, START),
+        LibrarySource(library, END),
+        FileSource(path),
+    ]
+    slices(sources(golds), pictures[0])
     has_mitsuba = backend.is_available()
     with stage("Drawing the map") as step:
         if has_mitsuba and backend.choose().is_llvm:
@@ -138,7 +144,7 @@ def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> l
     """Renders, the walk, a fit, budgets; the pictures made."""
     pictures = [folder / "predicted.png"]
     with stage("Rendering the prediction") as step:
-        renders.render_file(predicted, pictures[0], RenderSettings(), step)
+        renders.render(FileSource(predicted), pictures[0], RenderSettings(), on_progress=step)
     if backend.choose().is_llvm:
         with stage("Drawing the walk") as step:
             pictures.append(folder / "walk.png")

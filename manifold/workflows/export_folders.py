@@ -17,8 +17,8 @@ from manifold.records import Progress
 from manifold.workflows.exports import (
     Subject,
     export,
+    subject_in_library,
     subject_of,
-    subject_of_file,
 )
 from manifold.workflows.output_index import Outcome, OutputIndex, make_missing
 
@@ -75,18 +75,14 @@ def export_all(
         return make_missing(index, tasks, made_of, make, stage=lambda _: nullcontext(on_progress))
 
 
-def _subject_in(library: Library, name: str, described: dict[str, Any]) -> Subject:
-    return subject_of_file(library.read(name), described)
-
-
 def _subjects(source: Path) -> Iterator[_Source]:
     """Every material of a source, none read yet."""
     if (source / "zarr.json").is_file():
         library = Library(source)
         for name in library.names:
-            info = library.attributes(name)
-            described = {"library": source.name, "file": info.source_file, "sha256": info.sha256}
-            yield _Source(name, info.content_sha256, partial(_subject_in, library, name, described))
+            yield _Source(
+                name, library.attributes(name).content_sha256, partial(subject_in_library, library, name)
+            )
         return
     fits: dict[str, Path] = {}
     files: dict[str, Path] = {}

@@ -18,6 +18,7 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256
+from manifold.library.store import Library
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
@@ -28,6 +29,7 @@ from manifold.system import atomic
 from manifold.system.stages import Stages
 from manifold.workflows import fit_pictures
 from manifold.workflows.output_index import Outcome
+from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Subject:
         source: where it comes from, plain values.
         fit: content of its fit's JSON.
         material: what the loss is measured against; the fit itself if None.
-        against: what that is: `measured file`, `prediction` or `fit`.
+        against: what that is: `measured file` or another origin, `prediction` or `fit`.
     """
 
     name: str
@@ -47,6 +49,21 @@ class Subject:
     fit: dict[str, Any]
     material: BRDF | None
     against: str
+
+
+def subject_of_source(
+    source: MaterialSource, against: Path | None = None, on_progress: Progress | None = None
+) -> Subject:
+    """The material that a user names; arguments and errors as of `subject_of` and `subject_of_prediction`."""
+    if isinstance(source, FileSource):
+        return subject_of(source.path, against)
+    if against is not None:
+        raise UsageError(f"{source}: a material is compared with itself, and a fit with {against}; name one")
+    if isinstance(source, LibrarySource):
+        return subject_in_library(Library(source.library), source.name)
+    return subject_of_prediction(
+        source.model, source.place, library=source.library, colour=source.colour, on_progress=on_progress
+    )
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
@@ -69,7 +86,8 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     name = content["source"]["name"]
     if against is None:
         return Subject(name, source, content, None, "fit")
-    return Subject(name, source, content, MeasuredBRDF(read_bsdf(against)), "measured file")
+    file = read_bsdf(against)
+    return Subject(name, source, content, MeasuredBRDF(file), f"{file.origin} file")
 
 
 def subject_of_prediction(
@@ -99,9 +117,16 @@ def subject_of_prediction(
 
 
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
-    """A measured material, fitted, with plain values that say where it comes from."""
+    """The material of a file, fitted, with plain values that say where it comes from."""
     fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
-    return Subject(file.name, source, fit, MeasuredBRDF(file), "measured file")
+    return Subject(file.name, source, fit, MeasuredBRDF(file), f"{file.origin} file")
+
+
+def subject_in_library(library: Library, name: str) -> Subject:
+    """A material of a library, fitted."""
+    info = library.attributes(name)
+    described = {"library": library.path.name, "file": info.source_file, "sha256": info.sha256}
+    return subject_of_file(library.read(name), described)
 
 
 def export(

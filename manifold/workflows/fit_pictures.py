@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.picture import ball_image
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
-from manifold.model.colours import NEAREST, ColourChoice
-from manifold.model.latents import PlaceLike
-from manifold.model.output_file import OutputOptions
 from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.records import Array, Mask
 from manifold.rendering import image_metrics, images, scenes
 from manifold.rendering.ball import read_material
 from manifold.rendering.render import RenderSettings
-from manifold.workflows import prediction
 from manifold.workflows.renders import RIM
 
 _PIXELS = 96  # of a ball by quadrature
@@ -29,7 +24,7 @@ _PIXELS = 96  # of a ball by quadrature
 def picture_of_fit(
     fit: Path, material: Path, output: Path, settings: RenderSettings | None = None
 ) -> tuple[float, float]:
-    """Render a measured file and the BSDF that was fitted to it, and draw both with their slices.
+    """Render a file and the BSDF that was fitted to it, and draw both with their slices.
 
     Args:
         fit: JSON of the fit.
@@ -46,9 +41,8 @@ def picture_of_fit(
     content = fit_json.read(fit)
     seen, fitted = (images.tone_map(read_material(path).render(settings)) for path in (material, fit))
     file = read_bsdf(material)
-    kind = "predicted" if file.description.startswith(prediction.PREDICTED) else "measured"
     sources = [
-        Source(kind, MeasuredBRDF(file)),
+        Source(file.origin, MeasuredBRDF(file)),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
     inside = scenes.ball_interior(settings.size, RIM)
@@ -68,16 +62,3 @@ def _draw(
     delta_e, flip = image_metrics.ciede2000_map(*balls), image_metrics.flip_map(*balls)
     figures.save(plot_fit.fit_picture(title, balls, delta_e, flip, inside, sources), output)
     return float(delta_e[inside].mean()), float(flip[inside].mean())
-
-
-def picture_of_prediction_fit(
-    fit: Path, model: Path, latent: PlaceLike, output: Path, settings: RenderSettings | None = None, *,
-    library: Path | None = None, colour: ColourChoice = NEAREST,
-) -> tuple[float, float]:  # fmt: skip
-    """The same for a fit of the prediction at a latent, through a file that is written for it."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "predicted.bsdf"
-        prediction.predict(
-            model, latent, path, library=library, colour=colour, options=OutputOptions(force=True)
-        )
-        return picture_of_fit(fit, path, output, settings)

@@ -25,10 +25,9 @@ from manifold.formats import registry
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
 from manifold.library.importing import find_files
+from manifold.library.store import Library
 from manifold.model import diagnostics
-from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.diagnostics import Prediction
-from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
 from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend
@@ -36,6 +35,10 @@ from manifold.system import atomic, reading
 from manifold.system.names import printable
 from manifold.system.stages import Stages
 from manifold.workflows.output_index import Outcome, make_folder
+from manifold.workflows.sources import LibrarySource, PlaceSource, read_source
+
+Measured = Path | LibrarySource
+"""A file, or a material of a library."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +57,11 @@ class FitSettings:
     wide_colours: bool = False
     sample: str | None = None
 
-    def name_of(self, path: Path) -> str:
+    def name_of(self, source: Measured) -> str:
         """Of the material that is fitted."""
-        return self.sample or material_name(path)
+        if isinstance(source, LibrarySource):
+            return source.name
+        return self.sample or material_name(source)
 
     def fit(
         self,
@@ -97,15 +102,15 @@ def read_family(path: Path) -> BsdfFamily:
 
 
 def fit_files(
-    sources: Sequence[Path], output: Path | None, settings: FitSettings, *, jobs: int | None = None,
-    on_progress: Progress | None = None,
-) -> list[Outcome[Path]]:  # fmt: skip
+    sources: Sequence[Path | LibrarySource], output: Path | None, settings: FitSettings, *,
+    jobs: int | None = None, on_progress: Progress | None = None,
+) -> list[Outcome[Measured]]:  # fmt: skip
     """Fit files, one JSON each, several at once; fits that an earlier run made alike are kept.
 
     Every JSON is written as soon as its fit is done.
 
     Args:
-        sources: .bsdf files, or folders searched at every depth for them.
+        sources: .bsdf files, folders searched at every depth for them, or materials of libraries.
         output: the JSON of a single file, or the folder for several; the working folder if None.
         settings: how.
         jobs: processes; one per core if None.
@@ -116,13 +121,16 @@ def fit_files(
         UsageError: a source or the output cannot be used.
         RendererError: Mitsuba is missing, or a process was killed.
     """
-    paths = find_files(sources)
+    paths: list[Measured] = []
+    for source in sources:
+        paths += [source] if isinstance(source, LibrarySource) else find_files([source])
+    paths = list(dict.fromkeys(paths))
     if settings.sample is not None and len(paths) > 1:
         raise UsageError(f"sample {settings.sample} of {len(paths)} files, expected one file; name one")
     tasks, outcomes = _plan(paths, output, settings)
     backend.imported()
 
-    def done(outcome: Outcome[Path], path: Path) -> None:
+    def done(outcome: Outcome[Measured], path: Measured) -> None:
         outcomes[path] = outcome
         if on_progress is not None:
             on_progress(len(outcomes), len(paths), outcome.name)
@@ -148,10 +156,9 @@ def fit_files(
 
 
 def fit_prediction(
-    model: Path, latent: PlaceLike, output: Path | None, settings: FitSettings, *,
-    library: Path | None = None, colour: ColourChoice = NEAREST, on_progress: Progress | None = None,
-) -> Outcome[Prediction]:  # fmt: skip
-    """Fit the material that a model predicts at a latent; arguments as in `prediction.predict` and `fit_files`.
+    place: PlaceSource, output: Path | None, settings: FitSettings, on_progress: Progress | None = None
+) -> Outcome[Prediction]:
+    """Fit the material that a model predicts at a place; arguments as in `fit_files`.
 
     Raises:
         UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.
@@ -159,14 +166,14 @@ def fit_prediction(
     path = Path("predicted.fit.json") if output is None else output
     atomic.require_writable(path)
     stages = Stages(on_progress, {"reading materials": 3, "fitting": 7})
-    loaded = Manifold.load(model, library)
+    loaded = Manifold.load(place.model, place.library)
     loaded.prepare(stages.begin("reading materials"))
-    predicted = diagnostics.predict(loaded, latent, colour)
+    predicted = diagnostics.predict(loaded, place.place, place.colour)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
         latent=tuple(predicted.latent.tolist()),
-        model=model.name,
-        model_sha256=file_sha256(model),
+        model=place.model.name,
+        model_sha256=file_sha256(place.model),
         colour=predicted.colour,
     )
     content = settings.fit(predicted.brdf, source, on_progress=stages.begin("fitting"))
@@ -175,8 +182,8 @@ def fit_prediction(
 
 
 def _plan(
-    paths: Sequence[Path], output: Path | None, settings: FitSettings
-) -> tuple[dict[Path, Path], dict[Path, Outcome[Path]]]:
+    paths: Sequence[Measured], output: Path | None, settings: FitSettings
+) -> tuple[dict[Measured, Path], dict[Measured, Outcome[Measured]]]:
     """The JSON of every file, and the outcomes of those that cannot have one."""
     folder = Path() if output is None else output
     is_single = output is not None and len(paths) == 1 and not output.is_dir()
@@ -184,9 +191,9 @@ def _plan(
         atomic.require_writable(folder)
     else:
         make_folder(folder, f"{len(paths)} fits")
-    targets: dict[Path, Path] = {}
-    refused: dict[Path, Outcome[Path]] = {}
-    taken: dict[Path, Path] = {}
+    targets: dict[Measured, Path] = {}
+    refused: dict[Measured, Outcome[Measured]] = {}
+    taken: dict[Path, Measured] = {}
     for path in paths:
         name = settings.name_of(path)
         target = folder if is_single else folder / f"{name}.fit.json"
@@ -206,11 +213,15 @@ def _begin_process() -> None:
     backend.drjit().set_thread_count(0)
 
 
-def _fit_file(path: Path, target: Path, settings: FitSettings) -> Outcome[Path]:
-    """Fit a file and write the JSON, unless an earlier run has."""
+def _fit_file(path: Measured, target: Path, settings: FitSettings) -> Outcome[Measured]:
+    """Fit a material and write the JSON, unless an earlier run has."""
     name = settings.name_of(path)
     try:
-        source = Source(name=name, file=path.name, sha256=file_sha256(path))
+        if isinstance(path, LibrarySource):
+            info = Library(path.library).attributes(name)
+            source = Source(name=name, file=info.source_file, sha256=info.sha256)
+        else:
+            source = Source(name=name, file=path.name, sha256=file_sha256(path))
         there = _earlier(target, source, settings)
         if there is not None:
             return Outcome(name, target, path, there, was_there=True)
@@ -223,8 +234,10 @@ def _fit_file(path: Path, target: Path, settings: FitSettings) -> Outcome[Path]:
         return Outcome(name, target, path, failure=f"{path} cannot be read ({error.strerror})")
 
 
-def _fit(path: Path, source: Source, settings: FitSettings) -> dict[str, Any]:
-    """The content of the fit of an RGL file, or of an instrument's with what was ambiguous or left out as notes."""
+def _fit(path: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
+    """The content of the fit of a material, or of an instrument's file with what was ambiguous or left out as notes."""
+    if isinstance(path, LibrarySource):
+        return settings.fit(read_source(path), source)
     known = registry.identify(path)
     if known is None:
         if settings.sample is not None:

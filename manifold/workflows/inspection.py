@@ -173,14 +173,15 @@ def _words(value: float | list[float]) -> str:
 
 
 def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
+    from manifold.library.identity import origins_in_words
     from manifold.library.schema import SCHEMA_VERSION
     from manifold.library.store import Library
 
     library = Library(path)
     materials = [library.attributes(name) for name in library.names]
-    synthetic, size = sum(m.is_synthetic for m in materials), sum(m.bytes for m in materials)
+    others, size = origins_in_words(materials), sum(m.bytes for m in materials)
     rows: dict[str, object] = {
-        "materials": f"{len(materials)}" + (f", {synthetic} of them synthetic" if synthetic else ""),
+        "materials": f"{len(materials)}" + (f", {others}" if others else ""),
         "bands": str(library.bands),
         "size": f"{size / 1e6:.1f} MB",
         "content hash": library.content_hash,

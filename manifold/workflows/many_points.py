@@ -19,6 +19,7 @@ from manifold.system.stages import Stage, no_stage
 from manifold.workflows import prediction, renders
 from manifold.workflows.output_index import Outcome, OutputIndex, make_missing
 from manifold.workflows.point_table import Point, PointTable
+from manifold.workflows.sources import PlaceSource
 
 
 def predict_all(
@@ -78,9 +79,8 @@ def render_all(
     }  # fmt: skip
 
     def make(point: Point, path: Path) -> dict[str, Any]:
-        return renders.render_latent(
-            model, point.place, path, settings, library=library, colour=point.colour, direct=direct
-        ).to_json()
+        source = PlaceSource(model, point.place, library, point.colour)
+        return renders.render(source, path, settings, direct=direct).to_json()
 
     tasks = [(p.name, _path(folder, p, ".png", images.SUFFIXES), p) for p in table.points]
     with OutputIndex(folder, "renders") as index:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
+from manifold.model.comparison import brdf_errors
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, output_file
 from manifold.system import atomic
 
@@ -20,7 +23,22 @@ def require_bsdf_output(output: Path) -> None:
     atomic.require_writable(output)
 
 
-def write_checked(
+@dataclass(frozen=True)
+class WrittenFile:
+    """A file that was written, or refused.
+
+    Attributes:
+        plausibility: of the file.
+        projection: what making it physical has changed, and what is left, as sentences; none where it was not asked.
+        refusal: why it was not written, else None.
+    """
+
+    plausibility: Plausibility
+    projection: tuple[str, ...] = ()
+    refusal: str | None = None
+
+
+def write_output(
     output: Path,
     brdf: BRDF,
     options: OutputOptions = DEFAULT_OPTIONS,
@@ -28,7 +46,7 @@ def write_checked(
     description: str = "",
     remedy: str = "make it physical",
     keeps_hue: bool = False,
-) -> Plausibility:
+) -> WrittenFile:
     """Measure a BRDF with the virtual goniometer, and write the file unless its albedo is above 1.05.
 
     Args:
@@ -36,18 +54,32 @@ def write_checked(
         brdf: what is measured, without negative values.
         options, description, keeps_hue: see `output_file`.
         remedy: what to do about a file whose albedo exceeds 1.05, besides forcing it.
-    Returns:
-        The plausibility of the written file.
+    """
+    name = material_name(output)
+    file, found = output_file(brdf, name, options, description=description, keeps_hue=keeps_hue)
+    if found.max_albedo > diagnostics.MOST_ALBEDO and not options.force:
+        return WrittenFile(
+            found,
+            refusal=f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 "
+            f"degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it",
+        )
+    write_bsdf(output, file)
+    if not options.physical:
+        return WrittenFile(found)
+    plain, before = output_file(brdf, name, replace(options, physical=False))
+    change = brdf_errors(MeasuredBRDF(plain), MeasuredBRDF(file))
+    return WrittenFile(found, diagnostics.of_projection(before, found, change))
+
+
+def write_checked(
+    output: Path, brdf: BRDF, options: OutputOptions = DEFAULT_OPTIONS, **how: Any
+) -> WrittenFile:
+    """The same, with a refusal as an error.
+
     Raises:
         UsageError: its albedo would exceed 1.05, and `force` is not set.
     """
-    file, found = output_file(
-        brdf, material_name(output), options, description=description, keeps_hue=keeps_hue
-    )
-    if found.max_albedo > diagnostics.MOST_ALBEDO and not options.force:
-        raise UsageError(
-            f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 degrees, "
-            f"expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it"
-        )
-    write_bsdf(output, file)
-    return found
+    written = write_output(output, brdf, options, **how)
+    if written.refusal is not None:
+        raise UsageError(written.refusal)
+    return written

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from manifold import __version__
 from manifold.completion.attributes import Attributes, adjust
-from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.diagnostics import Prediction, diagnose
 from manifold.model.latents import Place, PlaceLike
@@ -17,9 +16,6 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
 from manifold.workflows.output_files import require_bsdf_output, write_checked
-
-PREDICTED = "Predicted at latent"
-"""First words of the description of a predicted file."""
 
 
 def predict(
@@ -66,11 +62,10 @@ def predict(
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place.latent, chosen.words, options.physical)
     remedy = "make it physical, write more incidences"
-    found = write_checked(output, clipped, options, description=description, remedy=remedy)
+    written = write_checked(output, clipped, options, description=description, remedy=remedy)
     seconds = time.perf_counter() - start
-    made = diagnose(model, place, brdf, chosen, found, clipped.clipped_share)
-    if options.physical:
-        made = replace(made, diagnostics=made.diagnostics + diagnostics.of_projection(found))
+    made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
+    made = replace(made, diagnostics=made.diagnostics + written.projection)
     if adjusted is not None:
         made = replace(
             made, diagnostics=made.diagnostics + adjusted.shortfalls, attributes=adjusted.to_json()
@@ -90,4 +85,4 @@ def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> 
     origin = "a synthetic corpus" if synthetic else f"{len(model.names)} measured materials"
     at = ", ".join(model.space.printed(x))
     how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
-    return f"{PREDICTED} ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"
+    return f"Predicted at latent ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"

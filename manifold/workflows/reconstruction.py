@@ -8,22 +8,22 @@ from pathlib import Path
 from typing import TypeVar
 
 from manifold import __version__
-from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics, located
 from manifold.model.located import Located, Reconstruction
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Progress
-from manifold.workflows.output_files import require_bsdf_output, write_checked
+from manifold.records import BsdfFile, Progress
+from manifold.workflows.output_files import require_bsdf_output, write_output
+from manifold.workflows.sources import FileSource, MaterialSource, read_source
 
 _R = TypeVar("_R", bound=Reconstruction)
 
 
 def locate(
     model: Manifold | Path | str,
-    path: Path | str,
+    path: Path | str | MaterialSource,
     output: Path | str | None = None,
     *,
     library: Path | str | None = None,
@@ -32,9 +32,11 @@ def locate(
 ) -> Located:
     """Embed a measured file in a fitted manifold, see `manifold.model.located.locate`.
 
+    An output whose albedo would exceed 1.05 is not written unless `force` is set; `refusal` says so.
+
     Args:
         model: a fitted manifold, or the path of one.
-        path: the measured file.
+        path: the measured file, or another material.
         output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
         library: where the model's library is now, if not where the model remembers it.
         options: of the output.
@@ -42,23 +44,23 @@ def locate(
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.
-        UsageError: the output cannot be written, or its albedo would exceed 1.05 and `force` is not set.
+        UsageError: the output cannot be written.
     """
     if output is not None:
         require_bsdf_output(Path(output))
-    file = read_bsdf(path)
+    file = _read(path)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
     loaded.prepare(on_progress)
     found = located.locate(loaded, file)
     if output is None:
         return found
     how = f"at latent ({', '.join(found.coordinates)})"
-    return _written(found, Path(path), Path(output), how, options)
+    return _written(found, file.name, Path(output), how, options)
 
 
 def reconstruct(
     library: Path | str,
-    path: Path | str,
+    path: Path | str | MaterialSource,
     output: Path | str,
     *,
     without: Collection[str] = (),
@@ -68,9 +70,11 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a measured file from a library, see `manifold.model.located.reconstruct_file`, and write it.
 
+    An output whose albedo would exceed 1.05 is not written unless `force` is set; `refusal` says so.
+
     Args:
         library: of measured materials in the same bands.
-        path: the measured file.
+        path: the measured file, or another material.
         output: the `.bsdf` file to write.
         without: names of materials that take no part.
         numbers: that may describe the file; by default as many as it takes.
@@ -79,25 +83,32 @@ def reconstruct(
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.
-        UsageError: the file is black, no material is left, there is none of a name in `without`, the output cannot be
-            written, or its albedo would exceed 1.05 and `force` is not set.
+        UsageError: the file is black, no material is left, there is none of a name in `without`, or the output
+            cannot be written.
     """
     output = Path(output)
     require_bsdf_output(output)
-    found = located.reconstruct_file(Library(library), read_bsdf(path), without, on_progress, numbers=numbers)
+    file = _read(path)
+    found = located.reconstruct_file(Library(library), file, without, on_progress, numbers=numbers)
     how = f"from {found.materials} materials and analytic lobes"
-    return _written(found, Path(path), output, how, options)
+    return _written(found, file.name, output, how, options)
 
 
-def _written(found: _R, path: Path, output: Path, how: str, options: OutputOptions) -> _R:
-    """A reconstruction of the file at `path` that is written, with the plausibility of its file."""
-    plausibility = write_checked(
+def _read(material: Path | str | MaterialSource) -> BsdfFile:
+    return read_source(FileSource(Path(material)) if isinstance(material, str | Path) else material)
+
+
+def _written(found: _R, name: str, output: Path, how: str, options: OutputOptions) -> _R:
+    """A reconstruction of a material that is written, or refused, with the plausibility of its file."""
+    written = write_output(
         output,
         ClippedBRDF(found.brdf),
         options,
-        description=f"Reconstruction of {material_name(path)} {how} by manifold {__version__}",
+        description=f"Reconstruction of {name} {how} by manifold {__version__}",
     )
-    sentences = (*found.diagnostics, *diagnostics.of_prediction(False, plausibility))
-    if options.physical:
-        sentences += diagnostics.of_projection(plausibility)
-    return replace(found, plausibility=plausibility, diagnostics=sentences)
+    sentences = (
+        *found.diagnostics,
+        *diagnostics.of_prediction(False, written.plausibility),
+        *written.projection,
+    )
+    return replace(found, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal)

@@ -1,4 +1,4 @@
-"""The work behind `manifold render` and `manifold compare`: files or latents in, pictures out."""
+"""The work behind `manifold render` and `manifold compare`: materials in, pictures out."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from manifold import __version__
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.model.colours import NEAREST, ColourChoice
-from manifold.model.latents import Place, PlaceLike
+from manifold.model.latents import PlaceLike
 from manifold.records import Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.ball import BallMaterial, read_material
 from manifold.rendering.image_metrics import Summary
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.system.stages import Stages
+from manifold.workflows.sources import FileSource, MaterialSource, PlaceSource, source_file
 
 if TYPE_CHECKING:
     from manifold.model.diagnostics import Prediction
@@ -69,42 +70,55 @@ class Rendered:
         }
 
 
-def render_file(
-    file: Path, output: Path, settings: RenderSettings, on_progress: Progress | None = None
-) -> Rendered:
-    """Render the ball of a `.bsdf` file or of the JSON of a fit into a picture.
+def render(
+    source: MaterialSource, output: Path, settings: RenderSettings, *, direct: bool = False,
+    on_progress: Progress | None = None,
+) -> Rendered:  # fmt: skip
+    """Render the ball of a material into a picture.
 
+    Args:
+        source: an RGL file, the JSON of a fit, a material of a library, or a place; see `ball_material`.
+        output: the picture.
+        settings: how.
+        direct: evaluate the measured materials of a prediction while rendering.
+        on_progress: called with (done, total, what).
     Raises:
-        UsageError: the picture cannot be written, or an RGB material meets another light than D65.
+        UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
+            place.
         FileFormatError: the file is neither.
     """
     images.require_image_path(output)
-    return _render(read_material(file), output, settings, on_progress)
-
-
-def render_latent(
-    model: Path, latent: PlaceLike, output: Path, settings: RenderSettings, *, library: Path | None = None,
-    colour: ColourChoice = NEAREST, direct: bool = False, on_progress: Progress | None = None,
-) -> Rendered:  # fmt: skip
-    """Render the ball of the prediction at a latent into a picture; see `latent_material`."""
-    images.require_image_path(output)
     stages = Stages(on_progress, {"": 1, "rendering": 1})
-    predicted = latent_material(
-        model, latent, library=library, colour=colour, direct=direct, on_progress=stages.begin("")
-    )
-    with predicted as (material, made):
-        return _render(material, output, settings, stages.begin("rendering"), made)
-
-
-def _render(
-    material: BallMaterial, output: Path, settings: RenderSettings, on_progress: Progress | None,
-    prediction: Prediction | None = None,
-) -> Rendered:  # fmt: skip
-    start = time.perf_counter()
-    picture = material.render(settings, on_progress)
-    seconds = time.perf_counter() - start
+    with ball_material(source, direct=direct, on_progress=stages.begin("")) as (material, made):
+        step = stages.begin("rendering")
+        start = time.perf_counter()
+        picture = material.render(settings, step)
+        seconds = time.perf_counter() - start
     images.write_image(output, picture)
-    return Rendered(output, material, settings, backend.choose(), seconds, prediction)
+    return Rendered(output, material, settings, backend.choose(), seconds, made)
+
+
+@contextmanager
+def ball_material(
+    source: MaterialSource, *, direct: bool = False, on_progress: Progress | None = None
+) -> Iterator[tuple[BallMaterial, Prediction | None]]:
+    """A material to be rendered, and the prediction that it is; files written for it are there during the block.
+
+    Raises:
+        UsageError: `direct` without a place; and what `latent_material` and `sources.source_file` raise.
+    """
+    if isinstance(source, PlaceSource):
+        predicted = latent_material(
+            source.model, source.place, library=source.library, colour=source.colour, direct=direct,
+            on_progress=on_progress,
+        )  # fmt: skip
+        with predicted as made:
+            yield made
+        return
+    if direct:
+        raise UsageError(f"{source}: direct renders are of places; a file holds its values")
+    with source_file(source, on_progress) as path:
+        yield read_material(path), None
 
 
 @contextmanager
@@ -122,8 +136,7 @@ def latent_material(
     from manifold.rendering.plugin.bsdf import load_model
     from manifold.workflows import prediction
 
-    given = latent.latent if isinstance(latent, Place) else latent
-    at = given if isinstance(given, str) else ", ".join(f"{v:.4g}" for v in given)
+    at = PlaceSource(model, latent)
     if not direct:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "predicted.bsdf"
@@ -182,8 +195,9 @@ class Comparison:
 
 
 def compare(
-    a: Path, b: Path, output: Path, settings: RenderSettings, on_progress: Progress | None = None
-) -> Comparison:
+    a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings,
+    on_progress: Progress | None = None,
+) -> Comparison:  # fmt: skip
     """Compare two pictures, or two materials rendered alike.
 
     Linear pictures are tone-mapped first; that caps what is brighter than a display.
@@ -195,23 +209,26 @@ def compare(
     from manifold.plots import figures, plot_comparison
 
     figures.require_writable(output)
-    are_materials = [path.suffix in (".bsdf", ".json") for path in (a, b)]
-    if any(are_materials) and not all(are_materials):
+    pictures = [
+        source.path
+        for source in (a, b)
+        if isinstance(source, FileSource) and source.path.suffix not in (".bsdf", ".json")
+    ]
+    if len(pictures) == 1:
         raise UsageError(f"{a} and {b}: found a material and a picture, expected two of a kind")
     ball = None
-    if all(are_materials):
-        materials = [read_material(path) for path in (a, b)]
-        if any(material.is_rgb for material in materials):
-            require_d65(settings.illuminant)
-        names = (materials[0].name, materials[1].name)
-        stages = Stages(on_progress, dict.fromkeys(names, 1))
-        first, second = (
-            images.tone_map(material.render(settings, stages.begin(material.name))) for material in materials
-        )
-        ball = scenes.ball_interior(settings.size, RIM)
+    if pictures:
+        first, second = (images.read_display(path) for path in pictures)
+        names = (pictures[0].name, pictures[1].name)
     else:
-        first, second = images.read_display(a), images.read_display(b)
-        names = (a.name, b.name)
+        stages = Stages(on_progress, {"": 1, "rendering": 2, "rendering the other": 2})
+        with ball_material(a, on_progress=stages.begin("")) as (one, _), ball_material(b) as (other, _):
+            if one.is_rgb or other.is_rgb:
+                require_d65(settings.illuminant)
+            first = images.tone_map(one.render(settings, stages.begin("rendering")))
+            second = images.tone_map(other.render(settings, stages.begin("rendering the other")))
+        names = (one.name, other.name)
+        ball = scenes.ball_interior(settings.size, RIM)
     maps = {
         "ciede2000": image_metrics.ciede2000_map(first, second),
         "itp": image_metrics.itp_map(first, second),

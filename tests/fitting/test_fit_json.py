@@ -153,7 +153,7 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
 def test_a_prediction_names_its_model_and_latent(tmp_path):
     model = small_model(tmp_path)
     target = tmp_path / "between.fit.json"
-    made = fits.fit_prediction(model, [0.1, -0.2], target, SETTINGS)
+    made = fits.fit_prediction(fits.PlaceSource(model, [0.1, -0.2]), target, SETTINGS)
     source = fit_json.read(target)["source"]
     assert source["latent"] == [0.1, -0.2]
     assert source["model_sha256"] == hashlib.sha256(model.read_bytes()).hexdigest()

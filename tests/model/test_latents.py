@@ -62,7 +62,7 @@ def test_the_coordinates_that_predict_and_locate_print_give_the_prediction_back(
 def test_a_material_is_a_latent_by_its_name(model):
     loaded, name = Manifold.load(model), NAMES[1]
     np.testing.assert_array_equal(loaded.place(name).latent, loaded.latent(name))
-    (source,) = pictures.sources([], [name], model)
+    (source,) = pictures.sources([pictures.PlaceSource(model, name)])
     assert distance(source.brdf, loaded.material(name)) == 0.0
     with pytest.raises(UsageError, match="did you mean syn_felt_green"):
         loaded.place("syn_felt_gren")

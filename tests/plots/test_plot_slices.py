@@ -21,6 +21,7 @@ from manifold.plots.plot_comparison import comparison
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, angle_slices, rusinkiewicz_images, spectra_at
 from manifold.records import Bands
 from manifold.workflows.pictures import slices, sources
+from manifold.workflows.sources import FileSource, LibrarySource, PlaceSource
 
 BANDS = Bands((450.0, 550.0, 650.0))
 
@@ -70,7 +71,7 @@ def test_unmeasured_cells_are_gaps_and_no_zigzags(tmp_path):
     spectra[:, :4, :, 8:20, 12:20] = 0.0
     write_bsdf(tmp_path / "hole_spec.bsdf", replace(file, spectra=spectra))
     write_bsdf(tmp_path / "whole_spec.bsdf", file)
-    hole, whole = sources([str(tmp_path / f"{name}_spec.bsdf") for name in ("hole", "whole")], [], tmp_path)
+    hole, whole = sources([FileSource(tmp_path / f"{name}_spec.bsdf") for name in ("hole", "whole")])
     figure = angle_slices([hole, whole])
     gaps = 0
     for axes in figure.axes:
@@ -147,9 +148,11 @@ def test_what_cannot_be_drawn_is_refused(gloss):
 @pytest.mark.parametrize("kind", ["angles", "image", "spectra"])
 def test_files_materials_and_predictions_are_drawn_together(folder, tmp_path, kind):
     drawn = sources(
-        [str(folder / "files" / "syn_gloss_red_rgb.bsdf"), "syn_felt_green"],
-        [[0.1, 0.2]],
-        folder / "model.h5",
+        [
+            FileSource(folder / "files" / "syn_gloss_red_rgb.bsdf"),
+            LibrarySource(folder / "library.zarr", "syn_felt_green"),
+            PlaceSource(folder / "model.h5", [0.1, 0.2]),
+        ]
     )
     assert [s.label for s in drawn] == ["syn_gloss_red", "syn_felt_green", "predicted at 0.1, 0.2"]
     slices(drawn, tmp_path / "picture.png", kind=kind)
@@ -160,13 +163,14 @@ def test_files_of_one_name_are_labelled_by_their_paths(folder, tmp_path):
     file = folder / "files" / "syn_gloss_red_rgb.bsdf"
     other = tmp_path / file.name
     other.write_bytes(file.read_bytes())
-    drawn = sources([str(file), str(other), "syn_gloss_red", "syn_felt_green"], [], folder / "model.h5")
+    named = [LibrarySource(folder / "library.zarr", name) for name in ("syn_gloss_red", "syn_felt_green")]
+    drawn = sources([FileSource(file), FileSource(other), *named])
     assert [s.label for s in drawn] == [str(file), str(other), "syn_gloss_red", "syn_felt_green"]
 
 
-def test_nothing_to_draw_is_refused(folder):
+def test_nothing_to_draw_is_refused():
     with pytest.raises(UsageError, match="nothing to draw"):
-        sources([], [], folder / "model.h5")
+        sources([])
 
 
 def test_names_are_drawn_as_they_are(tmp_path):

@@ -53,6 +53,7 @@ def folder(tmp_path_factory) -> Path:
         write_bsdf(path / f"{name}_rgb.bsdf", measured(name))
     gold = {m.name: m for m in corpus.isotropic_materials()}["syn_satin_gold"]
     write_bsdf(path / "syn_satin_gold_spec.bsdf", corpus.measure(gold))
+    (path / "flat.png").touch()
     small_model(path)
     return path
 
@@ -295,15 +296,16 @@ def test_scalar_variants_make_the_same_picture(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("render",), "found nothing to render"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--latent", "0,0"), "found a file and --latent"),
-        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "goes with --latent and --from"),
+        (("render",), "found nothing, expected one material"),
+        (("render", "syn_gloss_red_rgb.bsdf", "--latent", "0,0"), "and --latent 0,0, expected one material"),
+        (("render", "syn_gloss_red_rgb.bsdf", "--direct"), "direct renders are of places"),
         (("render", "syn_gloss_red_rgb.bsdf", "--illuminant", "F11"), "needs a spectrum"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "a.jpg"), "written as .exr"),
         (("render", "syn_gloss_red_rgb.bsdf", "-o", "nowhere/a.png"), "cannot write"),
         (("render", "syn_gloss_red_rgb.bsdf", "--environment", "nothing.exr"), "no such file"),
         (("render", "--latent", "0,0,0,0"), "found 4 coordinates"),
-        (("compare", "syn_gloss_red_rgb.bsdf", "a.png"), "a material and a picture"),
+        (("compare", "syn_gloss_red_rgb.bsdf", "a.png"), "a.png: no such file"),
+        (("compare", "syn_gloss_red_rgb.bsdf", "flat.png"), "a material and a picture"),
     ],
 )
 def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, capsys, arguments, message):

@@ -172,14 +172,14 @@ def test_two_files_of_one_name_are_refused(folder, tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "expected either a source or --latent"),
-        (["copper_rgb.fit.json", "--latent", "0,0"], "expected either a source or --latent"),
+        ([], "found nothing, expected one material"),
+        (["copper_rgb.fit.json", "--latent", "0,0"], "expected one material"),
         (["copper_rgb.fit.json", "-o", "x.obj"], "suffix '.obj', expected one of .glb"),
         (["copper_rgb.fit.json", "-o", "x.json"], "several targets are JSON"),
-        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with --latent"),
+        (["copper_rgb.fit.json", "-o", "x.glb", "--srgb", "#ff0000"], "go with predictions"),
         (["copper_rgb.bsdf", "-o", "x.glb", "--against", "copper_rgb.bsdf"], "compared with itself"),
         (["nowhere.fit.json", "-o", "x.glb"], "no such file"),
-        (["nowhere.bsdf", "-o", "x.glb"], "No such file"),
+        (["nowhere.bsdf", "-o", "x.glb"], "no such file"),
         (["copper_rgb.fit.json", "-o", "no/x.glb"], "cannot write this file"),
         ([".", "-o", "x.glb"], "named like a file, expected a folder"),
         ([".", "-o", "copper_rgb.bsdf"], "is a file, expected a folder"),

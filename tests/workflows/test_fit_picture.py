@@ -16,10 +16,11 @@ from manifold.io_rgl import write_bsdf
 from manifold.plots.plot_slices import angle_slices
 from manifold.rendering.ball import read_material
 from manifold.rendering.render import RenderSettings
-from manifold.workflows.fit_pictures import picture_of_fit, picture_of_prediction_fit
+from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.fits import FitSettings, fit_files, fit_prediction
 from manifold.workflows.pictures import sources
 from manifold.workflows.renders import compare
+from manifold.workflows.sources import FileSource, PlaceSource, source_file
 
 SETTINGS = RenderSettings(size=48, samples=32)
 FIT = FitSettings()
@@ -83,8 +84,10 @@ def test_a_fitted_brdf_is_what_mitsuba_evaluates(fitted):
 
 def test_fits_of_predictions_are_drawn_too(tmp_path):
     model = small_model(tmp_path)
-    outcome = fit_prediction(model, [0.1, 0.1], tmp_path / "p.fit.json", FIT)
-    made = picture_of_prediction_fit(outcome.path, model, [0.1, 0.1], tmp_path / "p.fit.png", SETTINGS)
+    place = PlaceSource(model, "0.1,0.1")
+    outcome = fit_prediction(place, tmp_path / "p.fit.json", FIT)
+    with source_file(place) as path:
+        made = picture_of_fit(outcome.path, path, tmp_path / "p.fit.png", SETTINGS)
     assert np.isfinite(made).all()
     assert (tmp_path / "p.fit.png").stat().st_size > 20_000
 
@@ -93,13 +96,13 @@ def test_a_fit_is_rendered_and_compared_like_a_file(fitted, tmp_path):
     material, fit = fitted
     source = read_material(fit)
     assert (source.is_rgb, source.route) == (True, "fitted principled")
-    made = compare(fit, material, tmp_path / "both.png", SETTINGS)
+    made = compare(FileSource(fit), FileSource(material), tmp_path / "both.png", SETTINGS)
     assert made.ball["ciede2000"].mean < 4.0
 
 
 def test_slices_show_a_fit_beside_its_material(fitted, tmp_path):
     material, fit = fitted
-    drawn = sources([str(material), str(fit)], [], tmp_path / "no_model.h5")
+    drawn = sources([FileSource(material), FileSource(fit)])
     assert [source.label for source in drawn] == ["satin", "satin, fitted"]
     measured_line, fitted_line = angle_slices(drawn).axes[1].lines[:2]
     x = measured_line.get_xdata()

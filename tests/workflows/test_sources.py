@@ -1,0 +1,164 @@
+"""A material is named by its file, by its name in a library, or by a place on a map, in every command."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from helpers.small_library import NAMES, small_model
+
+from manifold.errors import MissingFileError, UnknownNameError
+from manifold.io_rgl import read_bsdf
+from manifold.library.store import Library
+from manifold.model import diagnostics
+from manifold.model.manifold import Manifold
+from manifold.plots import plot_latents
+from manifold.workflows.sources import (
+    FileSource,
+    LibrarySource,
+    PlaceSource,
+    parse_source,
+    read_source,
+    source_file,
+)
+
+NAME, OTHER = NAMES[:2]
+FILE = f"files/{NAME}_rgb.bsdf"
+MATERIALS = (FILE, NAME, "-0.1,0.2", f"{NAME}:{OTHER}:0.5")
+SMALL = ("--size", "16", "--samples", "1")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """`files/`, `library.zarr` and `model.h5`."""
+    return small_model(tmp_path_factory.mktemp("sources")).parent
+
+
+def test_a_text_is_a_file_then_a_name_then_a_place(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    model = folder / "model.h5"
+    (folder / OTHER).mkdir(exist_ok=True)  # a folder of that name hides no material
+    kinds = [type(parse_source(text, model)) for text in (*MATERIALS, OTHER, "files")]
+    assert kinds == [FileSource, LibrarySource, PlaceSource, PlaceSource, LibrarySource, FileSource]
+    (folder / NAME).write_bytes(b"a file")
+    assert parse_source(NAME, model) == FileSource(parse_source(FILE, model).path.parent.parent / NAME)
+    (folder / NAME).unlink()
+
+
+def test_what_a_text_cannot_mean_is_said_in_one_line(folder):
+    model = folder / "model.h5"
+    with pytest.raises(
+        UnknownNameError, match=r"no file, no material of library\.zarr \(did you mean syn_felt"
+    ):
+        parse_source("syn_felt_gren", model)
+    for text in ("none.bsdf", "folder/none"):
+        with pytest.raises(MissingFileError, match=f"{text}: no such file"):
+            parse_source(text, model)
+    with pytest.raises(UnknownNameError, match=r"felt: no file, no name of a material \(.*no such"):
+        parse_source("felt", folder / "none.h5")
+
+
+def test_a_material_of_a_library_is_its_file(folder):
+    library = folder / "library.zarr"
+    source = LibrarySource(library, NAME)
+    file, original = read_source(source), read_bsdf(folder / FILE)
+    assert (file.name, file.description) == (original.name, original.description)
+    assert (file.spectra == original.spectra).all()
+    with source_file(source) as path:
+        assert read_bsdf(path).name == NAME
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("text", MATERIALS)
+def test_files_names_and_places_are_drawn_located_and_reconstructed(run, folder, text):
+    for command, made in {
+        ("slices", text, NAME): "slices.png",
+        ("locate", text, "-o", "located.bsdf"): "located.bsdf",
+        ("reconstruct", text, "--without", NAME): "reconstructed.bsdf",
+    }.items():
+        status, _, err = run(*command, cwd=folder)
+        assert (status, err) == (0, ""), (command, err)
+        assert (folder / made).is_file()
+
+
+@pytest.mark.parametrize("text", MATERIALS)
+def test_files_names_and_places_are_rendered_compared_fitted_and_exported(run, folder, text):
+    pytest.importorskip("mitsuba")
+    for command, made in {
+        ("render", text, *SMALL): "render.png",
+        ("compare", text, OTHER, *SMALL): "comparison.png",
+        ("fit", text, "-o", "one.fit.json"): "one.fit.json",
+        ("export", text, "-o", "one.glb", "--mapped"): "one.glb",
+    }.items():
+        status, _, err = run(*command, cwd=folder)
+        assert (status, err) == (0, ""), (command, err)
+        assert (folder / made).is_file()
+
+
+def test_several_kinds_are_fitted_into_one_folder(run, folder):
+    pytest.importorskip("mitsuba")
+    status, _, err = run("fit", OTHER, "0.1,0.2", "-o", "fits", "--json", "fits.json", cwd=folder)
+    assert (status, err) == (0, "")
+    assert {path.name for path in (folder / "fits").iterdir()} == {f"{OTHER}.fit.json", "0.1,0.2.fit.json"}
+    sources = [made["source"] for made in json.loads((folder / "fits.json").read_text())["fits"]]
+    info = Library(folder / "library.zarr").attributes(OTHER)
+    assert (sources[0]["file"], sources[0]["sha256"]) == (info.source_file, info.sha256)
+    assert sources[1]["latent"] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("render", NAME, "--latent", "0,0"), f"found {NAME} and --latent 0,0, expected one material"),
+        (("render",), "found nothing, expected one material"),
+        (("render", NAME, "--like", OTHER), "--like, --reflectance and --srgb go with predictions"),
+        (("compare", "0,0", "syn_felt_gren"), "did you mean"),
+        (("export", "0,0", "-o", "x.glb", "--against", FILE), "compared with itself"),
+        (("fit",), "found nothing to fit"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(run, folder, arguments, words):
+    status, out, err = run(*arguments, cwd=folder)
+    assert (status, out) == (2, "")
+    assert words in " ".join(err.split())
+
+
+@pytest.mark.parametrize("command", ["locate", "reconstruct"])
+def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatch, command):
+    monkeypatch.setattr(diagnostics, "MOST_ALBEDO", 0.01)
+    status, out, err = run(command, FILE, "-o", "bright.bsdf", "--json", "found.json", cwd=folder)
+    assert (status, (folder / "bright.bsdf").exists()) == (1, False)
+    assert "bright.bsdf: would have a directional albedo of" in " ".join(err.split())
+    assert "reconstruction error" in out
+    assert "written to" not in out
+    found = json.loads((folder / "found.json").read_text())
+    assert found["output"] is None
+    assert found["refusal"] in " ".join(err.split())
+    assert found["ball"] >= 0.0
+    assert command == "reconstruct" or len(found["latent"]) == 2
+
+
+@pytest.mark.parametrize("command", [("predict", "0.1,0.2"), ("locate", FILE), ("reconstruct", FILE)])
+def test_a_projected_file_says_what_the_projection_changed(run, folder, command):
+    status, out, err = run(*command, "--physical", "-o", "physical.bsdf", cwd=folder)
+    assert (status, err) == (0, "")
+    assert "made physical: largest albedo" in " ".join(out.split())
+
+
+def test_files_that_were_not_measured_are_not_called_measured(run, folder):
+    pytest.importorskip("mitsuba")
+    for command, origin in {
+        ("predict", "0.1,0.2"): "predicted",
+        ("reconstruct", FILE): "reconstructed",
+        ("complete", "--lab", "50,20,10"): "completed",
+    }.items():
+        assert run(*command, "-o", f"{origin}.bsdf", cwd=folder)[0] == 0
+        file = f"{origin}.bsdf"
+        commands = (("info", file), ("render", file, *SMALL), ("slices", file))
+        shown = "".join(run(*words, cwd=folder)[1] for words in commands)
+        assert shown.count(origin) >= 3, shown
+        assert "measured file" not in shown
+    assert run("import", FILE, f"files/{OTHER}_rgb.bsdf", "predicted.bsdf", "-L", "L", cwd=folder)[0] == 0
+    assert "1 of them predicted" in run("info", "L", cwd=folder)[1]
+    model = Manifold.fit(folder / "L", calibrate=False)
+    assert plot_latents.material_labels(model)[0] == "predicted (predicted)"

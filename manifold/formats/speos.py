@@ -31,17 +31,28 @@ _HEADER = re.compile(r"OPTIS - (brdf|anisotropic bsdf) surface file v(\d{1,3})",
 _BREAK = re.compile(r"\r\n|\r|\n")
 _OLDEST = 7  # the layout of older versions is not public
 _MOST = 2000  # angles, wavelengths
+_INCIDENCES = "angles of incidence"
 _LEAST_COSINE = 1e-3  # nothing is measured nearer to the horizon
 _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files of Ansys' converters
 
 
 class _Table(NamedTuple):
-    """Values (T, P) at elevations (T,) and azimuths (P,) in degrees, a full turn; and the line where it begins."""
+    """What is proportional to f, (T, P), at elevations (T,) and azimuths (P,) in degrees, a full turn; and its line."""
 
     theta: Array
     phi: Array
-    values: Array
+    f: Array
     where: str
+
+
+class _Block(NamedTuple):
+    """f in 1/sr, (T, P, B), of light from an elevation, at an anisotropy angle; degrees."""
+
+    theta_i: float
+    turn: float
+    theta: Array
+    phi: Array
+    f: Array
 
 
 class _Lines:
@@ -74,29 +85,54 @@ class _Lines:
         where = f"line {self.number}, {what}"
         return [self.context.count(f"{value:.9g}", where, _MOST) for value in self.row(number, what)]
 
-    def increasing(self, count: int, what: str) -> Array:
-        """The next line's numbers, which increase."""
+    def increasing(self, count: int, what: str, most: float = 360.0) -> Array:
+        """The next line's numbers, from 0 to `most`, which increase."""
         where, values = f"line {self.number}", np.array(self.row(count, what))
-        if np.any(np.diff(values) <= 0.0):
-            raise self.context.error(f"{what} do not increase, expected them ordered", where)
+        if np.any(np.diff(values) <= 0.0) or values[0] < 0.0 or values[-1] > most:
+            raise self.context.error(f"{what}: expected ordered numbers from 0 to {most:g}", where)
         return values
 
-    def angles(self, what: str) -> Array:
-        """A line with a count, and a line with as many angles."""
-        return self.increasing(self.counts(1, f"the count of {what}")[0], what)
+    def incidences(self) -> tuple[Array, list[Array]]:
+        """Anisotropy angles, and the elevations of incidence at each."""
+        turns = self._list("anisotropy angles", 360.0)
+        return turns, [self._list(_INCIDENCES, 90.0) for _ in turns]
 
-    def table(self) -> _Table:
+    def _list(self, what: str, most: float) -> Array:
+        (count,) = self.counts(1, f"the count of {what}")
+        return self.increasing(count, what, most)
+
+    def spectrum(self) -> tuple[list[float], Array, Array]:
+        """Elevation and anisotropy angle where it was measured, wavelengths in nm, and percentages of light."""
+        at = self.row(2, "theta and phi of the spectrum")
+        self.text("a title of the spectrum")
+        (count,) = self.counts(1, "the count of wavelengths")
+        nm, percent = np.array([self.row(2, "a wavelength and its percentage") for _ in range(count)]).T
+        if np.any(np.diff(nm) <= 0.0):
+            raise self.context.error(
+                "wavelengths do not increase, expected them ordered", f"line {self.number}"
+            )
+        return at, nm, percent
+
+    def table(self, is_bsdf: bool) -> _Table:
         """Counts of elevations and azimuths, the azimuths, and lines of an elevation and its values."""
         where = f"line {self.number}"
         n_theta, n_phi = self.counts(2, "counts of theta and phi")
         phi = self.increasing(n_phi, "azimuths")
         rows = np.array([self.row(n_phi + 1, "theta and its values") for _ in range(n_theta)])
-        theta = rows[:, 0]
-        if np.any(np.diff(theta) <= 0.0) or theta[0] < 0.0 or not np.isclose(phi[-1] - phi[0], 360.0):
-            raise self.context.error(
-                "expected elevations from 0 to 90 and azimuths from 0 to 360 degrees", where
-            )
-        return _Table(theta, phi, rows[:, 1:], where)
+        theta, f = rows[:, 0], rows[:, 1:]
+        if np.any(np.diff(theta) <= 0.0) or theta[0] < 0.0 or phi[-1] - phi[0] < 359.999:
+            raise self.context.error("expected elevations and azimuths that increase, and a full turn", where)
+        if not is_bsdf:  # intensities
+            f = f / np.maximum(np.cos(np.deg2rad(theta)), _LEAST_COSINE)[:, None]
+        return _Table(theta, phi, f, where)
+
+    def scale(self, table: _Table, percent: float) -> float:
+        """The factor with which a table reflects a percentage of light."""
+        reflected = _reflected(table.theta, table.phi, table.f)
+        if not 0.0 <= percent <= 1000.0 or (percent > 0.0 and reflected <= 0.0):
+            found = f"{percent:g} % of light is reflected by a table whose integral is {reflected:g}"
+            raise self.context.error(f"{found}, expected 0 to 100", table.where)
+        return percent / (100.0 * reflected) if percent else 0.0
 
 
 def sniff(head: bytes) -> bool:
@@ -118,15 +154,12 @@ def read(path: Path) -> list[Readings]:
     if header is None or len(head) < 5:
         raise context.error("the file ends within its first lines: it is cut off")
     if int(header[2]) < _OLDEST:
-        raise context.error(
-            f"version {header[2]}, expected {_OLDEST} or newer: the layout of older ones is not public"
-        )
+        expected = f"{_OLDEST} or newer: the layout of older ones is not public"
+        raise context.error(f"version {header[2]}, expected {expected}")
     if head[1].strip() != "0":
         raise context.error(f"mode '{head[1].strip()[:12]}', expected 0, a text", "line 2")
     if not re.fullmatch(r"\s*\d{1,6}\s*", head[3]):
-        raise context.error(
-            f"found '{head[3][:24]}', expected the number of letters of the description", "line 4"
-        )
+        raise context.error(f"'{head[3][:24]}', expected the number of letters of the description", "line 4")
     described = head[4][: int(head[3])]  # it may have several lines
     number = 6 + len(_BREAK.findall(described))
     lines = _Lines(re.split(_BREAK, head[4][len(described) :])[1:], number, context)
@@ -136,95 +169,50 @@ def read(path: Path) -> list[Readings]:
     has_reflection, has_transmission = lines.row(2, "whether there is reflection and transmission")
     if has_reflection != 1.0:
         raise context.error("transmission only, expected reflection")
-    (is_bsdf,) = lines.row(1, "1 for a BSDF or 0 for intensities")
+    is_bsdf = lines.row(1, "1 for a BSDF or 0 for intensities") == [1.0]
     notes = ["scaled to the percentages of reflected light that the file gives"]
     if has_transmission:
         notes.append("transmission is left out")
-    find = _brdf if is_brdf else _anisotropic
-    return [_readings(path.stem, *find(lines, is_bsdf == 1.0, has_transmission == 1.0, notes), notes)]
+    nm, blocks = _brdf(lines, is_bsdf) if is_brdf else _anisotropic(lines, is_bsdf, has_transmission == 1.0)
+    return [_readings(path.stem, unnamed_band(notes) if nm is None else nm, blocks, notes)]
 
 
-# Elevation of incidence and anisotropy angle in degrees, angles, and f (T, P, B) of a table.
-_Block = tuple[float, float, Array, Array, Array]
-
-
-def _brdf(lines: _Lines, is_bsdf: bool, _: bool, notes: list[str]) -> tuple[Array | None, list[_Block]]:
+def _brdf(lines: _Lines, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:
     """Wavelengths in nm, and a block per incidence."""
     n_theta, n_nm = lines.counts(2, "counts of incidences and wavelengths")
-    incidences, nm = lines.increasing(n_theta, "incidences"), lines.increasing(n_nm, "wavelengths")
+    incidences = lines.increasing(n_theta, _INCIDENCES, 90.0)
+    nm = lines.increasing(n_nm, "wavelengths", 1e6)
     blocks = []
     for theta_i in incidences:
-        percent, tables = zip(
-            *((lines.row(1, "percent of reflected light")[0], lines.table()) for _ in nm), strict=True
-        )
-        theta, phi = tables[0].theta, tables[0].phi
+        tables, values = list[_Table](), list[Array]()
+        for _ in nm:
+            (percent,) = lines.row(1, "percent of reflected light")
+            tables.append(table := lines.table(is_bsdf))
+            values.append(table.f * lines.scale(table, percent))
+        theta, phi, _, where = tables[0]
         if any(not (np.array_equal(t.theta, theta) and np.array_equal(t.phi, phi)) for t in tables):
-            raise lines.context.error(
-                "other angles than at the first wavelength, expected the same", tables[0].where
-            )
-        values = [_brdf_values(table, is_bsdf) for table in tables]
-        scaled = [f * _scale(t, f, p, lines.context) for t, f, p in zip(tables, values, percent, strict=True)]
-        blocks.append((theta_i, 0.0, theta, phi, np.stack(scaled, axis=-1)))
+            raise lines.context.error("other angles at other wavelengths, expected the same", where)
+        blocks.append(_Block(theta_i, 0.0, theta, phi, np.stack(values, axis=-1)))
     return nm, blocks
 
 
-def _anisotropic(
-    lines: _Lines, is_bsdf: bool, has_transmission: bool, notes: list[str]
-) -> tuple[Array | None, list[_Block]]:
+def _anisotropic(lines: _Lines, is_bsdf: bool, has_transmission: bool) -> tuple[Array | None, list[_Block]]:
     """Wavelengths in nm, or None for one band, and a block per incidence and anisotropy angle."""
-    turns = lines.angles("anisotropy angles")
-    incidences = [lines.angles("incidences") for _ in turns]
+    turns, incidences = lines.incidences()
     if has_transmission:
-        for _ in lines.angles("anisotropy angles"):
-            lines.angles("incidences")
-    theta_0, turn_0 = lines.row(2, "theta and phi of the spectrum")
-    lines.text("a title of the spectrum")
-    (n_nm,) = lines.counts(1, "the count of wavelengths")
-    nm, percent = np.array([lines.row(2, "a wavelength and its percentage") for _ in range(n_nm)]).T
-    if np.any(np.diff(nm) <= 0.0):
-        raise lines.context.error("wavelengths do not increase, expected them ordered")
+        lines.incidences()
+    (theta_0, turn_0), nm, percent = lines.spectrum()
     if has_transmission:
-        lines.row(2, "theta and phi of the spectrum")
-        lines.text("a title of the spectrum")
-        for _ in range(lines.counts(1, "the count of wavelengths")[0]):
-            lines.row(2, "a wavelength and its percentage")
+        lines.spectrum()
     if turn_0 not in turns:
-        raise lines.context.error(
-            f"a spectrum at an anisotropy angle of {turn_0:g}, expected one of the tables'"
-        )
-    blocks, scales = list[_Block](), list[float]()
-    for turn, own in zip(turns, incidences, strict=True):
-        for theta_i in own:
-            table = lines.table()
-            f = _brdf_values(table, is_bsdf)
-            blocks.append((theta_i, turn, table.theta, table.phi, f[..., None]))
-            if turn == turn_0:
-                scales.append(_scale(table, f, 1.0, lines.context))
+        raise lines.context.error(f"a spectrum at anisotropy angle {turn_0:g}, expected one of the tables'")
+    found = [(t, k, lines.table(is_bsdf)) for t, own in zip(turns, incidences, strict=True) for k in own]
+    scales = [lines.scale(table, 1.0) for turn, _, table in found if turn == turn_0]
     scale = percent * np.interp(theta_0, incidences[list(turns).index(turn_0)], scales)
-    if np.ptp(percent) == 0.0:  # what has no colour is one band
-        return None, [(*block, f * scale[0]) for *block, f in blocks]
-    notes.append("one shape in all bands, times a spectrum")
-    return nm, [(*block, f * scale) for *block, f in blocks]
-
-
-def _brdf_values(table: _Table, is_bsdf: bool) -> Array:
-    """What is proportional to f (T, P): intensities are divided by the cosine."""
-    if is_bsdf:
-        return table.values
-    cosine = np.maximum(np.cos(np.deg2rad(table.theta)), _LEAST_COSINE)
-    return table.values / cosine[:, None]
-
-
-def _scale(table: _Table, f: Array, percent: float, context: ErrorContext) -> float:
-    """The factor with which a table reflects a percentage of light."""
-    if not 0.0 <= percent <= 1000.0:
-        raise context.error(f"{percent:g} % of reflected light, expected 0 to 100", table.where)
-    reflected = _reflected(table.theta, table.phi, f)
-    if percent == 0.0:
-        return 0.0
-    if reflected <= 0.0:
-        raise context.error(f"a table that reflects nothing, expected {percent:g} %", table.where)
-    return percent / (100.0 * reflected)
+    is_flat = np.ptp(percent) == 0.0  # what has no colour is one band
+    scale = scale[:1] if is_flat else scale
+    blocks = [_Block(k, t, table.theta, table.phi, table.f[..., None] * scale) for t, k, table in found]
+    return None if is_flat else nm, blocks
 
 
 def _reflected(theta: Array, phi: Array, f: Array) -> float:
@@ -234,30 +222,20 @@ def _reflected(theta: Array, phi: Array, f: Array) -> float:
     return float(np.trapezoid(around * np.sin(theta) * np.maximum(np.cos(theta), 0.0), theta))
 
 
-def _readings(name: str, nm: Array | None, blocks: list[_Block], notes: list[str]) -> Readings:
-    wi, wo, values, seen = [], [], [], set()
-    for theta_i, turn, theta, phi, f in blocks:
-        key = theta_i, turn % 360.0
-        if key in seen:  # 360 degrees beside 0
-            continue
-        seen.add(key)
-        azimuth, radial, rows = unique_directions(phi, theta)
-        out = from_spherical(np.deg2rad(radial), np.deg2rad(azimuth - turn))
+def _readings(name: str, nm: Array, blocks: list[_Block], notes: list[str]) -> Readings:
+    wi, wo, values = [], [], []
+    for block in {
+        (block.theta_i, block.turn % 360.0): block for block in blocks
+    }.values():  # 360 degrees are 0
+        azimuth, radial, rows = unique_directions(block.phi, block.theta)
+        out = from_spherical(np.deg2rad(radial), np.deg2rad(azimuth - block.turn))
         above = out[:, 2] > _LEAST_COSINE
-        light = from_spherical(np.deg2rad(theta_i), np.deg2rad(180.0 - turn))
+        light = from_spherical(np.deg2rad(block.theta_i), np.deg2rad(180.0 - block.turn))
         wi.append(np.tile(np.maximum(light, [-1.0, -1.0, 0.0]), (int(above.sum()), 1)))
         wo.append(out[above])
-        values.append(np.swapaxes(f, 0, 1).reshape(-1, f.shape[-1])[rows][above])
-    nm = unnamed_band(notes) if nm is None else nm
-    return Readings(
-        name,
-        "Ansys Speos",
-        np.concatenate(wi),
-        np.concatenate(wo),
-        nm,
-        np.concatenate(values),
-        notes=tuple(notes),
-    )
+        values.append(np.swapaxes(block.f, 0, 1).reshape(-1, block.f.shape[-1])[rows][above])
+    all_wi, all_wo, f = (np.concatenate(arrays) for arrays in (wi, wo, values))
+    return Readings(name, "Ansys Speos", all_wi, all_wo, nm, f, notes=tuple(notes))
 
 
 def write(path: Path, table: DenseTable) -> None:

@@ -15,16 +15,15 @@ from manifold.errors import ShapeError
 from manifold.formats.angles import directions, exceed_radians
 from manifold.formats.column_heads import Quantity, angle_name, angle_unit, quantity, wavelength
 from manifold.formats.csv_table import angles_deg, band_heads
-from manifold.formats.error_context import ErrorContext
+from manifold.formats.error_context import MOST_ROWS, ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import decode, find_separator, read_lines, split_cells
+from manifold.formats.text import data_lines, decode, find_separator, read_lines, split_cells
 from manifold.formats.values import as_brdf, bands_of, nanometres
 from manifold.records import Array
 from manifold.system import atomic
 from manifold.system.names import in_one_line
 
 _REMEDY = "export the table again"
-_MOST_ROWS = 5_000_000
 _PADDING_FROM = np.deg2rad(75.0)  # a Mini-Diff sees no further; beyond, its files ramp to zero
 _STEEP_INCIDENCE, _STEEP_WEIGHT = np.deg2rad(50.0), 0.5  # its incidence of 60 degrees is less reliable
 
@@ -69,7 +68,7 @@ def read(path: Path) -> list[Readings]:
     table, notes, columns = _rows(lines, start + 1, columns, context)
     announced = header.get("NUM_POINTS")
     if announced is not None:
-        expected = context.count(announced, "NUM_POINTS", _MOST_ROWS)
+        expected = context.count(announced, "NUM_POINTS", MOST_ROWS)
         if len(table) < expected:
             raise context.error(f"{len(table)} rows, expected {expected} (NUM_POINTS): the file is truncated")
         if len(table) > expected:
@@ -126,18 +125,13 @@ def _rows(
     lines: list[str], start: int, columns: _Columns, context: ErrorContext
 ) -> tuple[Array, list[str], _Columns]:
     """The table of numbers, notes, and the columns with what `VARS` leaves out."""
-    numbered = [
-        (k, line) for k, line in enumerate(lines[start:], start=start + 1)
-        if line.strip() and not line.lstrip().startswith(("#", "!"))
-    ]  # fmt: skip
+    numbered = data_lines(lines[start:], start + 1)
     while numbered and re.fullmatch(r"\s*(END|EOF|DATA_?END)\s*", numbered[-1][1], re.IGNORECASE):
         numbered.pop()
     if numbered and re.fullmatch(r"\s*(DATA|BEGIN|DATA_?BEGIN)\s*", numbered[0][1], re.IGNORECASE):
         numbered = numbered[1:]
     if not numbered:
         raise context.error("no rows below VARS, expected one per direction pair")
-    if len(numbered) > _MOST_ROWS:
-        raise context.error(f"{len(numbered)} rows, expected at most {_MOST_ROWS}")
     separator = find_separator([line for _, line in numbered[:20]])
     width = len(split_cells(numbered[0][1], separator))
     notes: list[str] = []

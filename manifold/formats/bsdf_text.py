@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from manifold.formats.error_context import ErrorContext
-from manifold.formats.text import read_lines
+from manifold.formats.text import data_lines, read_lines
 from manifold.records import Array, Indices
 
 _MOST_ANGLES = 20_000
 _MOST_VALUES = 50_000_000
 _REMEDY = "export the file again"
-_COMMENT = ("#", "!")
 _MOST_BLOCKS = 100_000
 _LISTS = ("samplerotation", "angleofincidence", "scatterazimuth", "scatterradial")
 _NUMBERS = ("aoi", "poi", "wavelength")
@@ -116,9 +115,9 @@ class _Words:
     def __init__(self, path: Path) -> None:
         """Read the file. Raises: as `read_lines`."""
         self.context = ErrorContext(path, _REMEDY)
-        numbered = [(k, line) for k, line in enumerate(read_lines(path), start=1) if line.strip()]
-        self._lines = [(k, line) for k, line in numbered if not line.lstrip().startswith(_COMMENT)]
-        self.comments = [line.strip() for _, line in numbered if line.lstrip().startswith(_COMMENT)]
+        lines = read_lines(path)
+        self._lines = data_lines(lines)
+        self.comments = [line.strip() for line in lines if line.lstrip().startswith(("#", "!"))]
         self._line, self._word = 0, 0
         self._split: tuple[int, list[str]] = (-1, [])
 
@@ -201,6 +200,12 @@ class _Words:
 def _plain(word: str) -> str:
     """A key without case, colons and underscores."""
     return re.sub(r"[^a-z0-9]", "", word.lower())
+
+
+def total_scatter(values: Array, radial: Array, cosine: Array) -> float:
+    """The fraction of light in a table (azimuths, radials) about an axis, cosines of theta_o broadcast; radians."""
+    weight = np.sin(radial) * np.maximum(cosine, 0.0)
+    return float((values * weight).mean(axis=0).sum() * 2.0 * np.pi * np.gradient(radial).mean())
 
 
 def angle_line(angles: Array) -> str:

@@ -13,6 +13,8 @@ from manifold.records import Array
 from manifold.system.names import printable
 
 _LONGEST_FINDING = 400  # letters
+MOST_ROWS = 5_000_000
+"""Of a table."""
 
 
 class ErrorContext:
@@ -46,6 +48,7 @@ class ErrorContext:
 
     def table(self, lines: Sequence[tuple[int, str]], separator: str | None, width: int) -> Array:
         """The numbers of lines of `width` cells, each line with its number in the file; shape (lines, cells)."""
+        self.require_rows(lines)
         table = np.empty((len(lines), width))
         for row, (line_number, line) in zip(table, lines, strict=True):
             cells = split_cells(line, separator)
@@ -53,6 +56,11 @@ class ErrorContext:
                 raise self.error(f"{len(cells)} cells, expected {width}", f"line {line_number}")
             row[:] = self.numbers(cells, line_number)
         return table
+
+    def require_rows(self, lines: Sequence[tuple[int, str]]) -> None:
+        """Raise FileFormatError where there is no line, or more than tables have."""
+        if not 1 <= len(lines) <= MOST_ROWS:
+            raise self.error(f"{len(lines)} rows, expected 1 to {MOST_ROWS}")
 
     def count(self, text: str, where: str, largest: int) -> int:
         """A whole number from 1 to `largest`."""

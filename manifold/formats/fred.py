@@ -17,12 +17,11 @@ from manifold.formats.angles import directions
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import decode, read_lines
+from manifold.formats.text import data_lines, decode, read_lines
 from manifold.formats.values import unnamed_band
 from manifold.system import atomic
 
 _TYPE, _FORMAT = "type bsdf_data", "format angles=deg bsdf=value scale=1"
-_MOST_ROWS = 5_000_000
 _REMEDY = f"write it with the lines '{_TYPE}' and '{_FORMAT}'"
 
 
@@ -39,12 +38,11 @@ def read(path: Path) -> list[Readings]:
         UsageError: the file cannot be read.
     """
     context = ErrorContext(path, _REMEDY)
-    lines = [(k, line) for k, line in enumerate(read_lines(path), start=1) if line.strip()]
+    lines = data_lines(read_lines(path), marks=())
+    context.require_rows(lines)
     said = " ".join(lines[1][1].lower().split()) if len(lines) > 1 else "no line"
     if said != _FORMAT:
         raise context.error(f"found '{said[:60]}', expected '{_FORMAT}'", "line 2")
-    if len(lines) > _MOST_ROWS:
-        raise context.error(f"{len(lines)} lines, expected at most {_MOST_ROWS}")
     rows: list[list[float]] = []
     incidence: list[float] = []
     begins = 0  # of the incidence's rows

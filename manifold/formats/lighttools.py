@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.bsdf_text import Block, angle_line, read_blocks
+from manifold.formats.bsdf_text import Block, angle_line, read_blocks, total_scatter
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
@@ -195,10 +195,6 @@ def write(path: Path, table: DenseTable) -> None:
                 rows = np.roll(
                     values[i, j, :, :, b].T, turn if phi_i.size == 1 else 0, axis=0
                 )  # [azimuth, radial]
-                cosine = np.cos(np.deg2rad(theta_o)) * np.sin(np.deg2rad(theta_o))
-                tis = float(
-                    (rows * cosine).mean(axis=0).sum() * 2 * np.pi * np.deg2rad(np.gradient(theta_o)).mean()
-                )
-                lines.append(f"TIS {tis:.6g}")
+                lines.append(f"TIS {total_scatter(rows, table.axes[2], np.cos(table.axes[2])):.6g}")
                 lines += [" ".join(f"{v:.7g}" for v in row) for row in [*rows, rows[0]]]
     atomic.write_text(path, "\n".join([*lines, "DataEnd"]) + "\n")

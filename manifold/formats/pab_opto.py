@@ -6,22 +6,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.errors import FileFormatError
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
-from manifold.formats.text import decode, find_separator, number, read_lines, split_cells
+from manifold.formats.text import data_lines, decode, find_separator, number, read_lines, split_cells
 from manifold.formats.values import converted, nanometres, unnamed_band
 from manifold.records import Array
 
 _REMEDY = "export the measurement again"
-_MOST_ROWS = 5_000_000
 _LEAST_COSINE = 1e-3  # DSF / cos(theta_o) is meaningless closer to the horizon
 
 
@@ -102,13 +98,8 @@ def _incidence(header: dict[str, str], context: ErrorContext) -> tuple[float, fl
 
 
 def _rows(lines: list[str], context: ErrorContext) -> Array:
-    rows = [
-        (k, line)
-        for k, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not rows or len(rows) > _MOST_ROWS:
-        raise context.error(f"{len(rows)} rows, expected 1 to {_MOST_ROWS}")
+    rows = data_lines(lines, marks=("#",))
+    context.require_rows(rows)
     separator = find_separator([line for _, line in rows[:20]])
     width = len(split_cells(rows[0][1], separator))
     if width < 3:
@@ -117,21 +108,3 @@ def _rows(lines: list[str], context: ErrorContext) -> Array:
     if np.any(table[:, 0] < 0.0) or np.any(table[:, 0] > 180.0):
         raise context.error("a theta outside 0 to 180 degrees, expected degrees from the normal")
     return table
-
-
-def merge(parts: Sequence[Readings]) -> Readings:
-    """One record of the files of several incidences of one sample.
-
-    Raises:
-        FileFormatError: they have different bands.
-    """
-    first = parts[0]
-    for part in parts[1:]:
-        if part.bands != first.bands:
-            raise FileFormatError(f"{part.name}: {part.bands}, expected {first.bands} as in {first.name}")
-    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-    wi, wo, values, weights, scatter = (
-        np.concatenate([getattr(part, key) for part in parts])
-        for key in ("wi", "wo", "values", "weights", "scatter")
-    )
-    return replace(first, wi=wi, wo=wo, values=values, weights=weights, scatter=scatter, notes=notes)

@@ -6,6 +6,7 @@ A format is a module with `sniff(head) -> bool` and `read(path) -> list of recor
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -198,4 +199,13 @@ def merge(records: Sequence[Record]) -> Record:
         raise UsageError(
             f"{len(records)} files, {len(records) - len(readings)} of them dense tables; give one of these"
         )
-    return pab_opto.merge(readings)
+    first = readings[0]
+    for part in readings[1:]:
+        if part.bands != first.bands:
+            raise FileFormatError(f"{part.name}: {part.bands}, expected {first.bands} as in {first.name}")
+    notes = tuple(dict.fromkeys(note for part in readings for note in part.notes))
+    wi, wo, values, weights, scatter = (
+        np.concatenate([getattr(part, key) for part in readings])
+        for key in ("wi", "wo", "values", "weights", "scatter")
+    )
+    return replace(first, wi=wi, wo=wo, values=values, weights=weights, scatter=scatter, notes=notes)

@@ -42,6 +42,17 @@ def read_lines(path: Path) -> list[str]:
     return decode(read_bytes(path)).split("\n")
 
 
+def data_lines(
+    lines: list[str], first: int = 1, marks: tuple[str, ...] = ("#", "!")
+) -> list[tuple[int, str]]:
+    """Lines that are neither empty nor comments, each with its number in the file; the first line's is `first`."""
+    return [
+        (k, line)
+        for k, line in enumerate(lines, start=first)
+        if line.strip() and not line.lstrip().startswith(marks)
+    ]
+
+
 def plain_float(text: str) -> float:
     """What Python takes the text for, or NaN: quicker than `number`, which decides where this is no finite number."""
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from manifold.directions import from_spherical, rotate_z
-from manifold.formats.bsdf_text import BsdfText, angle_line, read_blocks
+from manifold.formats.bsdf_text import BsdfText, angle_line, read_blocks, total_scatter
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
@@ -141,9 +141,7 @@ def write(path: Path, name: str, theta_i: Array, azimuth: Array, radial: Array, 
         lines += ["Monochrome" if values.shape[-1] == 1 else f"Tristimulus{'XYZ'[b]}", "DataBegin"]
         for theta, block in zip(theta_i, values[..., b], strict=True):
             _, wo = directions(theta, radial[None, :], azimuth[:, None])
-            weight = np.sin(radial) * np.maximum(wo[..., 2], 0.0)
-            tis = float((block * weight).mean(axis=0).sum() * 2 * np.pi * np.gradient(radial).mean())
-            lines.append(f"TIS {tis:.6g}")
+            lines.append(f"TIS {total_scatter(block, radial, wo[..., 2]):.6g}")
             lines += [" ".join(f"{v:.7g}" for v in row) for row in block]
         lines.append("DataEnd")
     atomic.write_text(path, "\n".join(lines) + "\n")

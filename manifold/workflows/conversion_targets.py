@@ -26,6 +26,7 @@ _MOST_INCIDENCES = 40
 _LOWEST = np.sin(np.deg2rad(1.0))
 _MEASURED_WITHIN = np.deg2rad(0.5)  # of a measured incidence: half a step of MERL's
 _STEEPEST = np.deg2rad(85.0)
+_FINE, _MEDIUM, _COARSE = (1.0, 5.0), (2.0, 10.0), (5.0, 15.0)  # degrees of elevation and azimuth
 _USUAL_INCIDENCES = np.deg2rad([0, 10, 20, 30, 40, 50, 60, 70, 80, 85])
 
 
@@ -124,31 +125,30 @@ def _write_utia(path: Path, source: Source, options: Options) -> list[str]:
 
 
 def _write_lighttools(path: Path, source: Source, options: Options) -> list[str]:
-    fine = source.nodes.bands.count <= 31
-    lighttools.write(path, _about_the_normal(source, 1.0 if fine else 2.0, 5.0 if fine else 10.0))
+    lighttools.write(path, _about_the_normal(source, _FINE if source.nodes.bands.count <= 31 else _MEDIUM))
     return []
 
 
 def _write_fred(path: Path, source: Source, options: Options) -> list[str]:
-    fred.write(path, _about_the_normal(source, 1.0, 5.0, one_turn=True))
+    fred.write(path, _about_the_normal(source, _FINE, one_turn=True))
     return _one_turn(source)
 
 
 def _write_speos(path: Path, source: Source, options: Options) -> list[str]:
-    speos.write(path, _about_the_normal(source, 2.0, 10.0, one_turn=True))
+    steps = _FINE if source.nodes.bands.count <= 31 else _MEDIUM
+    speos.write(path, _about_the_normal(source, steps, one_turn=True))
     return _one_turn(source)
 
 
 def _write_speos_anisotropic(path: Path, source: Source, options: Options) -> list[str]:
-    speos.write_anisotropic(path, _about_the_normal(source, 1.0, 5.0))
+    speos.write_anisotropic(path, _about_the_normal(source, _FINE))
     return []
 
 
 def _write_openmaterial(path: Path, source: Source, options: Options) -> list[str]:
-    coarse = source.nodes.bands.count > 31  # a row per value: a million of them are 45 MB
-    openmaterial.write(
-        path, _about_the_normal(source, 5.0 if coarse else 2.0, 15.0 if coarse else 10.0, one_turn=True)
-    )
+    count = source.nodes.bands.count  # a row per value: a million of them are 45 MB
+    steps = _FINE if count <= 3 else _MEDIUM if count <= 31 else _COARSE
+    openmaterial.write(path, _about_the_normal(source, steps, one_turn=True))
     return [
         *_one_turn(source),
         "copyright, license and authors are to be filled in: 'not stated' stands there",
@@ -161,12 +161,10 @@ def _one_turn(source: Source) -> list[str]:
     )
 
 
-def _about_the_normal(
-    source: Source, radial_step: float, azimuth_step: float, *, one_turn: bool = False
-) -> DenseTable:
-    """The BRDF at its incidences and every so many degrees about the normal."""
-    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, radial_step), 89.0))
-    azimuth = np.deg2rad(np.arange(0.0, 360.0, azimuth_step))
+def _about_the_normal(source: Source, steps: tuple[float, float], *, one_turn: bool = False) -> DenseTable:
+    """The BRDF at its incidences and at elevations and azimuths about the normal, by steps in degrees."""
+    radial = np.deg2rad(np.append(np.arange(0.0, 89.0, steps[0]), 89.0))
+    azimuth = np.deg2rad(np.arange(0.0, 360.0, steps[1]))
     is_one = one_turn or source.brdf.is_isotropic
     phi_i = np.array([np.pi]) if is_one else np.deg2rad(np.arange(0.0, 360.0, 30.0))
     return _sampled(source, (_incidences(source), phi_i, radial, azimuth))

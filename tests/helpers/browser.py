@@ -73,6 +73,15 @@ def state(page: Any) -> Any:
     return page.evaluate("window.explorer.state")
 
 
+def control(page: Any, selector: str, **options: Any) -> Any:
+    """The locator of a control, whose tab is shown first."""
+    page.evaluate(
+        "(selector) => explorer.showTab(document.querySelector(selector).closest('[role=tabpanel]').id)",
+        selector,
+    )
+    return page.locator(selector, **options)
+
+
 def settle(page: Any) -> None:
     """Wait until what was asked for is shown."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -41,6 +41,7 @@ async function search(page, text) {
 }
 
 async function scrub(page) {
+  await page.evaluate(() => window.explorer.showTab("compare"));
   await page.focus("#path-t");
   return press(page, "Home", "ArrowRight", "ArrowRight");
 }

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.browser import settle, state, visit
+from helpers.browser import control, settle, state, visit
 from helpers.paths import REPOSITORY
 from helpers.small_library import NAMES, small_library
 
@@ -144,7 +144,7 @@ def test_a_path_has_the_colours_between_its_ends(visited, model):
     found = page.evaluate("window.explorer.reflectance")
     assert np.allclose(found, expected, atol=0.01)  # by spheres of different nodes
     assert f"40 % of the way from {start} to {end}" in page.locator("#caption").inner_text()
-    page.locator("#pin").click()
+    control(page, "#pin").click()
     page.evaluate("window.explorer.goTo(2)")
     settle(page)
     link = page.evaluate("location.hash")
@@ -161,7 +161,7 @@ def test_a_path_has_the_colours_between_its_ends(visited, model):
     settle(page)
     pinned = page.evaluate("window.explorer.pinned.prediction.reflectance()")
     assert np.allclose(pinned, expected, atol=0.01)
-    page.locator("#unpin").click()
+    control(page, "#unpin").click()
     settle(page)
 
 
@@ -220,14 +220,14 @@ def test_every_control_does_what_it_says(visited):
     page.keyboard.press("Enter")
     settle(page)
     assert state(page)["at"] == "syn_metal_copper"
-    page.locator("#pin").press("Enter")
-    page.locator("#nearest button").nth(1).press("Enter")
-    page.locator('input[name="light"][value="lamp"]').press("Space")
+    control(page, "#pin").press("Enter")
+    control(page, "#nearest button").nth(1).press("Enter")
+    control(page, 'input[name="light"][value="lamp"]').press("Space")
     page.locator("#ball").focus()
     page.keyboard.press("ArrowLeft")
     page.locator("#ball").hover(position={"x": 150, "y": 100})
-    page.locator("#exposure").press("ArrowRight")
-    page.locator("#like").select_option("syn_felt_green")
+    control(page, "#exposure").press("ArrowRight")
+    control(page, "#like").select_option("syn_felt_green")
     settle(page)
     now = state(page)
     assert now["pin"]["at"] == "syn_metal_copper"
@@ -235,21 +235,21 @@ def test_every_control_does_what_it_says(visited):
     assert now["light"] == "lamp"
     assert now["exposure"] == 0.25
     assert now["like"] == "syn_felt_green"
-    page.locator("#picked").fill("#3366aa")
+    control(page, "#picked").fill("#3366aa")
     settle(page)
     assert state(page)["colour"] == "picked"
-    page.locator('input[name="colour"][value="blend"]').check()
-    page.locator("#path-from").select_option(NAMES[0])
-    page.locator("#path-to").select_option(NAMES[3])
-    page.locator("#path-t").press("End")
+    control(page, 'input[name="colour"][value="blend"]').check()
+    control(page, "#path-from").select_option(NAMES[0])
+    control(page, "#path-to").select_option(NAMES[3])
+    control(page, "#path-t").press("End")
     settle(page)
     assert state(page)["at"] == NAMES[3]
     assert state(page)["path"]["t"] == 1
-    page.locator("#pinned").select_option(NAMES[1])
-    page.locator("#unpin").click()
+    control(page, "#pinned").select_option(NAMES[1])
+    control(page, "#unpin").click()
     settle(page)
     assert state(page)["pin"] is None
-    page.locator("#coordinates input").first.fill("0.25")
+    control(page, "#coordinates input").first.fill("0.25")
     page.keyboard.press("Tab")
     settle(page)
     assert state(page)["x"][0] == 0.25
@@ -293,11 +293,11 @@ def test_a_link_restores_what_was_shown(visited):
 
 def test_downloads_hold_the_latent_and_the_colours(visited):
     page = visited.page
-    page.locator("#like").select_option("syn_felt_green")
+    control(page, "#like").select_option("syn_felt_green")
     documents = {}
     for name in ("latent", "colours"):
         with page.expect_download() as download:
-            page.locator(f"#save-{name}").click()
+            control(page, f"#save-{name}").click()
         with open(download.value.path(), encoding="utf-8") as stream:
             documents[name] = json.load(stream)
     assert documents["latent"]["latent"] == state(page)["x"]
@@ -315,7 +315,7 @@ def test_hostile_names_are_text(browser, document, tmp_path):
     made.page.on("dialog", lambda dialog: dialogs.append(dialog.message) or dialog.dismiss())
     made.page.locator("#search").fill("script")
     made.page.keyboard.press("Enter")
-    made.page.locator("#pin").click()
+    control(made.page, "#pin").click()
     made.page.locator("#map").hover()
     assert HOSTILE in made.page.locator("#library").text_content()
     assert made.page.locator("img").count() == 0
@@ -346,7 +346,7 @@ def test_three_dimensions_have_a_slider(browser, tmp_path):
     (tmp_path / "map.html").write_text(make_page(to_document(model, tabulate(model))), encoding="utf-8")
     made = visit(browser, (tmp_path / "map.html").as_uri())
     before = state(made.page)["x"]
-    made.page.locator("#coordinates input[type=range]").press("ArrowRight")
+    control(made.page, "#coordinates input[type=range]").press("ArrowRight")
     settle(made.page)
     after = state(made.page)["x"]
     assert after[:2] == before[:2]

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers.browser import chromium, visit
+from helpers.browser import chromium, control, visit
 from helpers.small_library import NAMES, small_model
 
 from manifold.errors import UsageError
@@ -331,25 +331,25 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
         made = visit(browser, server.address)
         page = made.page
         page.set_default_timeout(90_000)
-        page.locator("#action-name").fill("mine")
-        page.locator("#do-predict").press("Enter")
+        control(page, "#action-name").fill("mine")
+        control(page, "#do-predict").press("Enter")
         page.locator("#jobs li[data-state=done]", has_text="mine_rgb.bsdf").wait_for()
-        page.locator("#locate-file").set_input_files(str(tmp_path / "mine_rgb.bsdf"))
-        page.locator("#jobs button", has_text="Go to").click()
+        control(page, "#locate-file").set_input_files(str(tmp_path / "mine_rgb.bsdf"))
+        control(page, "#jobs button", has_text="Go to").click()
         x = page.evaluate("window.explorer.state.x")
         assert len(x) == 2
-        page.locator("#export-target").select_option("unreal")
-        page.locator("#do-export").press("Enter")
+        control(page, "#export-target").select_option("unreal")
+        control(page, "#do-export").press("Enter")
         page.locator("#jobs li[data-state=done]", has_text="mine.json").wait_for()
         assert "CIEDE2000" in page.locator("#jobs li", has_text="export mine.json").text_content()
         rows = "Geometry,450,550,650\n" + "".join(f"45as{a},0.1,0.2,0.5\n" for a in (15, 25, 45, 75, 110))
-        page.locator("#complete-file").set_input_files(
+        control(page, "#complete-file").set_input_files(
             {"name": "my readings.csv", "mimeType": "text/csv", "buffer": rows.encode()}
         )
         page.locator("#jobs li[data-state=done]", has_text="complete my-readings_rgb.bsdf").wait_for()
         page.locator("#jobs img[alt*='my-readings']").wait_for()
-        page.locator("#action-name").fill("../mine")
-        page.locator("#do-render").click()
+        control(page, "#action-name").fill("../mine")
+        control(page, "#do-render").click()
         page.locator("#problem", has_text="name: expected letters").wait_for()
         assert [text for text in made.errors if not text.startswith("400 ")] == []
         assert all(address.startswith(f"http://127.0.0.1:{server.server_port}/") for address in made.requests)

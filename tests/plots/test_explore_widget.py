@@ -73,6 +73,7 @@ def test_what_is_moved_in_a_view_is_in_the_traits(page):
     after = page.evaluate("model.get('latent')")
     assert after[0] > before[0]
     assert not page.evaluate("window.pressed")  # notebooks have shortcuts of their own
+    page.locator("#a #tab-colour").click()
     page.locator("#a #like").select_option(NAMES[1])
     page.wait_for_function("model.get('colour').like !== undefined")
     assert page.evaluate("model.get('colour')") == {"like": NAMES[1]}
@@ -83,6 +84,7 @@ def test_what_is_set_in_python_is_shown_in_every_view(page, widget):
     x = widget.model.latent(NAMES[2]).tolist()
     page.evaluate("(x) => model.set('latent', x)", x)
     for view in ("a", "b"):
+        page.locator(f"#{view} #tab-here").click()
         page.locator(f"#{view} #nearest tr").first.get_by_text(NAMES[2]).wait_for()
         page.locator(f"#{view} #error-value", has_text="none: a measured material").wait_for()
     assert page.evaluate("model.get('link')").startswith(
@@ -94,7 +96,7 @@ def test_what_is_set_in_python_is_shown_in_every_view(page, widget):
 
 
 def test_a_view_fits_its_cell_and_goes_without_a_trace(page):
-    ends = "[...inside('a').querySelectorAll('main > .column')].map((e) => e.getBoundingClientRect().right)"
+    ends = "[...inside('a').querySelectorAll('main > section')].map((e) => e.getBoundingClientRect().right)"
     assert max(page.evaluate(ends)) <= 810
     assert page.evaluate("inside('b').getElementById('link').hidden")
     page.evaluate("stop[1]()")
@@ -123,6 +125,7 @@ def test_the_prediction_is_that_of_the_model_in_the_chosen_colour(widget):
 
 def test_a_path_on_the_page_is_one_in_python(page):
     page.evaluate("([a, b]) => model.set('link', `path=${JSON.stringify([a, b, 0.5])}`)", NAMES[:2])
+    page.locator("#a #tab-compare").click()
     page.locator("#a #path-t").press("ArrowRight")
     page.locator("#a #caption", has_text="of the way").wait_for()
     start, end, t = page.evaluate("model.get('colour').between")

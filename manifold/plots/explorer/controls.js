@@ -18,7 +18,8 @@ export const controls = {
     options(this.byId("illuminant"), Object.keys(data.toSrgb));
     if (!data.wavelengths) {
       this.byId("illuminant").disabled = true;
-      this.byId("illuminant").title = "the materials of this library have no spectra";
+      this.byId("illuminant-reason").hidden = false;
+      this.byId("illuminant").setAttribute("aria-describedby", "illuminant-reason");
     }
     const letters = ["x", "y", "z"];
     data.X[0].forEach((_, q) => {
@@ -51,7 +52,7 @@ export const controls = {
     this.byId("error-name").textContent = name[0].toUpperCase() + name.slice(1);
     this.byId("legend-text").textContent = data.error
       ? `${data.error.what}: 0 to ${data.error.most} or more (${data.error.unit})` : "";
-    this.byId("map-legend").hidden = !data.error;
+    this.byId("map-legend").hidden = this.byId("hatch-legend").hidden = !data.error;
     this.byId("depth-help").hidden = data.X[0].length < 3;
   },
 

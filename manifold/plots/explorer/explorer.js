@@ -9,15 +9,16 @@ import { History, fromFragment, isBetween, toFragment } from "./state.js";
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
 import { facts } from "./facts.js";
+import { makeTabs } from "./tabs.js";
 
 const THUMBNAIL = 96;
 const REST = 600; // ms without a change, after which the ball is lit more finely
 const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; everything else works.";
 const THEMES = {
   light: { name: "light", certain: [253, 253, 251], uncertain: [191, 192, 189], ink: "#1d1f21", panel: "#ffffff",
-    rule: "#b9b9b4", point: "#0b62a8", pin: "#c2187a" },
+    rule: "#b9b9b4", soft: "#5d6166", hatch: "#8f9296", point: "#0b62a8", pin: "#c2187a" },
   dark: { name: "dark", certain: [52, 56, 61], uncertain: [23, 24, 26], ink: "#e9e9e6", panel: "#202225",
-    rule: "#55585e", point: "#6db8f2", pin: "#ff7cc0" },
+    rule: "#55585e", soft: "#a5a9ae", hatch: "#5d6168", point: "#6db8f2", pin: "#ff7cc0" },
 };
 
 export class Explorer {
@@ -52,6 +53,7 @@ export class Explorer {
     this.byId("library").textContent = `${data.library}, ${data.names.length} materials`;
     this.fillControls();
     this.listen();
+    this.showTab = makeTabs(this.root.querySelector("[role=tablist]"), (id) => this.byId(id), (id) => this.tabShown(id));
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     this.refresh();
     this.nextThumbnail();
@@ -156,13 +158,15 @@ export class Explorer {
   refresh() {
     const began = performance.now(), { state } = this;
     this.prediction = this.predicted(state);
+    this.slices = this.prediction.slices(state.illuminant);
+    this.reflectance = this.prediction.reflectance();
     this.refreshPin();
     if (this.balls) {
       this.balls.setSurface(0, this.prediction, state.illuminant);
       this.drawBalls();
       this.refineLater();
     }
-    this.map.draw(state, { hover: this.hover, weights: this.prediction.u, theme: this.theme });
+    this.drawMap();
     this.drawPlots();
     this.showFacts();
     this.showControls();
@@ -203,12 +207,17 @@ export class Explorer {
     this.balls.draw(this.state.pin ? [0, 1] : [0], this.light);
   }
 
+  /** A tab was chosen: its curves are drawn while they are seen. */
+  tabShown(id) {
+    this.tab = id;
+    if (this.prediction) this.drawPlots();
+  }
+
   drawPlots() {
+    if (this.tab !== "here") return;
     const { illuminant } = this.state, other = this.pinned.prediction;
-    this.slices = this.prediction.slices(illuminant);
     const compared = this.state.pin && this.describe(this.state.pin);
     drawSlices(this.byId("slices"), this.slices, other?.slices(illuminant), compared);
-    this.reflectance = this.prediction.reflectance();
     drawReflectance(this.byId("spectrum"), this.data.wavelengths, this.reflectance, other?.reflectance(), compared);
     this.byId("slices-other").textContent = compared ? `; dashed: ${compared}` : "";
     const kind = this.data.wavelengths ? "dashed" : "bars on the right";

@@ -69,6 +69,9 @@ export const facts = {
       if (found.length) item.className = "warning";
       return item;
     }));
+    const known = error === null || !data.error ? "" : `${data.error.what} ${this.errorText(error)}`;
+    this.byId("summary").textContent = [known, ...found].filter((text) => text).join("; ");
+    this.byId("summary").classList.toggle("warning", found.length > 0);
     const nearest = this.nearest();
     const rows = this.byId("nearest");
     while (rows.children.length < nearest.length) {
@@ -89,11 +92,10 @@ export const facts = {
     this.byId("caption").textContent = this.describe(state);
     this.byId("pin-caption").textContent = state.pin ? this.describe(state.pin) : "";
     const place = `${this.describe(state)}. Nearest ${nearest[0].name}, ${percent(nearest[0].weight)}. `;
-    const known = error === null || !data.error ? "" : `${data.error.what} ${error.toFixed(2)}. `;
     this.labels = { map: `Map of ${data.names.length} materials. ${place}`, ball: `Ball of the material at ${place}` };
     this.showLabels();
     clearTimeout(this.announcing);
-    this.announcing = setTimeout(() => this.announcePlace(`${place}${known}${found.join(". ")}`), SILENCE);
+    this.announcing = setTimeout(() => this.announcePlace(`${place}${known && `${known}. `}${found.join(". ")}`), SILENCE);
   },
 
   /** The names of the canvases; not of the one that has the focus, which screen readers would read besides the announcement. */

@@ -1,9 +1,13 @@
 // The map: materials as balls over the expected error, and the point that is moved.
 
+import { inLines, spread } from "./layout.js";
 import { fieldAt, reachOf, within } from "./numerics.js";
 
 const MARGIN = 0.12;
 const FIELD_SIZE = 64;
+const LETTERS = 11; // pixels of a name's line
+const HATCH = 9; // pixels between lines where the data do not support predictions
+const MOST_COVERED = 0.7; // of the map by balls and names; where it would be more, names are left out
 
 /** Draws the map into a canvas, and converts between its pixels and latents. */
 export class MapView {
@@ -19,16 +23,7 @@ export class MapView {
       if (this.high[q] - this.low[q] < 1e-6) { this.low[q] -= 1; this.high[q] += 1; }
     }
     this.centre = [0, 1].map((q) => (this.low[q] + this.high[q]) / 2);
-    this.spacing = this._spacing();
     this.reach = reachOf(data.X);
-  }
-
-  /** Median distance of a material to its nearest neighbour on the map. */
-  _spacing() {
-    const { X } = this.data;
-    const nearest = X.map((a, i) => Math.min(...X.map((b, j) =>
-      i === j ? Infinity : Math.hypot(a[0] - b[0], (a[1] ?? 0) - (b[1] ?? 0)))));
-    return nearest.sort((a, b) => a - b)[Math.floor(nearest.length / 2)];
   }
 
   /** Fit the canvas to its box; pixels per unit of the map. */
@@ -66,16 +61,34 @@ export class MapView {
     const box = this.canvas.getBoundingClientRect();
     const at = [(event.clientX - box.left) * this.ratio, (event.clientY - box.top) * this.ratio];
     let best = -1, least = this.radius * 1.1;
-    this.data.X.forEach((row, k) => {
-      const [px, py] = this.toPixel(row), d = Math.hypot(px - at[0], py - at[1]);
+    this.places.forEach(([x, y], k) => {
+      const d = Math.hypot(x - at[0], y - at[1]);
       if (d < least) { best = k; least = d; }
     });
     return best;
   }
 
-  get radius() {
-    const limit = Math.min(this.canvas.width, this.canvas.height);
-    return Math.min(Math.max(0.5 * this.spacing * this.scale, 0.028 * limit), 0.055 * limit * Math.sqrt(this.zoom));
+  /** Where balls and names stand: near their latents, and not over each other. */
+  _arrange(context) {
+    const { canvas: { width, height }, data, ratio } = this, limit = Math.min(width, height);
+    const own = data.X.map((row) => this.toPixel(row));
+    const share = Math.sqrt((0.16 * width * height) / data.names.length) / 2; // balls cover a sixth of the map at most
+    this.radius = Math.min(share, 0.05 * limit) * this.zoom ** 0.25;
+    context.font = this.font;
+    const lines = data.names.map(inLines), line = LETTERS * ratio * 1.15, ball = 2 * this.radius;
+    const widths = lines.map((text) => Math.max(...text.map((row) => context.measureText(row).width)) + 4 * ratio);
+    const named = lines.map((text, k) => [Math.max(widths[k], ball), ball + text.length * line]);
+    const isInside = ([x, y]) => x >= 0 && x <= width && y >= 0 && y <= height;
+    const covered = named.reduce((sum, [w, h], k) => sum + (isInside(own[k]) ? w * h : 0), 0);
+    this.lines = covered <= MOST_COVERED * width * height ? lines : lines.map(() => []);
+    const room = this.lines.map((text, k) => (text.length ? named[k] : [ball, ball]));
+    const below = room.map(([, h]) => (h - ball) / 2); // names hang under their balls
+    const centres = spread(own.map(([x, y], k) => [x, y + below[k]]), room, width, height);
+    this.places = centres.map(([x, y], k) => [x, y - below[k]]);
+  }
+
+  get font() {
+    return `${LETTERS * this.ratio}px system-ui, sans-serif`;
   }
 
   /** Zoom by a factor, the given place kept in the middle where zoomed in. */
@@ -96,16 +109,32 @@ export class MapView {
   /** Draw everything. */
   draw(state, { hover, weights, theme }) {
     this.layout();
-    const context = this.canvas.getContext("2d"), { width, height } = this.canvas;
-    context.clearRect(0, 0, width, height);
-    this._drawField(context, state, theme);
+    const context = this.canvas.getContext("2d");
+    this._drawGround(state, theme);
+    context.drawImage(this.ground, 0, 0);
     if (state.path) this._drawPath(context, state.path, theme);
-    const r = this.radius;
-    const order = this.data.X.map((_, k) => k).sort((a, b) => this._depth(a, state) - this._depth(b, state));
-    for (const k of order) this._drawMaterial(context, k, r, state, weights, theme);
-    if (state.pin) this._drawMark(context, state.pin.x, theme.pin, "square", r);
-    this._drawMark(context, state.x, theme.point, "ring", r);
+    weights.forEach((weight, k) => weight > 0.01 && this._drawWeight(context, k, weight, theme));
+    if (state.pin) this._drawMark(context, state.pin.x, theme.pin, "square");
+    this._drawMark(context, state.x, theme.point, "ring");
     if (hover >= 0) this._drawLabel(context, hover, theme);
+  }
+
+  /** What does not move with the point, drawn when it changes: the field of errors, balls and names. */
+  _drawGround(state, theme) {
+    const { width, height } = this.canvas, drawn = this.images.filter((image) => image).length;
+    const key = JSON.stringify([state.x.slice(2), theme.name, this.scale, this.centre, width, height, drawn]);
+    if (this.groundKey === key) return;
+    this.groundKey = key;
+    this.ground ??= document.createElement("canvas");
+    Object.assign(this.ground, { width, height });
+    const context = this.ground.getContext("2d"), { names, X } = this.data;
+    const arranged = JSON.stringify([this.scale, this.centre, width, height]);
+    if (this.arranged !== arranged) this._arrange(context);
+    this.arranged = arranged;
+    this._drawField(context, state, theme);
+    names.forEach((_, k) => this._drawLeader(context, k, theme));
+    const order = X.map((_, k) => k).sort((a, b) => this._depth(a, state) - this._depth(b, state));
+    for (const k of order) this._drawMaterial(context, k, state, theme);
   }
 
   /** How near a material is in the dimensions that are not drawn, 1 at the same. */
@@ -115,32 +144,47 @@ export class MapView {
   }
 
   _drawField(context, state, theme) {
-    const { error } = this.data;
+    const { data: { error }, canvas: { width, height } } = this;
     if (!error) return;
-    const key = JSON.stringify([state.x.slice(2), theme.name, this.scale, this.centre, this.canvas.width, this.canvas.height]);
-    if (this.fieldKey !== key) {
-      const image = new ImageData(FIELD_SIZE, FIELD_SIZE);
-      const { most } = error;
-      const x = [...state.x];
-      for (let row = 0; row < FIELD_SIZE; row++) {
-        for (let column = 0; column < FIELD_SIZE; column++) {
-          x[0] = this.centre[0] + (((column + 0.5) / FIELD_SIZE - 0.5) * this.canvas.width) / this.scale;
-          if (x.length > 1) x[1] = this.centre[1] - (((row + 0.5) / FIELD_SIZE - 0.5) * this.canvas.height) / this.scale;
-          // Beyond the reach of the point: the error where a drag ends.
-          const share = Math.min(Math.max((fieldAt(error, this.clamped(x)) ?? most) / most, 0), 1);
-          const k = 4 * (row * FIELD_SIZE + column);
-          for (let c = 0; c < 3; c++) image.data[k + c] = theme.certain[c] + (theme.uncertain[c] - theme.certain[c]) * share;
-          image.data[k + 3] = 255;
-        }
+    const ground = new ImageData(FIELD_SIZE, FIELD_SIZE), mask = new ImageData(FIELD_SIZE, FIELD_SIZE);
+    const { most } = error, unsupported = { ...error, values: error.unsupported }, x = [...state.x];
+    for (let row = 0; row < FIELD_SIZE; row++) {
+      for (let column = 0; column < FIELD_SIZE; column++) {
+        x[0] = this.centre[0] + (((column + 0.5) / FIELD_SIZE - 0.5) * width) / this.scale;
+        if (x.length > 1) x[1] = this.centre[1] - (((row + 0.5) / FIELD_SIZE - 0.5) * height) / this.scale;
+        const at = this.clamped(x); // beyond the reach of the point: the error where a drag ends
+        const share = Math.min(Math.max((fieldAt(error, at) ?? most) / most, 0), 1);
+        const k = 4 * (row * FIELD_SIZE + column);
+        for (let c = 0; c < 3; c++) ground.data[k + c] = theme.certain[c] + (theme.uncertain[c] - theme.certain[c]) * share;
+        ground.data[k + 3] = 255;
+        mask.data[k + 3] = 255 * (fieldAt(unsupported, at) ?? 1);
       }
-      this.field ??= document.createElement("canvas");
-      Object.assign(this.field, { width: FIELD_SIZE, height: FIELD_SIZE });
-      this.field.getContext("2d").putImageData(image, 0, 0);
-      this.fieldKey = key;
     }
+    this._stretch(context, ground);
+    const hatched = document.createElement("canvas");
+    Object.assign(hatched, { width, height });
+    const lines = hatched.getContext("2d");
+    lines.strokeStyle = theme.hatch;
+    lines.lineWidth = this.ratio;
+    lines.beginPath();
+    for (let start = -height; start < width; start += HATCH * this.ratio) {
+      lines.moveTo(start, height);
+      lines.lineTo(start + height, 0);
+    }
+    lines.stroke();
+    lines.globalCompositeOperation = "destination-in";
+    this._stretch(lines, mask);
+    context.drawImage(hatched, 0, 0);
+  }
+
+  /** Draw a small picture over a whole canvas. */
+  _stretch(context, image) {
+    const small = document.createElement("canvas");
+    Object.assign(small, { width: image.width, height: image.height });
+    small.getContext("2d").putImageData(image, 0, 0);
     context.imageSmoothingEnabled = true;
     context.imageSmoothingQuality = "high";
-    context.drawImage(this.field, 0, 0, this.canvas.width, this.canvas.height);
+    context.drawImage(small, 0, 0, context.canvas.width, context.canvas.height);
   }
 
   _drawPath(context, path, theme) {
@@ -155,8 +199,23 @@ export class MapView {
     context.setLineDash([]);
   }
 
-  _drawMaterial(context, k, r, state, weights, theme) {
-    const [px, py] = this.toPixel(this.data.X[k]);
+  /** A line from a ball that was moved aside to where it belongs. */
+  _drawLeader(context, k, theme) {
+    const own = this.toPixel(this.data.X[k]), place = this.places[k];
+    if (Math.hypot(own[0] - place[0], own[1] - place[1]) < 0.3 * this.radius) return;
+    context.strokeStyle = context.fillStyle = theme.soft;
+    context.lineWidth = this.ratio;
+    context.beginPath();
+    context.moveTo(...own);
+    context.lineTo(...place);
+    context.stroke();
+    context.beginPath();
+    context.arc(...own, 2.5 * this.ratio, 0, 2 * Math.PI);
+    context.fill();
+  }
+
+  _drawMaterial(context, k, state, theme) {
+    const [px, py] = this.places[k], r = this.radius, { ratio } = this;
     context.globalAlpha = 0.2 + 0.8 * this._depth(k, state);
     if (this.images[k]) {
       context.drawImage(this.images[k], px - r, py - r, 2 * r, 2 * r);
@@ -166,18 +225,32 @@ export class MapView {
       context.arc(px, py, r * 0.9, 0, 2 * Math.PI);
       context.fill();
     }
+    context.font = this.font;
+    context.textAlign = "center";
+    context.textBaseline = "top";
+    context.lineJoin = "round";
+    context.lineWidth = 3 * ratio;
+    context.strokeStyle = theme.panel;
+    context.fillStyle = theme.ink;
+    this.lines[k].forEach((text, row) => {
+      const at = [px, py + r + (1 + row * 1.15 * LETTERS) * ratio];
+      context.strokeText(text, ...at);
+      context.fillText(text, ...at);
+    });
     context.globalAlpha = 1;
-    if (weights[k] > 0.01) {
-      context.strokeStyle = theme.point;
-      context.lineWidth = (0.75 + 3 * weights[k]) * this.ratio;
-      context.beginPath();
-      context.arc(px, py, r + context.lineWidth / 2, 0, 2 * Math.PI);
-      context.stroke();
-    }
+    context.textAlign = "start";
   }
 
-  _drawMark(context, x, colour, shape, r) {
-    const [px, py] = this.toPixel(x), size = Math.max(0.45 * r, 7 * this.ratio);
+  _drawWeight(context, k, weight, theme) {
+    context.strokeStyle = theme.point;
+    context.lineWidth = (0.75 + 3 * weight) * this.ratio;
+    context.beginPath();
+    context.arc(...this.places[k], this.radius + context.lineWidth / 2, 0, 2 * Math.PI);
+    context.stroke();
+  }
+
+  _drawMark(context, x, colour, shape) {
+    const [px, py] = this.toPixel(x), size = Math.max(0.45 * this.radius, 7 * this.ratio);
     for (const [stroke, width] of [["#000", 5], ["#fff", 3.5], [colour, 2]]) {
       context.strokeStyle = stroke;
       context.lineWidth = width * this.ratio;
@@ -196,7 +269,7 @@ export class MapView {
   }
 
   _drawLabel(context, k, theme) {
-    const [px, py] = this.toPixel(this.data.X[k]), { ratio } = this;
+    const [px, py] = this.places[k], { ratio } = this;
     context.font = `${13 * ratio}px system-ui, sans-serif`;
     const name = this.data.names[k], width = context.measureText(name).width + 12 * ratio, height = 22 * ratio;
     const left = Math.min(Math.max(px - width / 2, 2), this.canvas.width - width - 2);

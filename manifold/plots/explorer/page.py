@@ -10,7 +10,7 @@ from importlib.resources import files
 from typing import Any
 
 _MODULES = (
-    "numerics", "elements", "webgl", "blend", "ball", "map", "plots", "state", "facts", "controls",
+    "numerics", "elements", "webgl", "blend", "ball", "layout", "map", "plots", "state", "facts", "tabs", "controls",
     "documents", "served", "explorer",
 )  # fmt: skip  # a module after what it imports
 _BODY = re.compile(r'<body class="explorer">(.*)</body>', re.DOTALL)

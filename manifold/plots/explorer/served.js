@@ -101,6 +101,7 @@ class Actions {
     if ((await file.slice(0, MAGIC.length).text()) === MAGIC) this.locate(file);
     else if (file.size > 1e6 || !isSpectrum(await file.text())) this.complete(file);
     else return false;
+    this.explorer.showTab("export"); // where its progress is
     return true;
   }
 

@@ -79,8 +79,10 @@ def read_blocks(path: Path) -> BsdfText:
         FileFormatError: a list or table is cut off or too long, or holds what is no number.
         UsageError: the file cannot be read.
     """
-    words = _Words(path)
-    text = BsdfText(words.context, words.comments)
+    lines = read_lines(path)
+    words = Words(data_lines(lines), ErrorContext(path, _REMEDY))
+    comments = [line.strip() for line in lines if line.lstrip().startswith(("#", "!"))]
+    text = BsdfText(words.context, comments)
     said: dict[str, str] = {}
     numbers: dict[str, float] = {}
     band: int | None = None
@@ -109,15 +111,12 @@ def read_blocks(path: Path) -> BsdfText:
     return text
 
 
-class _Words:
-    """The words of a file in turn, comments left out, each with its line."""
+class Words:
+    """The words of lines in turn, each with its line."""
 
-    def __init__(self, path: Path) -> None:
-        """Read the file. Raises: as `read_lines`."""
-        self.context = ErrorContext(path, _REMEDY)
-        lines = read_lines(path)
-        self._lines = data_lines(lines)
-        self.comments = [line.strip() for line in lines if line.lstrip().startswith(("#", "!"))]
+    def __init__(self, lines: list[tuple[int, str]], context: ErrorContext) -> None:
+        """Lines with their numbers in the file."""
+        self.context, self._lines = context, lines
         self._line, self._word = 0, 0
         self._split: tuple[int, list[str]] = (-1, [])
 
@@ -180,14 +179,21 @@ class _Words:
                 self._line, self._word = self._line + 1, 0
         return np.array(values)
 
+    def count(self, what: str) -> int:
+        """The next word as a whole number of angles or bands, at least 1."""
+        where = self.line
+        return self.context.count(self.next() or "", f"{where}, {what}", _MOST_ANGLES)
+
+    def increasing(self, count: int, what: str) -> Array:
+        """The next `count` words as finite numbers that increase, shape (count,)."""
+        where, values = self.line, self.numbers(count, what)
+        if np.any(np.diff(values) <= 0.0):
+            raise self.context.error(f"{what} do not increase, expected them ordered", where)
+        return values
+
     def angles(self, key: str) -> Array:
         """A count and that many angles in degrees that increase, as they follow a key."""
-        where = self.line
-        count = self.context.count(self.next() or "", f"{where}, {key}", _MOST_ANGLES)
-        values = self.numbers(count, f"angles of {key}")
-        if np.any(np.diff(values) <= 0.0):
-            raise self.context.error(f"{key} does not increase, expected ordered angles", where)
-        return values
+        return self.increasing(self.count(key), f"angles of {key}")
 
     def table(self, azimuths: Array, radials: Array) -> Array:
         """The next azimuths x radials values; the lines' own division does not matter."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from manifold.directions import from_spherical
-from manifold.formats.bsdf_text import unique_directions
+from manifold.formats.bsdf_text import Words, unique_directions
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
 from manifold.formats.readings import Readings
@@ -30,8 +30,6 @@ _REMEDY = "open the file in Speos' BSDF viewer and save it as text again"
 _HEADER = re.compile(r"OPTIS - (brdf|anisotropic bsdf) surface file v(\d{1,3})", re.IGNORECASE)
 _BREAK = re.compile(r"\r\n|\r|\n")
 _OLDEST = 7  # the layout of older versions is not public
-_MOST = 2000  # angles, wavelengths
-_INCIDENCES = "angles of incidence"
 _LEAST_COSINE = 1e-3  # nothing is measured nearer to the horizon
 _FLAT_NM = (350, 850)  # ends of the spectrum of a single band, as in the files of Ansys' converters
 
@@ -53,86 +51,6 @@ class _Block(NamedTuple):
     theta: Array
     phi: Array
     f: Array
-
-
-class _Lines:
-    """The lines of a file in turn, each with its number."""
-
-    def __init__(self, lines: list[str], first: int, context: ErrorContext) -> None:
-        self._lines, self._next, self._first, self.context = lines, 0, first, context
-
-    @property
-    def number(self) -> int:
-        """Of the line that comes next."""
-        return self._first + self._next
-
-    def text(self, what: str) -> str:
-        """The next line."""
-        if self._next >= len(self._lines):
-            raise self.context.error(f"the file ends, expected {what}: it is cut off")
-        self._next += 1
-        return self._lines[self._next - 1]
-
-    def row(self, count: int, what: str) -> list[float]:
-        """The next line's numbers."""
-        number, cells = self.number, self.text(what).split()
-        if len(cells) != count:
-            raise self.context.error(f"{len(cells)} cells, expected {count}: {what}", f"line {number}")
-        return self.context.numbers(cells, number)
-
-    def counts(self, number: int, what: str) -> list[int]:
-        """The next line's whole numbers from 1."""
-        where = f"line {self.number}, {what}"
-        return [self.context.count(f"{value:.9g}", where, _MOST) for value in self.row(number, what)]
-
-    def increasing(self, count: int, what: str, most: float = 360.0) -> Array:
-        """The next line's numbers, from 0 to `most`, which increase."""
-        where, values = f"line {self.number}", np.array(self.row(count, what))
-        if np.any(np.diff(values) <= 0.0) or values[0] < 0.0 or values[-1] > most:
-            raise self.context.error(f"{what}: expected ordered numbers from 0 to {most:g}", where)
-        return values
-
-    def incidences(self) -> tuple[Array, list[Array]]:
-        """Anisotropy angles, and the elevations of incidence at each."""
-        turns = self._list("anisotropy angles", 360.0)
-        return turns, [self._list(_INCIDENCES, 90.0) for _ in turns]
-
-    def _list(self, what: str, most: float) -> Array:
-        (count,) = self.counts(1, f"the count of {what}")
-        return self.increasing(count, what, most)
-
-    def spectrum(self) -> tuple[list[float], Array, Array]:
-        """Elevation and anisotropy angle where it was measured, wavelengths in nm, and percentages of light."""
-        at = self.row(2, "theta and phi of the spectrum")
-        self.text("a title of the spectrum")
-        (count,) = self.counts(1, "the count of wavelengths")
-        nm, percent = np.array([self.row(2, "a wavelength and its percentage") for _ in range(count)]).T
-        if np.any(np.diff(nm) <= 0.0):
-            raise self.context.error(
-                "wavelengths do not increase, expected them ordered", f"line {self.number}"
-            )
-        return at, nm, percent
-
-    def table(self, is_bsdf: bool) -> _Table:
-        """Counts of elevations and azimuths, the azimuths, and lines of an elevation and its values."""
-        where = f"line {self.number}"
-        n_theta, n_phi = self.counts(2, "counts of theta and phi")
-        phi = self.increasing(n_phi, "azimuths")
-        rows = np.array([self.row(n_phi + 1, "theta and its values") for _ in range(n_theta)])
-        theta, f = rows[:, 0], rows[:, 1:]
-        if np.any(np.diff(theta) <= 0.0) or theta[0] < 0.0 or phi[-1] - phi[0] < 359.999:
-            raise self.context.error("expected elevations and azimuths that increase, and a full turn", where)
-        if not is_bsdf:  # intensities
-            f = f / np.maximum(np.cos(np.deg2rad(theta)), _LEAST_COSINE)[:, None]
-        return _Table(theta, phi, f, where)
-
-    def scale(self, table: _Table, percent: float) -> float:
-        """The factor with which a table reflects a percentage of light."""
-        reflected = _reflected(table.theta, table.phi, table.f)
-        if not 0.0 <= percent <= 1000.0 or (percent > 0.0 and reflected <= 0.0):
-            found = f"{percent:g} % of light is reflected by a table whose integral is {reflected:g}"
-            raise self.context.error(f"{found}, expected 0 to 100", table.where)
-        return percent / (100.0 * reflected) if percent else 0.0
 
 
 def sniff(head: bytes) -> bool:
@@ -161,58 +79,94 @@ def read(path: Path) -> list[Readings]:
     if not re.fullmatch(r"\s*\d{1,6}\s*", head[3]):
         raise context.error(f"'{head[3][:24]}', expected the number of letters of the description", "line 4")
     described = head[4][: int(head[3])]  # it may have several lines
-    number = 6 + len(_BREAK.findall(described))
-    lines = _Lines(re.split(_BREAK, head[4][len(described) :])[1:], number, context)
+    rest = re.split(_BREAK, head[4][len(described) :])[1:]
+    words = Words(list(enumerate(rest, start=6 + len(_BREAK.findall(described)))), context)
     is_brdf = header[1].lower() == "brdf"
     if not is_brdf:
-        lines.row(3, "the anisotropy vector")
-    has_reflection, has_transmission = lines.row(2, "whether there is reflection and transmission")
+        words.numbers(3, "numbers of the anisotropy vector")
+    has_reflection, has_transmission = words.numbers(2, "words whether there is reflection and transmission")
     if has_reflection != 1.0:
         raise context.error("transmission only, expected reflection")
-    is_bsdf = lines.row(1, "1 for a BSDF or 0 for intensities") == [1.0]
+    is_bsdf = words.number("1 for a BSDF or 0 for intensities") == 1.0
     notes = ["scaled to the percentages of reflected light that the file gives"]
     if has_transmission:
         notes.append("transmission is left out")
-    nm, blocks = _brdf(lines, is_bsdf) if is_brdf else _anisotropic(lines, is_bsdf, has_transmission == 1.0)
-    return [_readings(path.stem, unnamed_band(notes) if nm is None else nm, blocks, notes)]
+    nm, blocks = _brdf(words, is_bsdf) if is_brdf else _anisotropic(words, is_bsdf, has_transmission == 1.0)
+    return [_readings(context, unnamed_band(notes) if nm is None else nm, blocks, notes)]
 
 
-def _brdf(lines: _Lines, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:
+def _brdf(words: Words, is_bsdf: bool) -> tuple[Array | None, list[_Block]]:
     """Wavelengths in nm, and a block per incidence."""
-    n_theta, n_nm = lines.counts(2, "counts of incidences and wavelengths")
-    incidences = lines.increasing(n_theta, _INCIDENCES, 90.0)
-    nm = lines.increasing(n_nm, "wavelengths", 1e6)
+    n_theta, n_nm = words.count("incidences"), words.count("wavelengths")
+    incidences, nm = words.increasing(n_theta, "incidences"), words.increasing(n_nm, "wavelengths")
     blocks = []
     for theta_i in incidences:
         tables, values = list[_Table](), list[Array]()
         for _ in nm:
-            (percent,) = lines.row(1, "percent of reflected light")
-            tables.append(table := lines.table(is_bsdf))
-            values.append(table.f * lines.scale(table, percent))
+            percent = words.number("percent of reflected light")
+            tables.append(table := _table(words, is_bsdf))
+            values.append(table.f * _scale(table, percent, words.context))
         theta, phi, _, where = tables[0]
         if any(not (np.array_equal(t.theta, theta) and np.array_equal(t.phi, phi)) for t in tables):
-            raise lines.context.error("other angles at other wavelengths, expected the same", where)
+            raise words.context.error("other angles at other wavelengths, expected the same", where)
         blocks.append(_Block(theta_i, 0.0, theta, phi, np.stack(values, axis=-1)))
     return nm, blocks
 
 
-def _anisotropic(lines: _Lines, is_bsdf: bool, has_transmission: bool) -> tuple[Array | None, list[_Block]]:
+def _anisotropic(words: Words, is_bsdf: bool, has_transmission: bool) -> tuple[Array | None, list[_Block]]:
     """Wavelengths in nm, or None for one band, and a block per incidence and anisotropy angle."""
-    turns, incidences = lines.incidences()
-    if has_transmission:
-        lines.incidences()
-    (theta_0, turn_0), nm, percent = lines.spectrum()
-    if has_transmission:
-        lines.spectrum()
-    if turn_0 not in turns:
-        raise lines.context.error(f"a spectrum at anisotropy angle {turn_0:g}, expected one of the tables'")
-    found = [(t, k, lines.table(is_bsdf)) for t, own in zip(turns, incidences, strict=True) for k in own]
-    scales = [lines.scale(table, 1.0) for turn, _, table in found if turn == turn_0]
-    scale = percent * np.interp(theta_0, incidences[list(turns).index(turn_0)], scales)
+    sides = 2 if has_transmission else 1  # reflection first
+    (turns, incidences), *_ = [_incidences(words) for _ in range(sides)]
+    (at, nm, percent), *_ = [_spectrum(words) for _ in range(sides)]
+    if at[1] not in turns:
+        raise words.context.error(f"a spectrum at anisotropy angle {at[1]:g}, expected one of the tables'")
+    found = [(t, k, _table(words, is_bsdf)) for t, own in zip(turns, incidences, strict=True) for k in own]
+    scales = [_scale(table, 1.0, words.context) for turn, _, table in found if turn == at[1]]
+    scale = percent * np.interp(at[0], incidences[list(turns).index(at[1])], scales)
     is_flat = np.ptp(percent) == 0.0  # what has no colour is one band
     scale = scale[:1] if is_flat else scale
     blocks = [_Block(k, t, table.theta, table.phi, table.f[..., None] * scale) for t, k, table in found]
     return None if is_flat else nm, blocks
+
+
+def _incidences(words: Words) -> tuple[Array, list[Array]]:
+    """Anisotropy angles, and the elevations of incidence at each."""
+    turns = words.angles("anisotropy")
+    return turns, [words.angles("incidence") for _ in turns]
+
+
+def _spectrum(words: Words) -> tuple[Array, Array, Array]:
+    """Elevation and anisotropy angle where it was measured, wavelengths in nm, and percentages of light."""
+    at = words.numbers(2, "angles of the spectrum")
+    words.rest()  # its title, which may be empty
+    count = words.count("wavelengths")
+    nm, percent = words.numbers(2 * count, "wavelengths and percentages").reshape(-1, 2).T
+    if np.any(np.diff(nm) <= 0.0):
+        raise words.context.error("wavelengths do not increase, expected them ordered", words.line)
+    return at, nm, percent
+
+
+def _table(words: Words, is_bsdf: bool) -> _Table:
+    """Counts of elevations and azimuths, the azimuths, and rows of an elevation and its values."""
+    where = words.line
+    n_theta, n_phi = words.count("elevations"), words.count("azimuths")
+    phi = words.increasing(n_phi, "azimuths")
+    rows = words.numbers(n_theta * (n_phi + 1), "values of a table").reshape(n_theta, n_phi + 1)
+    theta, f = rows[:, 0], rows[:, 1:]
+    if np.any(np.diff(theta) <= 0.0) or theta[0] < 0.0 or not np.isclose(phi[-1] - phi[0], 360.0):
+        raise words.context.error("expected elevations that increase, and azimuths of a full turn", where)
+    if not is_bsdf:  # intensities
+        f = f / np.maximum(np.cos(np.deg2rad(theta)), _LEAST_COSINE)[:, None]
+    return _Table(theta, phi, f, where)
+
+
+def _scale(table: _Table, percent: float, context: ErrorContext) -> float:
+    """The factor with which a table reflects a percentage of light."""
+    reflected = _reflected(table.theta, table.phi, table.f)
+    if not 0.0 <= percent <= 1000.0 or (percent > 0.0 and reflected <= 0.0):
+        found = f"{percent:g} % of light is reflected by a table whose integral is {reflected:g}"
+        raise context.error(f"{found}, expected 0 to 100", table.where)
+    return percent / (100.0 * reflected) if percent else 0.0
 
 
 def _reflected(theta: Array, phi: Array, f: Array) -> float:
@@ -222,7 +176,9 @@ def _reflected(theta: Array, phi: Array, f: Array) -> float:
     return float(np.trapezoid(around * np.sin(theta) * np.maximum(np.cos(theta), 0.0), theta))
 
 
-def _readings(name: str, nm: Array, blocks: list[_Block], notes: list[str]) -> Readings:
+def _readings(context: ErrorContext, nm: Array, blocks: list[_Block], notes: list[str]) -> Readings:
+    if any(not 0.0 <= block.theta_i <= 90.0 for block in blocks):
+        raise context.error("an incidence beyond 90 degrees, expected reflected light")
     wi, wo, values = [], [], []
     for block in {
         (block.theta_i, block.turn % 360.0): block for block in blocks
@@ -235,7 +191,7 @@ def _readings(name: str, nm: Array, blocks: list[_Block], notes: list[str]) -> R
         wo.append(out[above])
         values.append(np.swapaxes(block.f, 0, 1).reshape(-1, block.f.shape[-1])[rows][above])
     all_wi, all_wo, f = (np.concatenate(arrays) for arrays in (wi, wo, values))
-    return Readings(name, "Ansys Speos", all_wi, all_wo, nm, f, notes=tuple(notes))
+    return Readings(context.path.stem, "Ansys Speos", all_wi, all_wo, nm, f, notes=tuple(notes))
 
 
 def write(path: Path, table: DenseTable) -> None:

@@ -179,8 +179,8 @@ def test_an_anisotropic_sample_comes_back_from_speos(tmp_path):
         ("file v8.0", "file v1.0", "version 1, expected 7 or newer"),
         ("v8.0\n0\n", "v8.0\n1\n", "mode '1', expected 0"),
         ("1\t0\n1\n", "0\t1\n1\n", "transmission only"),
-        ("\t360\n", "\t350\n", "and a full turn"),
-        ("19 13\n", "20 13\n", "cells, expected 14: theta and its values"),
+        ("\t360\n", "\t350\n", "azimuths of a full turn"),
+        ("19 13\n", "20 13\n", "elevations that increase"),
     ],
 )
 def test_a_speos_file_that_cannot_be_read_says_why(files, old, new, words, tmp_path):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import uuid
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,7 @@ def write(path: Path, table: DenseTable) -> None:
     exits = [round(float(azimuths[k]), 6) for k in order]
     values = np.maximum(table.values[:, 0, :, order], 0.0)  # azimuths first, as numpy has it
     lines = [
-        f"[{wavelength:g},{i:g},{o:g},{phi:g},{values[p, t, s, b]:.7g}]"
+        f"[{wavelength!r},{i!r},{o!r},{phi!r},{values[p, t, s, b]:.7g}]"
         for b, wavelength in enumerate(wavelengths)
         for t, i in enumerate(angles[0])
         for s, o in enumerate(angles[1])
@@ -112,7 +113,7 @@ def write(path: Path, table: DenseTable) -> None:
     ]
     metadata = {
         "name": in_one_line(table.name),
-        "uuid": str(uuid.uuid5(uuid.NAMESPACE_URL, f"{table.name} {values.tobytes().hex()[:4096]}")),
+        "uuid": str(uuid.UUID(bytes=sha256(values.tobytes()).digest()[:16], version=5)),
         "materialVersion": "1.0.0", "openMaterial3dVersion": "1.0.0", "copyrights": ["not stated"],
         "license": "not stated", "authors": ["not stated"], "sources": in_one_line(table.instrument),
     }  # fmt: skip

@@ -249,13 +249,19 @@ def test_the_same_table_is_written_as_the_same_file(files, tmp_path):
 
 
 @needs_real_files
-def test_what_is_written_is_valid_by_the_schema_of_openmaterial(files):
+def test_what_is_written_is_valid_by_the_schema_of_openmaterial(tmp_path):
     import jsonschema
 
     schema = json.loads((REAL / "openmaterial" / "material_brdf_schema.json").read_text())
-    content, rows = table_of(files["openmaterial"])
+    axes = tuple(np.deg2rad(a) for a in ([0.0, 90.0], [180.0], [0.0, 45.0, 90.0], [0.0, 120.0, 240.0]))
+    table = DenseTable(
+        "x", "x", "incident-outgoing", axes, np.array([385.6523, 500.0]), np.ones((2, 1, 3, 3, 2))
+    )
+    openmaterial.write(tmp_path / "x.xompt", table)
+    content, rows = table_of(tmp_path / "x.xompt")
     jsonschema.validate(content, schema)
     assert rows == sorted(rows)
+    assert {row[0] for row in rows} == set(content["brdf"]["wavelengths"])
 
 
 @needs_real_files

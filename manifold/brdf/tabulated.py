@@ -25,7 +25,8 @@ _LEAST_PER_INCIDENCE = 8  # directions that make a slice of a hemisphere
 _HORIZON_COSINE = 1e-3
 _SAME_ANGLE = 1e-4  # radians; incidences are rounded to five decimals
 _DIFFUSE_PERCENTILE = 10  # of the values of a hemisphere: those away from highlights
-_LARGEST_RATIO = 64.0  # towards the horizon, where shadowing keeps microfacets from growing further
+_LARGEST_RATIO = 64.0
+_LEAST_ALPHA = 0.05  # of the masking, without which noise of readings grows as 1 / cos into a bright rim
 
 
 class TabulatedBRDF(AnalyticBRDF):
@@ -104,8 +105,8 @@ class ReadingsBRDF(TabulatedBRDF):
     """A goniometer's readings: a hemisphere of directions at each of several incidences.
 
     Between two incidences values are blended at the same half vector, so that highlights move with the incidence and
-    do not appear twice; what exceeds the diffuse level follows D F G / (4 cos cos) of microfacets. Steeper incidences
-    than any measured are read with wi and wo exchanged.
+    do not appear twice; what exceeds the diffuse level, noise with it, follows D F G / (4 cos cos) of microfacets, with
+    the masking G of a smooth surface. Steeper incidences than any measured are read with wi and wo exchanged.
     """
 
     def __init__(self, readings: Readings) -> None:
@@ -149,19 +150,23 @@ class ReadingsBRDF(TabulatedBRDF):
             weight = (1 - t) * (low == ring) + t * (high == ring)
             rows = np.flatnonzero(weight > 0)
             if rows.size:
-                cosines = wi[rows, 2] * wo[rows, 2]
+                cosines = _unmasked(wi[rows, 2]) * _unmasked(wo[rows, 2])
                 f[rows] += weight[rows, None] * self._ring(ring, phi[rows], h[rows], cosines)
         return f
 
     def _ring(self, ring: int, phi: Array, h: Array, cosines: Array) -> Array:
-        """Values (n, B) for azimuths (n,), half vectors (n, 3) and cos(theta_i) cos(theta_o) (n,).
+        """Values (n, B) for azimuths (n,), half vectors (n, 3) and the product (n,) of `_unmasked` of both cosines.
 
         They are read at an elevation of incidence that was measured.
         """
         theta, members = float(self._thetas[ring]), self._rings[ring]
         if self._isotropic:
             wo = _mirrored(from_spherical(theta, phi), h)
-            return np.asarray(self._slices[members[0]](_disk(wo, -phi), np.cos(theta) * wo[:, 2] / cosines))
+            return np.asarray(
+                self._slices[members[0]](
+                    _disk(wo, -phi), _unmasked(np.cos(theta)) * _unmasked(wo[:, 2]) / cosines
+                )
+            )
         low, high, t = _bracket(self._phis[members], phi, 2 * np.pi)
         f = np.zeros((len(phi), self.bands.count))
         for k, member in enumerate(members):
@@ -170,7 +175,7 @@ class ReadingsBRDF(TabulatedBRDF):
             if rows.size:
                 wi = from_spherical(theta, np.full(rows.size, self._phis[member]))
                 wo = _mirrored(wi, h[rows])
-                ratio = np.cos(theta) * wo[:, 2] / cosines[rows]
+                ratio = _unmasked(np.cos(theta)) * _unmasked(wo[:, 2]) / cosines[rows]
                 f[rows] += weight[rows, None] * self._slices[member](_disk(wo, 0.0), ratio)
         return f
 
@@ -204,6 +209,11 @@ class _Slice:
         return np.asarray(
             values + lobe * (np.clip(ratio, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO) - 1.0)[:, None]
         )
+
+
+def _unmasked(cosine: Array | float) -> Array:
+    """cos / G1 of Smith's masking of a smooth GGX surface, up to a factor: the cosine, but at the horizon not 0."""
+    return np.asarray(cosine + np.sqrt(_LEAST_ALPHA**2 + (1.0 - _LEAST_ALPHA**2) * np.square(cosine)))
 
 
 def _disk(w: Array, turn: Array | float) -> Array:

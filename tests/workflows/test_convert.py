@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from helpers.instrument_files import RGB, dense, smooth, write_every_format, write_pab_opto
 
-from manifold.brdf.analytic.instruments import MINI_DIFF_BANDS
+from manifold.brdf.analytic import corpus
+from manifold.brdf.analytic.instruments import MINI_DIFF_BANDS, write_mini_diff
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.tabulated import ReadingsBRDF
 from manifold.cli.main import run
@@ -81,6 +82,21 @@ def test_half_a_hemisphere_is_mirrored_and_every_reading_met():
     for side in ([1.0, 1.0, 1.0], [1.0, -1.0, 1.0]):
         found = brdf.eval(readings.wi, readings.wo * side)
         np.testing.assert_allclose(found, readings.values, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["syn_felt_green", "syn_card_brown", "syn_metal_copper"])
+def test_the_noise_of_readings_makes_no_bright_rim(name, rng, tmp_path):
+    """Directional albedo up to the horizon, of the BRDF and of the file that `convert` writes."""
+    truth = {m.name: m for m in corpus.isotropic_materials()}[name].truth(MINI_DIFF_BANDS)
+    write_mini_diff(tmp_path / "sample.astm", truth, "sample", rng)
+    convert([tmp_path / "sample.astm"], tmp_path / "sample.bsdf", options=Options(16, 8))
+    brdf = open_source([tmp_path / "sample.astm"]).brdf
+    elevations = np.deg2rad([60.0, 80.0, 85.0, 87.0, 89.0])
+    wi = from_spherical(elevations, np.zeros(5))
+    true = truth.albedo(wi).mean(axis=1)
+    for found in (brdf.albedo(wi), MeasuredBRDF(read_bsdf(tmp_path / "sample.bsdf")).albedo(wi)):
+        # Extrapolated from incidences up to 60 degrees; it was 4 times as bright at 89.
+        assert np.all(found.mean(axis=1) < 1.8 * true)
 
 
 def test_of_both_directions_of_a_pair_the_one_nearer_to_a_measured_incidence_counts_more(tmp_path):

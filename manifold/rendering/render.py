@@ -22,7 +22,7 @@ from manifold.rendering.plugin.bsdf import register_always
 from manifold.system.stages import with_progress
 
 LARGEST_SIZE = 8192
-_LANES = 1 << 20  # samples rendered at once
+_LANES = 1 << 23  # samples rendered at once: the sampler stratifies those of one pass among each other
 
 register_always()
 
@@ -97,7 +97,7 @@ def require_d65(illuminant: Illuminant) -> None:
 def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Progress | None = None) -> Array:
     """The channels of a scene's film, float64, shape (size, size, channels).
 
-    Rendered in passes that fit in memory, each with a seed of its own that follows from the settings'.
+    Rendered in passes of a few seconds, each with a seed of its own that follows from the settings'.
     """
     most = max(1, _LANES // settings.size**2)
     n_passes = -(-settings.samples // most)

@@ -146,7 +146,7 @@ def complete_readings(
         from manifold.workflows.sources import FileSource
 
         step = stages.begin("rendering")
-        renders.render(FileSource(output), picture, RenderSettings(samples=32), on_progress=step)
+        renders.render(FileSource(output), picture, RenderSettings(), on_progress=step)
     plausibility = written.plausibility
     notes = (
         *made.notes,

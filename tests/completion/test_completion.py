@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.chi_square import chi_square_p_value
 from helpers.readings import DIRECTIONS, readings
 from helpers.small_library import NAMES
 
@@ -16,6 +17,7 @@ from manifold.brdf.analytic.ggx import GGX
 from manifold.brdf.analytic.microfacet import Plastic
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
+from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.completion import calibrate, complete, expected, suggest
 from manifold.completion.band_mixtures import band_mixtures
@@ -41,6 +43,8 @@ from manifold.io_rgl import read_bsdf
 from manifold.latent.decoder import EncodingPairs
 from manifold.library.store import Library
 from manifold.metrics import cube_root_error
+from manifold.model.output_file import output_file
+from manifold.model.prediction import ClippedBRDF
 from manifold.records import Bands
 
 APART = np.arange(9.0)[:, None] * np.full(3, 50.0)
@@ -345,6 +349,22 @@ def test_a_material_of_the_library_is_completed_to_what_it_is(atoms, library):
     np.testing.assert_allclose(made.brdf.eval(pairs.wi, pairs.wo), made.on_grid, rtol=1e-5, atol=1e-9)
     assert sum(a.probability for a in made.alternatives) <= 1.0 + 1e-9
     assert len(made.spread_at(wi, wo)) == 12
+
+
+@pytest.mark.parametrize("name", ["syn_paper_white", "syn_gloss_red"])
+def test_files_of_completions_are_sampled_as_they_reflect(atoms, library, name, rng):
+    """Renders of them are as smooth as those of measured files: f cos / pdf is almost constant."""
+    brdf = MeasuredBRDF(Library.open(library).read(name))
+    made = complete(atoms, readings(brdf.eval(*DIRECTIONS))).brdf
+    file = MeasuredBRDF(output_file(ClippedBRDF(made), "completed")[0])
+    for theta_deg in (20.0, 60.0):
+        wi = from_spherical(np.deg2rad(theta_deg), 0.4)
+        assert chi_square_p_value(file, wi, rng, n_samples=50_000) > 1e-3 / 4  # four tests of this kind
+        w = np.broadcast_to(wi, (20_000, 3))
+        wo, density = file.sample(w, rng.random((20_000, 2)))
+        seen = density > 0.0
+        weight = luminance(file.eval_cos(w[seen], wo[seen]), file.bands) / density[seen]
+        assert weight.std() < 0.12 * weight.mean()  # 0.05 to 0.1, in measured files as well
 
 
 def test_a_reading_without_light_has_a_finite_error(atoms, library):

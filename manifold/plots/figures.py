@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -82,6 +83,23 @@ def shortened(name: str, most: int = 40) -> str:
     """A name as a label: without its end where it is longer than `most`, and never read as a formula."""
     text = without_controls(name if len(name) <= most else name[: most - 1] + "…")
     return text.replace("$", r"\$")
+
+
+def in_lines(name: str, width: int = 40, most: int = 3) -> str:
+    """A name as a title: broken after blanks, `_`, `-`, `/` or `.`, or anywhere, and cut only after `most` lines."""
+    lines = [""]
+    for part in re.findall(r"[^\s_/.-]*[\s_/.-]*", name):
+        while len(lines[-1]) + len(part.rstrip()) > width:
+            if lines[-1]:
+                lines.append("")
+            else:
+                lines[-1], part = part[:width], part[width:]
+                lines.append("")
+        lines[-1] += part
+    kept = [line.strip() for line in lines[:most]]
+    if lines[most:]:
+        kept[-1] += "…"
+    return "\n".join(shortened(line, width + 1) for line in kept)
 
 
 def require_writable(path: Path) -> None:

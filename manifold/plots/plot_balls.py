@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patheffects import withStroke
 
 from manifold.model.manifold import Manifold
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import in_lines, new_figure
 from manifold.plots.plot_latents import (
     MARK,
     draw_expected_error,
@@ -46,7 +45,7 @@ def ball_map(
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
     X = two_dimensions(model.X)
-    names = [_in_lines(name) for name in material_labels(model)]
+    names = [in_lines(name, _LINE) for name in material_labels(model)]
     shown = list(images)
     if marked is not None and marked_image is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])
@@ -85,12 +84,6 @@ def ball_map(
         )
         axes.add_artist(AnnotationBbox(ball, place, frameon=False, pad=0, zorder=3))
     return figure
-
-
-def _in_lines(name: str) -> str:
-    """A name broken into lines of at most `_LINE` letters where it has spaces, the first three of them."""
-    lines = textwrap.wrap(name, _LINE, break_long_words=False, max_lines=3, placeholder=" …")
-    return "\n".join(shortened(line, 2 * _LINE) for line in lines)
 
 
 def spread(points: Array, room: Array, frame: Array) -> Array:

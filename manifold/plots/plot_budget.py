@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import in_lines, new_figure
 from manifold.records import Array
 
 _LEAST, _MOST_DELTA_E = 0.02, 40.0  # ends of the axis of differences
@@ -78,7 +78,7 @@ def _costs(axis: Axes, material: Mapping[str, Any], tolerance: float) -> None:
     axis.set_ylim(_LEAST, _MOST_DELTA_E)
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _bytes(value)))
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_title(shortened(material["material"]), fontsize=10)
+    axis.set_title(in_lines(material["material"]), fontsize=10)
     axis.set_xlabel("size")
     axis.set_ylabel("CIEDE2000")
     axis.grid(alpha=0.25)

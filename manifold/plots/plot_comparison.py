@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import in_lines, new_figure
 from manifold.records import Array, Mask
 
 _LARGEST_DELTA_E = 10.0  # of the colour scale: far above what anybody takes for the same colour
@@ -28,7 +28,7 @@ def comparison(
     axes = figure.subplots(2, 2)
     for axis, picture, title in zip(axes[0], (display_a, display_b), titles, strict=True):
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
-        axis.set_title(shortened(title), fontsize=10)
+        axis.set_title(in_lines(title, 44), fontsize=10)
     scale = min(_LARGEST_DELTA_E, max(1.0, float(delta_e.max())))
     where = "picture" if within is None else "ball"
     means = [float(np.mean(values if within is None else values[within])) for values in (delta_e, flip)]

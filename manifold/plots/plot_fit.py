@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import in_lines, new_figure
 from manifold.plots.plot_slices import INCIDENCES_DEG, Source, draw_slices
 from manifold.records import Array, Mask
 
@@ -33,13 +33,13 @@ def fit_picture(
         sources: the material and the fit, for the slices.
     """
     figure = new_figure(11, 9.6)
-    figure.suptitle(shortened(title, 80), fontsize=12)
+    figure.suptitle(in_lines(title, 100), fontsize=12)
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 2.15))
     upper, lower = parts
     axes = upper.subplots(1, 4)
     for axis, picture, source in zip(axes, balls, sources, strict=False):
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")
-        axis.set_title(shortened(source.label), fontsize=10)
+        axis.set_title(in_lines(source.label, 32), fontsize=10)
     maps = (
         (delta_e, _LARGEST_DELTA_E, f"CIEDE2000, mean {delta_e[inside].mean():.2f}"),
         (flip, 1.0, f"FLIP, mean {flip[inside].mean():.3f}"),

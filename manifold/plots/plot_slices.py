@@ -14,7 +14,7 @@ from manifold.colour.conversion import to_srgb
 from manifold.directions import from_rusinkiewicz, from_spherical
 from manifold.errors import UsageError
 from manifold.model.diagnostics import Prediction
-from manifold.plots.figures import new_figure, shortened
+from manifold.plots.figures import in_lines, new_figure
 from manifold.records import Array
 
 INCIDENCES_DEG = (20.0, 40.0, 60.0)
@@ -25,6 +25,7 @@ GEOMETRIES_DEG = ((45.0, 0.0), (45.0, -30.0), (45.0, 45.0), (60.0, 75.0))
 _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
 _DECADES = 5.0  # that a logarithmic axis shows at most
 _BRIGHTEST = 3.0  # white of a Rusinkiewicz image, in times the median cube root
+_LEGEND_LETTERS = 115  # in the width of a figure
 _IMAGE = 180  # pixels of a Rusinkiewicz image per side
 # Okabe & Ito: distinct for colour-blind readers; line styles distinguish them without colour.
 _COLOURS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00")
@@ -123,7 +124,7 @@ def rusinkiewicz_images(sources: Sequence[Source]) -> Figure:
         axes.imshow(
             shown.reshape(_IMAGE, _IMAGE, 3), extent=(0, 1, 90, 0), aspect="auto", interpolation="nearest"
         )
-        axes.set_title(shortened(source.label), fontsize=10)
+        axes.set_title(in_lines(source.label, 36), fontsize=10)
         axes.set_xticks(np.sqrt(ticks / 90.0), [f"{t:g}" for t in ticks])
         axes.set_yticks([0, 30, 60, 90])
         axes.set_xlabel(r"half angle $\theta_h$ (°)")
@@ -197,5 +198,7 @@ def _logarithmic(row: Sequence[Axes]) -> None:
 
 def _legend(figure: Figure | SubFigure, axes: Axes, sources: Sequence[Source]) -> None:
     lines = axes.lines[: len(sources)]
-    labels = [shortened(source.label) for source in sources]
-    figure.legend(lines, labels, loc="outside upper center", ncols=min(len(sources), 4), frameon=False)
+    labels = [in_lines(source.label, 80) for source in sources]
+    longest = max(len(line) for label in labels for line in label.split("\n"))
+    columns = int(np.clip(_LEGEND_LETTERS // (longest + 6), 1, 4))
+    figure.legend(lines, labels, loc="outside upper center", ncols=min(len(sources), columns), frameon=False)

@@ -93,6 +93,6 @@ def walk(
                 on_progress(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
         rows.append((name, images))
     doubtful = [value in between and bool(between[value].diagnostics) for value in t.tolist()]
-    title = f"From {figures.shortened(start)} to {figures.shortened(end)}"
+    title = figures.in_lines(f"From {start} to {end}", 14 * steps)
     figures.save(plot_balls.walk_strip(title, t.tolist(), rows, doubtful), output)
     return between

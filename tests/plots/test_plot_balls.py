@@ -13,7 +13,7 @@ from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.manifold import Manifold, Settings
-from manifold.plots.plot_balls import _in_lines, ball_map, spread, walk_strip
+from manifold.plots.plot_balls import ball_map, spread, walk_strip
 from manifold.rendering import thumbnails
 from manifold.workflows import ball_pictures
 
@@ -147,12 +147,6 @@ def test_balls_on_a_line_stay_on_it_where_there_is_room(model, balls):
     heights = [axes.transData.transform(box.xy)[1] for box in axes.artists if isinstance(box, AnnotationBbox)]
     below, above = axes.bbox.intervaly
     np.testing.assert_allclose(heights, 0.5 * (below + above), atol=0.02 * (above - below))
-
-
-def test_names_without_spaces_and_of_many_words_are_cut():
-    assert _in_lines("n" * 200) == "n" * 25 + "…"
-    assert _in_lines("five words to a line " * 9).count("\n") == 2
-    assert _in_lines("five words to a line " * 9).endswith("…")
 
 
 def test_walks_to_nowhere_are_refused(folder, tmp_path):

@@ -193,3 +193,18 @@ def test_the_difference_of_two_materials_is_that_of_their_balls():
     titles = [{axes.get_title() for axes in figure.axes} for figure in (whole, ball)]
     assert titles[0] >= {"CIEDE2000, mean over the picture 2.00", "FLIP, mean over the picture 0.200"}
     assert titles[1] >= {"CIEDE2000, mean over the ball 8.00", "FLIP, mean over the ball 0.800"}
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"),
+    [
+        ("cardboard", ["cardboard"]),
+        ("acrylic_felt_green", ["acrylic_", "felt_green"]),
+        ("x" * 25, ["x" * 12, "x" * 12, "x"]),
+        ("one two three four five six", ["one two", "three four", "five six"]),
+        ("one two three four five six seven", ["one two", "three four", "five six…"]),
+        ("", [""]),
+    ],
+)
+def test_long_names_are_broken_and_cut_only_after_the_last_line(name, lines):
+    assert figures.in_lines(name, 12).split("\n") == lines

@@ -71,6 +71,7 @@ def run(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
     terminal.begin()
+    terminal.end_with_listener()
     if strict:
         warnings.simplefilter("always", UserWarning)  # also what this process was warned of before
     if strict or not debug:

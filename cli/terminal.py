@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import select
+import signal
+import stat
 import sys
 import textwrap
 import threading
@@ -50,9 +53,9 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress 
 
     Where another program asked for it, JSON lines into its descriptor instead.
     """
-    listening = os.environ.get(stages.PROGRESS_VARIABLE, "")
-    if listening.isdecimal() and len(listening) < 6:  # descriptors are small numbers
-        yield _json_lines_to(int(listening))
+    listening = _listening()
+    if listening is not None:
+        yield _json_lines_to(listening)
         return
     if not sys.stderr.isatty():
         with _lines(title) as line:
@@ -72,6 +75,30 @@ def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress 
             bar.update(task, completed=done, total=total, what=printable(what))
 
         yield step
+
+
+def end_with_listener() -> None:
+    """Terminate this process, and those it starts, once the program that asked for progress is gone or killed."""
+    listening = _listening()
+    try:
+        if listening is None or not stat.S_ISFIFO(os.fstat(listening).st_mode):
+            return
+    except OSError:  # it is not open
+        return
+
+    def wait() -> None:
+        poll = select.poll()
+        poll.register(listening, 0)  # which tells only that the other end was closed
+        poll.poll()
+        (os.killpg if os.getpgrp() == os.getpid() else os.kill)(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _listening() -> int | None:
+    """The descriptor into which another program asked for progress."""
+    given = os.environ.get(stages.PROGRESS_VARIABLE, "")
+    return int(given) if given.isdecimal() and len(given) < 6 else None  # descriptors are small numbers
 
 
 @contextmanager

@@ -291,6 +291,17 @@ def test_a_connection_that_sends_no_more_leaves_the_server_alive(served):
         assert request(served, "GET", "/jobs")[0] == 200
 
 
+def test_slow_connections_do_not_block_others(served):
+    held = []
+    for _ in range(40):
+        held.append(socket.create_connection(("127.0.0.1", served.server_port)))
+        held[-1].sendall(b"POST /do/locate HTTP/1.1\r\nContent-Length: 100\r\n\r\n{")
+    assert request(served, "GET", "/jobs")[0] == 200
+    assert post(served, "/do/predict", HERE).state == "done"
+    for connection in held:
+        connection.close()
+
+
 def test_a_taken_port_is_named(served, context):
     with pytest.raises(UsageError, match=f"port {served.server_port} cannot be listened on"):
         ExplorerServer("", context, served.server_port)
@@ -321,6 +332,19 @@ serve_until_interrupted(server, lambda address: print(server.inputs, flush=True)
     assert not Path(inputs).exists()
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def test_a_command_ends_when_what_listens_to_its_progress_is_killed(tmp_path):
+    """As a server that is killed leaves it; with the processes that it has started."""
+    reads, writes = os.pipe()
+    command = subprocess.Popen(
+        [sys.executable, "-m", "manifold", "corpus", "files"], cwd=tmp_path, pass_fds=[writes],
+        env=os.environ | {"MANIFOLD_PROGRESS": str(writes)}, start_new_session=True,
+    )  # fmt: skip
+    os.close(writes)
+    assert os.read(reads, 1)  # it works
+    os.close(reads)
+    assert command.wait(20) == -signal.SIGTERM
 
 
 @pytest.mark.slow

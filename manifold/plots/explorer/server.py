@@ -55,6 +55,7 @@ class ExplorerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = 128  # connections that wait to be accepted
 
     def __init__(self, page: str, context: Context, port: int = 0, queue: Queue | None = None) -> None:
         """Listen on a port; 0 is any that is free.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +19,12 @@ from .application import app
 )
 def convert(
     inputs: Annotated[
-        list[Path],
-        typer.Argument(help="A file; or the files of one sample, one per incidence.", metavar="IN"),
+        list[str],
+        typer.Argument(
+            help="A file; the files of one sample, one per incidence; a material of the library; or a place on the "
+            "map.",
+            metavar="IN",
+        ),
     ],
     output: Annotated[
         Path,
@@ -51,6 +56,8 @@ def convert(
             help="Of RGL files: incident elevations, beside the file's own.", metavar="N", min=2, max=512
         ),
     ] = None,
+    model: options.ModelOption = options.DEFAULT_MODEL,
+    library: options.MovedLibraryOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
@@ -61,11 +68,13 @@ def convert(
     """
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options
+    from manifold.workflows.sources import source_file
 
     results = terminal.Results(json)
-    with terminal.progress("Converting"):
+    sources = [options.material_source(text, model, library) for text in inputs]
+    with terminal.progress("Converting") as step, ExitStack() as files:
         made = conversion.convert(
-            inputs,
+            [files.enter_context(source_file(source, step)) for source in sources],
             output,
             to=to,
             sample=sample,

@@ -191,14 +191,17 @@ def import_(
 )
 def info(
     path: Annotated[
-        Path,
+        str,
         typer.Argument(
-            help="A .bsdf or instrument's file, a library, a model, or a fit's JSON.", metavar="PATH"
+            help="A .bsdf or instrument's file, a library, a model, or a fit's JSON; a material of the library; or "
+            "a place on the map.",
+            metavar="PATH",
         ),
-    ] = options.DEFAULT_LIBRARY,
+    ] = str(options.DEFAULT_LIBRARY),
     verify: Annotated[
         bool, typer.Option("--verify", help="Read a whole library and compare every hash.")
     ] = False,
+    model: options.ModelOption = options.DEFAULT_MODEL,
     renderer: Annotated[
         bool, typer.Option("--renderer", help="Show the backend of Mitsuba instead, and test it again.")
     ] = False,
@@ -217,7 +220,8 @@ def info(
         if renderer:
             shown = inspection.inspect_renderer()
         else:
-            shown = inspection.inspect(path, library=library, verify=verify, on_progress=step)
+            source = options.material_source(path, model, library)
+            shown = inspection.inspect_source(source, library=library, verify=verify, on_progress=step)
     results.rows(shown.title, shown.rows)
     for columns, rows in shown.tables:
         if rows:

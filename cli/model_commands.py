@@ -189,7 +189,7 @@ def predict(
     place: Annotated[
         str | None,
         typer.Argument(
-            help="The same as --latent; a coordinate with a sign needs --latent.",
+            help="The same as --latent; or a file or material of the library, which is located.",
             metavar="PLACE",
             show_default=False,
         ),
@@ -251,7 +251,7 @@ def predict(
     written = OutputOptions(physical, force, resolution, incidences)
     if None not in (place, latent):
         raise UsageError(f"found two places, {place} and --latent {latent}, expected one")
-    latent = latent if place is None else place
+    latent = latent if place is None else place.strip()
     if points is not None:
         if latent is not None or colour != NEAREST or attributes is not None:
             raise UsageError(
@@ -275,7 +275,7 @@ def predict(
     with terminal.progress("Reading materials") as step:
         made = prediction.predict(
             model,
-            latent,
+            latent if place is None else options.material_source(latent, model, library),
             or_default(output, "predicted.bsdf"),
             library=library,
             colour=colour,

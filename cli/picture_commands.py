@@ -26,7 +26,9 @@ SliceKind = Literal["angles", "image", "spectra"]
 def latent_map(
     mark: Annotated[
         str | None,
-        typer.Option(help="Also show the prediction at this latent.", metavar="X,Y|NAME|FROM:TO:T"),
+        typer.Option(
+            help="Also show the prediction at this place, or where a material lies.", metavar=options.MATERIAL
+        ),
     ] = None,
     like: options.LikeOption = None,
     reflectance: options.ReflectanceOption = None,
@@ -47,7 +49,12 @@ def latent_map(
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
     with terminal.progress("Rendering") as step:
         marked, left_out = ball_pictures.latent_map(
-            model, output, library=library, marked=mark, colour=colour, on_progress=step
+            model,
+            output,
+            library=library,
+            marked=None if mark is None else options.material_source(mark, model, library),
+            colour=colour,
+            on_progress=step,
         )
     rows: dict[str, object] = {"left out": ", ".join(left_out)} if left_out else {}
     results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))
@@ -67,7 +74,9 @@ def latent_map(
     epilog="Example: manifold walk syn_satin_gold syn_metallic_gold -o walk.png",
 )
 def walk(
-    start: Annotated[str, typer.Argument(help="The first material.", metavar="FROM")],
+    start: Annotated[
+        str, typer.Argument(help="The first material: a name, a file, or a place.", metavar="FROM")
+    ],
     end: Annotated[str, typer.Argument(help="The last material.", metavar="TO")],
     steps: Annotated[int, typer.Option(help="Balls on the path.", metavar="N", min=2, max=25)] = 7,
     model: options.ModelOption = options.DEFAULT_MODEL,
@@ -83,9 +92,10 @@ def walk(
     from manifold.workflows import ball_pictures
 
     results = terminal.Results(json)
+    ends = [options.material_source(text, model, library) for text in (start, end)]
     with terminal.progress("Rendering") as step:
         between = ball_pictures.walk(
-            model, start, end, output, steps=steps, library=library, on_progress=step
+            model, ends[0], ends[1], output, steps=steps, library=library, on_progress=step
         )
     diagnosed = tuple(f"t = {t:.2g}: {said}" for t, made in between.items() for said in made.diagnostics)
     expected = [

@@ -5,16 +5,19 @@ Source: Dupuy & Jakob 2018; what is checked is what Mitsuba's `measured` plugin 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from manifold.errors import UsageError
+from manifold.errors import FileFormatError, UsageError
 from manifold.formats.error_context import ErrorContext
-from manifold.formats.tensor_file import read_tensors, shape_text, write_tensors
+from manifold.formats.tensor_file import MAGIC, read_tensors, shape_text, write_tensors
 from manifold.records import AnyArray, BsdfFile, Mask
+from manifold.system.names import printable
+from manifold.system.reading import begins_with
 
 # What an RGL file must hold: dtype and axes per field; an axis is a number, or a letter that all fields share.
 _FIELDS: dict[str, tuple[str, tuple[str | int, ...] | None]] = {
@@ -48,24 +51,33 @@ def read_bsdf(path: Path | str) -> BsdfFile:
             the message names the file and the field.
     """
     path = Path(path)
+    if os.path.isfile(path) and not begins_with(path, MAGIC):
+        from manifold.formats import registry
+
+        known = registry.identify(path)
+        if known is not None:
+            raise FileFormatError(
+                f"{printable(path.name, 255)}: {known.name}, expected an RGL file; `manifold complete` makes one of a "
+                "few readings, `manifold convert` of a table or of whole hemispheres of readings"
+            )
     tensors = read_tensors(path)
     _check(tensors, ErrorContext(path, "the file is damaged: fetch it again"))
-    known = {name: tensors[name] for name in _FIELDS if name in tensors}
+    fields = {name: tensors[name] for name in _FIELDS if name in tensors}
     return BsdfFile(
         name=material_name(path),
         # Surrogates carry bytes that are not UTF-8 through to writing.
-        description=known["description"].tobytes().decode("utf-8", "surrogateescape"),
-        version=tuple(int(part) for part in known["version"]),
-        phi_i_rad=known["phi_i"],
-        theta_i_rad=known["theta_i"],
-        wavelengths_nm=known.get("wavelengths"),
-        sigma=known["sigma"],
-        ndf=known["ndf"],
-        vndf=known["vndf"],
-        luminance=known["luminance"],
-        spectra=known["spectra"] if "spectra" in known else known["rgb"],
-        jacobian=bool(known["jacobian"][0]),
-        valid=known["valid"],
+        description=fields["description"].tobytes().decode("utf-8", "surrogateescape"),
+        version=tuple(int(part) for part in fields["version"]),
+        phi_i_rad=fields["phi_i"],
+        theta_i_rad=fields["theta_i"],
+        wavelengths_nm=fields.get("wavelengths"),
+        sigma=fields["sigma"],
+        ndf=fields["ndf"],
+        vndf=fields["vndf"],
+        luminance=fields["luminance"],
+        spectra=fields["spectra"] if "spectra" in fields else fields["rgb"],
+        jacobian=bool(fields["jacobian"][0]),
+        valid=fields["valid"],
         extra=MappingProxyType({name: a for name, a in tensors.items() if name not in _FIELDS}),
     )
 

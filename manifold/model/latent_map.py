@@ -14,6 +14,7 @@ from manifold.model.latent_space import LatentSpace
 from manifold.model.latents import (
     Place,
     PlaceLike,
+    on_line,
     parse_coordinates,
     parse_path,
     require_between,
@@ -140,10 +141,7 @@ class LatentMap:
             UsageError: the model has no such material, or t is not from 0 to 1.
         """
         require_between(t)
-        start, end = self.latent(a), self.latent(b)
-        way = end - start
-        # exact at both ends, and where they agree
-        return start + t * way if t < 0.5 else end - (1.0 - t) * way
+        return on_line(self.latent(a), self.latent(b), t)
 
     def place(self, x: PlaceLike) -> Place:
         """The place that a latent or a text means.

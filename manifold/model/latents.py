@@ -65,6 +65,12 @@ def require_between(t: float) -> None:
         raise UsageError(f"t = {t:g}, expected a number from 0 (the first material) to 1 (the second)")
 
 
+def on_line(start: Array, end: Array, t: float) -> Array:
+    """The latent at t from 0 to 1 between two (Q,): exact at both ends, and where these agree."""
+    way = end - start
+    return start + t * way if t < 0.5 else end - (1.0 - t) * way
+
+
 def parse_coordinates(text: str) -> list[float] | None:
     """The numbers of `-0.3,1.2`; None where the text is something else."""
     try:

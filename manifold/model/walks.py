@@ -215,3 +215,31 @@ def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> Pre
     position = float(positions_between(start, end, np.array([share]))[0])
     parts = [RoughenedBRDF(brdf, w.highlight, position) for brdf, w in zip(ends, walked, strict=True)]
     return PredictedBRDF(parts, Combination(Identity(), np.array([1.0 - share, share])))
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A walk between two materials.
+
+    Attributes:
+        ends: both.
+        walked: the same.
+        shares: of the second at `PATH_NODES` even values of t.
+    """
+
+    ends: tuple[BRDF, BRDF]
+    walked: tuple[Walked, Walked]
+    shares: Array
+
+    @classmethod
+    def between(cls, start: BRDF, end: BRDF) -> Walk:
+        """Fit the highlights of two BRDFs of the same bands."""
+        walked = Walked.of(start), Walked.of(end)
+        return cls((start, end), walked, walk_path(*walked))
+
+    def at(self, t: float) -> PredictedBRDF:
+        """The step at t from 0 to 1; at both ends, the material itself."""
+        if t in (0.0, 1.0):
+            return PredictedBRDF([self.ends[int(t)]], Combination(Identity(), np.ones(1)))
+        share = float(np.interp(t, np.linspace(0.0, 1.0, PATH_NODES), self.shares))
+        return step_of(self.ends, self.walked, share)

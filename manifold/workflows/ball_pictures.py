@@ -7,16 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.model import diagnostics
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.diagnostics import Prediction
-from manifold.model.latents import Place, PlaceLike
+from manifold.model.latents import Place, PlaceLike, on_line
 from manifold.model.manifold import Manifold
+from manifold.model.walks import Walk
 from manifold.plots import figures, plot_balls, plot_latents
 from manifold.records import Array, Progress
 from manifold.rendering import backend, thumbnails
 from manifold.rendering.thumbnails import cropped
+from manifold.workflows.sources import LibrarySource, MaterialSource, PlaceSource, place_of, read_source
 
 
 def latent_map(
@@ -24,7 +27,7 @@ def latent_map(
     output: Path,
     *,
     library: Path | None = None,
-    marked: PlaceLike | None = None,
+    marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
     on_progress: Progress | None = None,
 ) -> tuple[Prediction | None, tuple[str, ...]]:
@@ -34,7 +37,7 @@ def latent_map(
         model: path of a model.
         output: the picture.
         library: path of the model's library, if it was moved.
-        marked: place of a prediction to show.
+        marked: place of a prediction to show; a material is located.
         colour: of that prediction, on a monochrome manifold.
         on_progress: called with (done, total, what) while balls are rendered for the first time.
     Returns:
@@ -42,7 +45,7 @@ def latent_map(
     """
     figures.require_writable(output)
     loaded = Manifold.load(model, library)
-    predicted = None if marked is None else diagnostics.predict(loaded, marked, colour)
+    predicted = None if marked is None else diagnostics.predict(loaded, place_of(marked, loaded), colour)
     x = None if predicted is None else predicted.latent
     if not backend.is_available():
         figures.save(plot_latents.latent_map(loaded, marked=x), output)
@@ -55,8 +58,8 @@ def latent_map(
 
 def walk(
     model: Path,
-    start: str,
-    end: str,
+    start: MaterialSource,
+    end: MaterialSource,
     output: Path,
     *,
     steps: int = 7,
@@ -75,9 +78,12 @@ def walk(
     backend.imported()
     loaded = Manifold.load(model, library)
     t = np.linspace(0.0, 1.0, steps)
+    ends = [_end(loaded, source) for source in (start, end)]
+    first, last = (place_of(source, loaded).latent for source in (start, end))
+    path = Walk.between(*ends)
     methods: list[tuple[str, Callable[[float], BRDF]]] = [
-        ("walk", lambda value: loaded.interpolate(start, end, value)),
-        ("path of\nlatents", lambda value: loaded.predict(loaded.between(start, end, value))),
+        ("walk", path.at),
+        ("path of\nlatents", lambda value: loaded.predict(on_line(first, last, value))),
     ]
     rows: list[tuple[str, list[Array]]] = []
     between: dict[float, Prediction] = {}
@@ -87,7 +93,7 @@ def walk(
             brdf = along(value)
             images.append(cropped(thumbnails.of_material(brdf)))
             if not rows and 0.0 < value < 1.0:
-                between[value] = diagnostics.diagnose(loaded, Place(loaded.between(start, end, value)), brdf)
+                between[value] = diagnostics.diagnose(loaded, Place(on_line(first, last, value)), brdf)
             if on_progress is not None:
                 done = len(rows) * steps + len(images)
                 on_progress(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
@@ -96,3 +102,14 @@ def walk(
     title = figures.in_lines(f"From {start} to {end}", 14 * steps)
     figures.save(plot_balls.walk_strip(title, t.tolist(), rows, doubtful), output)
     return between
+
+
+def _end(model: Manifold, source: MaterialSource) -> BRDF:
+    """The BRDF at an end of a walk, its unmeasured cells filled."""
+    if isinstance(source, PlaceSource):
+        return diagnostics.predict(model, source.place, source.colour).brdf
+    if isinstance(source, LibrarySource) and source.name in model.names:
+        return model.materials.filled([source.name])[0]
+    brdf = MeasuredBRDF(fill_unmeasured(read_source(source)))
+    model.bands.require_same(brdf.bands, str(source), "resample it, or use its own library")
+    return brdf

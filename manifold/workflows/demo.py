@@ -148,7 +148,8 @@ def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> l
     if backend.choose().is_llvm:
         with stage("Drawing the walk") as step:
             pictures.append(folder / "walk.png")
-            ball_pictures.walk(model, START, END, pictures[-1], on_progress=step)
+            ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
+            ball_pictures.walk(model, ends[0], ends[1], pictures[-1], on_progress=step)
     with stage("Fitting game parameters to the prediction") as step:
         fits.fit_files([predicted], folder / FIT, FitSettings(), on_progress=step)
         pictures.append(folder / "predicted.fit.png")

@@ -6,7 +6,7 @@ What only one of them needs (zarr, Numba, models) is imported where it is used.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend
 from manifold.system.reading import begins_with
 from manifold.workflows.instrument_inspection import inspect_instrument_file
+from manifold.workflows.sources import FileSource, MaterialSource, source_file
 
 _FIT = b'{\n  "format": "manifold fit"'
 _KINDS = {
@@ -82,6 +83,18 @@ def inspect(
     if path.is_file() and path.suffix.lower() != ".bsdf" and not begins_with(path, tensor_file.MAGIC):
         raise registry.unknown(path)
     return _inspect_file(read_bsdf(path), path)
+
+
+def inspect_source(
+    source: MaterialSource, *, library: Path | None = None, verify: bool = False,
+    on_progress: Progress | None = None,
+) -> Inspection:  # fmt: skip
+    """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
+    if isinstance(source, FileSource):
+        return inspect(source.path, library=library, verify=verify, on_progress=on_progress)
+    with source_file(source, on_progress) as path:
+        found = inspect(path, verify=verify)
+    return replace(found, title=f"{source}: RGL material", document=found.document | {"path": str(source)})
 
 
 def inspect_renderer() -> Inspection:

@@ -16,11 +16,12 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Progress
 from manifold.workflows.output_files import require_bsdf_output, write_checked
+from manifold.workflows.sources import MaterialSource, place_of
 
 
 def predict(
     model: Manifold | Path | str,
-    latent: PlaceLike,
+    latent: PlaceLike | MaterialSource,
     output: Path | str,
     *,
     library: Path | str | None = None,
@@ -33,7 +34,7 @@ def predict(
 
     Args:
         model: a fitted manifold, or the path of one.
-        latent: Q coordinates, or another place.
+        latent: Q coordinates, another place, or a material, which is located.
         output: the file to write; its name becomes the material's.
         library: where the model's library is now, if not where the model remembers it.
         colour: of a monochrome manifold, whose latent is the structure alone.
@@ -49,7 +50,7 @@ def predict(
     require_bsdf_output(output)
     if not isinstance(model, Manifold):
         model = Manifold.load(model, library)
-    place = model.place(latent)
+    place = place_of(latent, model)
     if colour != NEAREST or model.space.needs_colours or place.path is not None:
         model.prepare(on_progress)
     if attributes is None:

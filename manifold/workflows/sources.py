@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
@@ -15,6 +17,9 @@ from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import Place, PlaceLike, parse_coordinates
 from manifold.records import BsdfFile, Progress
 from manifold.system.names import names_like
+
+if TYPE_CHECKING:
+    from manifold.model.manifold import Manifold
 
 _FILE_ENDING = re.compile(r"\.[A-Za-z]\w*")
 
@@ -102,7 +107,7 @@ def parse_source(
     """
     text = text.strip()
     path = Path(text)
-    if path.is_file():
+    if os.path.isfile(path):
         return FileSource(path)
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:
@@ -112,12 +117,14 @@ def parse_source(
         known, names, unknown = Path(), (), f"no name of a material ({error})"
     if text in names:
         return LibrarySource(known, text)
-    if path.exists():
+    if os.path.exists(path):
         return FileSource(path)
     if not looks_like_file and (parse_coordinates(text) is not None or _is_path_of_latents(text)):
         return PlaceSource(model, text, library, colour)
     if looks_like_file:
-        raise MissingFileError(f"{text}: no such file; name one, or a material of a library, or a place")
+        raise MissingFileError(
+            f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"
+        )
     raise UnknownNameError(
         f"{text}: no file, {unknown}, and no place on a map; places are X,Y or FROM:TO:T between two materials"
     )
@@ -137,6 +144,22 @@ def read_source(source: MaterialSource, on_progress: Progress | None = None) -> 
         return Library(source.library).read(source.name)
     with source_file(source, on_progress) as path:
         return read_bsdf(path)
+
+
+def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
+    """The place of a source on a map; what is not among its materials is located by its values, see `Manifold.embed`.
+
+    Raises:
+        UsageError, FileFormatError, LibraryError: it cannot be read, or is no place.
+        BandMismatchError: its bands are not the model's.
+    """
+    if isinstance(source, LibrarySource) and source.name in model.names:
+        return model.place(source.name)
+    if isinstance(source, FileSource | LibrarySource):
+        from manifold.model.located import locate
+
+        return Place(locate(model, read_source(source)).latent)
+    return model.place(source.place if isinstance(source, PlaceSource) else source)
 
 
 @contextmanager

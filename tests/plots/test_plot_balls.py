@@ -10,12 +10,12 @@ from matplotlib.offsetbox import AnnotationBbox
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
-from manifold.errors import UsageError
 from manifold.model import diagnostics
 from manifold.model.manifold import Manifold, Settings
 from manifold.plots.plot_balls import ball_map, spread, walk_strip
 from manifold.rendering import thumbnails
 from manifold.workflows import ball_pictures
+from manifold.workflows.sources import LibrarySource
 
 
 @pytest.fixture(scope="module")
@@ -100,8 +100,13 @@ def coarse(monkeypatch):
     monkeypatch.setattr(thumbnails, "SAMPLES", 8)
 
 
+def ends(folder):
+    """Of a walk."""
+    return [LibrarySource(folder / "library.zarr", name) for name in ("syn_felt_green", "syn_gloss_red")]
+
+
 def test_a_walk_begins_and_ends_with_the_materials(folder, model, coarse, tmp_path):
-    ball_pictures.walk(folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3)
+    ball_pictures.walk(folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3)
     picture = imread(tmp_path / "walk.png")[..., :3]
     assert picture.std() > 0.1
     drawn = thumbnails.of_material(model.interpolate("syn_felt_green", "syn_gloss_red", 0.0))
@@ -126,7 +131,7 @@ def test_strips_mark_the_steps_that_the_data_do_not_support(balls):
 def test_a_walk_says_what_speaks_against_its_steps(folder, coarse, tmp_path, monkeypatch):
     monkeypatch.setattr(diagnostics, "plausibility", lambda brdf: Plausibility(0.3, 0.0, 0.5, 0.0))
     ((t, made),) = ball_pictures.walk(
-        folder / "model.h5", "syn_felt_green", "syn_gloss_red", tmp_path / "walk.png", steps=3
+        folder / "model.h5", *ends(folder), tmp_path / "walk.png", steps=3
     ).items()
     assert t == 0.5
     assert "30 % of the values were negative; the data do not support this point" in made.diagnostics
@@ -149,6 +154,7 @@ def test_balls_on_a_line_stay_on_it_where_there_is_room(model, balls):
     np.testing.assert_allclose(heights, 0.5 * (below + above), atol=0.02 * (above - below))
 
 
-def test_walks_to_nowhere_are_refused(folder, tmp_path):
-    with pytest.raises(UsageError, match="syn_felt_green"):
-        ball_pictures.walk(folder / "model.h5", "syn_felt_gren", "syn_gloss_red", tmp_path / "w.png")
+def test_walks_to_nowhere_are_refused(run, folder):
+    status, _, err = run("walk", "syn_felt_gren", "syn_gloss_red", cwd=folder)
+    assert status == 2
+    assert "syn_felt_green" in err

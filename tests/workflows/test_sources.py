@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from helpers.small_library import NAMES, small_model
 
+from manifold.brdf.analytic.base import Lambert
+from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
@@ -70,11 +73,14 @@ def test_a_material_of_a_library_is_its_file(folder):
 
 
 @pytest.mark.parametrize("text", MATERIALS)
-def test_files_names_and_places_are_drawn_located_and_reconstructed(run, folder, text):
+def test_files_names_and_places_are_drawn_located_converted_and_reconstructed(run, folder, text):
     for command, made in {
         ("slices", text, NAME): "slices.png",
         ("locate", text, "-o", "located.bsdf"): "located.bsdf",
         ("reconstruct", text, "--without", NAME): "reconstructed.bsdf",
+        ("predict", text): "predicted.bsdf",
+        ("info", text, "--json", "info.json"): "info.json",
+        ("convert", text, "-o", "converted.bsdf", "--resolution", "8", "--incidences", "4"): "converted.bsdf",
     }.items():
         status, _, err = run(*command, cwd=folder)
         assert (status, err) == (0, ""), (command, err)
@@ -89,10 +95,34 @@ def test_files_names_and_places_are_rendered_compared_fitted_and_exported(run, f
         ("compare", text, OTHER, *SMALL): "comparison.png",
         ("fit", text, "-o", "one.fit.json"): "one.fit.json",
         ("export", text, "-o", "one.glb", "--mapped"): "one.glb",
+        ("walk", OTHER, text, "--steps", "3"): "walk.png",
+        ("map", "--mark", text): "map.png",
     }.items():
         status, _, err = run(*command, cwd=folder)
         assert (status, err) == (0, ""), (command, err)
         assert (folder / made).is_file()
+
+
+def test_a_file_is_predicted_where_it_is_located(run, folder):
+    assert run("locate", FILE, "--json", "located.json", cwd=folder)[0] == 0
+    assert run("predict", FILE, "--json", "predicted.json", cwd=folder)[0] == 0
+    located, predicted = (
+        json.loads((folder / f"{name}.json").read_text()) for name in ("located", "predicted")
+    )
+    assert predicted["latent"] == located["latent"]
+
+
+def test_readings_lead_to_what_makes_a_material_of_them(run, folder, rng):
+    paper = Lambert(np.full(MA_T12_BANDS.count, 0.5), MA_T12_BANDS)
+    write_ma_t12(folder / "sample.xlsx", paper, "sample", rng)
+    for command in (
+        ("import", "sample.xlsx"),
+        ("render", "sample.xlsx"),
+        ("convert", "sample.xlsx", "-o", "s.bsdf"),
+    ):
+        status, _, err = run(*command, cwd=folder)
+        assert status in (1, 2)
+        assert "`manifold complete`" in err, command
 
 
 def test_several_kinds_are_fitted_into_one_folder(run, folder):

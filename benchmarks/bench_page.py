@@ -2,8 +2,9 @@
 
     python benchmarks/bench_page.py MODEL [--count 10] [--seed 0] [--samples 512] [--direct] [--picture FILE]
 
-Balls: predictions at random places between four materials each, as the page shows them at rest, against renders of the
-same in Mitsuba: a sphere that floats in the page's light, seen from where the page sees it, of the `.bsdf` of the
+Balls: predictions at random places between four materials each, and beside five of the least glossy materials, as the
+page shows them at rest, against renders of the same in Mitsuba: a sphere that floats in the page's studio, seen from
+where the page sees it, of the `.bsdf` of the
 prediction and, with `--direct`, of the measured materials evaluated while rendering. Mean CIEDE2000 over the ball, of
 pictures without tone mapping; beside it that of two renders with other noise. Drag: the main thread from the change
 of a place on, and until a pixel is read back, so that WebGL has finished; the ball is drawn at 256 x 256.
@@ -27,7 +28,9 @@ from helpers.browser import chromium, visit
 
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz, xyz_to_srgb
+from manifold.colour.environments import environment
 from manifold.colour.illuminants import Illuminant
+from manifold.completion.gloss import gloss_units
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
@@ -40,6 +43,7 @@ SIZE = 128
 _EDGE = 1.02  # radii of the ball that half the side of the page's picture shows
 _ENVIRONMENT_ROWS = 512
 _BLEND_OF = 4
+_DIFFUSE = 5
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class BallErrors:
 
 
 def mitsuba_ball(material: Mapping[str, Any], is_rgb: bool, samples: int, seed: int = 0) -> Array:
-    """A sphere in the light of `ball_colours`, seen from `ball_colours.VIEW` by parallel rays; linear sRGB."""
+    """A sphere in the page's studio, seen from `ball_colours.VIEW` by parallel rays; linear sRGB."""
     settings = RenderSettings(SIZE, samples, seed)
     mi = backend.mitsuba("rgb" if is_rgb else "spectral")
     film = rgb_film(SIZE) if is_rgb else colorimetric_film(mi, SIZE, settings.illuminant)
@@ -88,12 +92,12 @@ def mitsuba_ball(material: Mapping[str, Any], is_rgb: bool, samples: int, seed: 
 
 
 def _environment() -> Array:
-    """The light of `ball_colours` in fine cells, whose interpolation by renderers no longer matters."""
+    """The page's studio in fine cells, whose interpolation by renderers no longer matters."""
     rows = _ENVIRONMENT_ROWS
     theta = np.pi * np.arange(rows) / (rows - 1)  # Mitsuba's first and last rows are the poles
     azimuth = 2.0 * np.pi * (np.arange(2 * rows) + 0.5) / (2 * rows)
     directions = from_spherical(theta[:, None], np.pi / 2 - azimuth[None])
-    grey = ball_colours.radiance_at(ball_colours.environment(), directions.reshape(-1, 3))
+    grey = ball_colours.radiance_at(environment("studio"), directions.reshape(-1, 3))
     return np.repeat(grey.reshape(rows, 2 * rows, 1), 3, axis=2).astype(np.float32)
 
 
@@ -147,6 +151,13 @@ def places(model: Manifold, count: int, seed: int) -> Array:
     ])  # fmt: skip
 
 
+def diffuse_places(model: Manifold, count: int) -> Array:
+    """Places beside the materials of least gloss, each a tenth of the way to the next, shape (count, Q)."""
+    gloss = [gloss_units(model.material(name), (60.0,))[60.0] for name in model.names]
+    least = np.argsort(gloss)[: count + 1]
+    return 0.9 * model.X[least[:-1]] + 0.1 * model.X[least[1:]]
+
+
 def drag_ms(page: Any, steps: int = 100) -> dict[str, dict[str, float]]:
     """Time of a step of a drag in ms, of the main thread and until WebGL has drawn too."""
     script = """(steps) => {
@@ -193,17 +204,25 @@ def main() -> None:
         first = float(page.evaluate("document.body.dataset.ready"))
         page.wait_for_selector("[data-complete]", state="attached")
         drag = drag_ms(page)
-        found = [
-            compare_balls(page, model, x, given.samples, given.model if given.direct else None)
-            for x in places(model, given.count, given.seed)
-        ]
+        found, diffuse = (
+            [
+                compare_balls(page, model, x, given.samples, given.model if given.direct else None)
+                for x in where
+            ]
+            for where in (places(model, given.count, given.seed), diffuse_places(model, _DIFFUSE))
+        )
     figures: dict[str, Any] = {"bytes": size, "first_picture_ms": first, "drag_ms": drag}
     for kind in ("file", "noise", *["direct"] * given.direct):
-        errors = [getattr(errors, kind) for errors in found]
-        figures[f"ciede2000_{kind}"] = {"mean": float(np.mean(errors)), "most": max(errors), "each": errors}
+        for which, of in (("", found), ("_diffuse", diffuse)):
+            errors = [getattr(errors, kind) for errors in of]
+            figures[f"ciede2000_{kind}{which}"] = {
+                "mean": float(np.mean(errors)),
+                "most": max(errors),
+                "each": errors,
+            }
     print(json.dumps(figures, indent=1))
     if given.picture is not None:
-        images.write_image(given.picture, np.vstack([np.hstack(e.pictures) for e in found]))
+        images.write_image(given.picture, np.vstack([np.hstack(e.pictures) for e in found + diffuse]))
     if given.json is not None:
         given.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 

@@ -29,15 +29,27 @@ def studio(height: int = 256) -> Array:
         Radiance, float32, shape (height, 2 height, 3); row 0 is the zenith, column 0 straight ahead, to the right
         from there.
     """
-    theta = np.pi * (np.arange(height) + 0.5) / height
-    azimuth = 2 * np.pi * (np.arange(2 * height) + 0.5) / (2 * height)
-    direction = from_spherical(theta[:, None], azimuth[None, :])
+    direction = directions(height)
     elevation = np.maximum(direction[..., 2], 0.0)
     radiance = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(elevation)
-    for box_azimuth, box_elevation, half_width, half_height, power in _SOFT_BOXES:
-        x, y = _angles_from(direction, np.deg2rad(box_azimuth), np.deg2rad(box_elevation))
-        radiance += power * _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
+    for *where, power in _SOFT_BOXES:
+        radiance += power * soft_box(direction, *where)
     return exposed(np.repeat(radiance[..., None], 3, axis=2))
+
+
+def directions(height: int) -> Array:
+    """World directions of the pixels of an environment of `height` rows, shape (height, 2 height, 3)."""
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    azimuth = 2 * np.pi * (np.arange(2 * height) + 0.5) / (2 * height)
+    return from_spherical(theta[:, None], azimuth[None, :])
+
+
+def soft_box(
+    direction: Array, azimuth: float, elevation: float, half_width: float, half_height: float
+) -> Array:
+    """1 where directions (..., 3) fall into a box of some size at some place (degrees), 0 elsewhere, smooth between."""
+    x, y = _angles_from(direction, np.deg2rad(azimuth), np.deg2rad(elevation))
+    return _plateau(np.rad2deg(x), half_width) * _plateau(np.rad2deg(y), half_height)
 
 
 def exposed(environment: Array) -> Array:

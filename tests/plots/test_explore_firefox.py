@@ -36,7 +36,9 @@ def command() -> tuple[list[str], dict[str, str]]:
 def test_firefox_shows_the_same_and_takes_mouse_and_keys(request):
     start, environment = command()
     model, address = map(request.getfixturevalue, ("model", "address"))
-    ball = ball_colours.ball(rings=54, spokes=36)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ball_colours, "environment", lambda: environment("studio"))
+        ball = ball_colours.ball.__wrapped__(rings=72, spokes=48)
     asked = [*start, address, json.dumps(ball.places.tolist())]
     run = subprocess.run(asked, capture_output=True, text=True, timeout=120, env=environment, check=False)
     assert run.returncode == 0, run.stderr

@@ -1,13 +1,23 @@
-// A ball under the studio's light or under a lamp, in WebGL2, from one table of cube roots per prediction.
+// A material under an environment or a lamp, in WebGL2, from one table of cube roots per prediction.
+//
+// Seen from afar, what a surface shows depends on its normal alone, so it is lit on a disc of normals, where shapes look
+// theirs up. The light is summed over half vectors, on grids of normals, by tables of the arriving light; at rest, those
+// nearest to the normal, which make sharp highlights, are summed for every pixel of the disc.
 
 import { BlendRenderer } from "./blend.js";
-import { bindTexture, drawInto, makeProgram, makeTarget, makeTexture } from "./webgl.js";
+import { NORMALS, SHAPES } from "./shapes.js";
+import { bindTexture, drawInto, makeCube, makeProgram, makeTarget, makeTexture } from "./webgl.js";
 
-const AZIMUTHS = 96, ELEVATIONS = 48; // of the picture in polar coordinates, which the studio lights first
-// Rings and spokes of half vectors: as in manifold/colour/ball_colours.py while moving, finer at rest.
-const MOVING = [18, 12], RESTING = [36, 24]; // products of four
-const ACROSS = 8; // fours of half vectors beside each other in the texture of their light
-const SCALE = 256; // of what a half vector contributes, so that half floats hold it
+// Grids of normals about the direction of the viewer, and the half vectors that light them, in rings of spokes, from
+// span[0] to span[1]: the square of that is their angle as a share of 90 degrees.
+const WIDE = { azimuths: 56, elevations: 28, rings: 18, spokes: 16, span: [1 / 3, 1] };
+const MIDDLE = { azimuths: 128, elevations: 64, rings: 5, spokes: 20, span: [1 / 6, 1 / 3] };
+const NEAR = { azimuths: 72, elevations: 36, rings: 6, spokes: 12, span: [0, 1 / 3] }; // while something moves
+const FINE = { elevations: 48, rings: 6, spokes: 10, span: [0, 1 / 6] }; // at rest, for every pixel
+const MOVING = 160, RESTING = 480; // pixels across discs
+const ACROSS = 16; // grids of normals beside each other in a table of light
+const STRIPS = 16; // in which a disc at rest is drawn, one per frame
+const FACE = 128; // texels along a face of an environment
 
 const COMMON = `
 uniform sampler2D table; // cube roots of f cos(theta_i) cos(theta_o): phi_d across, theta_d within theta_h down
@@ -28,11 +38,12 @@ vec3 fCosines(float thetaH, float cosD, float phiD) {
   return root * root * root;
 }
 
-// Frame of the surface at a place of the disc, (right, up) in radii.
-mat3 frameAt(vec2 place) {
+// Tangents and normal, in the world, of a normal (right, up, towards the viewer); the viewer is over the first tangent.
+mat3 frameOf(vec3 seen) {
   vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
-  vec3 normal = place.x * right + place.y * up + sqrt(max(1.0 - dot(place, place), 0.0)) * view;
-  vec3 tangent = normalize(cross(up, normal));
+  vec3 normal = seen.x * right + seen.y * up + seen.z * view;
+  vec2 outwards = seen.xy / max(length(seen.xy), 1e-6);
+  vec3 tangent = length(seen.xy) * view - seen.z * (outwards.x * right + outwards.y * up);
   return mat3(tangent, cross(normal, tangent), normal);
 }
 
@@ -42,96 +53,154 @@ float phiDifference(vec3 w, float thetaH, float phiH) {
 }
 `;
 
-// The surface at an elevation: its local frame has the viewer over the first axis.
+// Half vectors in rings from u = span.x to span.y, at 90 degrees u^2: densest around the normal.
 const HALF_VECTORS = `
 uniform int rings, spokes;
-struct Half { float theta, phi, cosine, area; vec3 wi, wo; };
+uniform vec2 span;
+struct Half { float theta, phi, area; vec3 m; };
 
-Half halfVector(int index, float row) {
-  float theta = min((row + 0.5) / ${ELEVATIONS}.0, 0.985) * 0.5 * PI;
-  int ring = index / spokes;
-  float u = (float(ring) + 0.5) / float(rings);
+Half halfVector(float ring, float spoke) {
+  float u = span.x + ring / float(rings) * (span.y - span.x);
   Half h;
   h.theta = 0.5 * PI * u * u;
-  h.phi = 2.0 * PI * ((float(index - ring * spokes) + 0.5) / float(spokes) + 0.6180339887498949 * float(ring));
-  h.area = sin(h.theta) * PI * u / float(rings) * 2.0 * PI / float(spokes);
-  h.wi = vec3(sin(theta), 0.0, cos(theta));
-  vec3 m = vec3(sin(h.theta) * cos(h.phi), sin(h.theta) * sin(h.phi), cos(h.theta));
-  h.cosine = dot(h.wi, m);
-  h.wo = 2.0 * h.cosine * m - h.wi;
+  h.phi = 2.0 * PI * (spoke / float(spokes) + 0.6180339887498949 * floor(ring));
+  h.area = sin(h.theta) * PI * u * (span.y - span.x) / float(rings) * 2.0 * PI / float(spokes);
+  h.m = vec3(sin(h.theta) * cos(h.phi), sin(h.theta) * sin(h.phi), cos(h.theta));
   return h;
+}
+
+vec3 viewerAt(float elevation) { // as a share of 90 degrees
+  float theta = clamp(elevation, 1e-3, 0.985) * 0.5 * PI;
+  return vec3(sin(theta), 0.0, cos(theta));
 }
 `;
 
-// The light that arrives along each half vector at each place, four to a texel: once, whatever the material.
-const LIGHT = `${COMMON}${HALF_VECTORS}
-uniform sampler2D environment;
-uniform vec2 cells;
+const SKY = `
+uniform samplerCube environment;
+uniform mat3 turned; // from the world to the environment
+const float TEXEL = ${((4 * Math.PI) / (6 * FACE * FACE)).toFixed(10)}; // its solid angle
 
-float lightAlong(int index, vec2 place) {
-  Half h = halfVector(index, place.y);
-  if (h.cosine <= 0.0 || h.wo.z <= 0.0) return 0.0;
-  float azimuth = (place.x + 0.5) / ${AZIMUTHS}.0 * 2.0 * PI;
-  vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
-  vec3 outwards = cos(azimuth) * right + sin(azimuth) * up;
-  vec3 normal = h.wi.x * outwards + h.wi.z * view, tangent = h.wi.x * view - h.wi.z * outwards;
-  vec3 world = h.wo.x * tangent + h.wo.y * cross(normal, tangent) + h.wo.z * normal;
-  vec2 look = vec2(atan(world.x, world.y) / (2.0 * PI), acos(clamp(world.z, -1.0, 1.0)) / PI);
-  // Averaged over half the width of what a half vector stands for, else lamps leave the pattern of half vectors.
-  float texel = 2.0 * PI * PI / cells.x / cells.y * max(length(world.xy), 0.1);
-  float wide = 0.5 * log2(max(4.0 * h.cosine * h.area / texel, 4.0)) - 1.0;
-  return textureLod(environment, look, wide).r;
+vec3 skyAt(vec3 world, float solidAngle) {
+  return textureLod(environment, turned * world, 0.5 * log2(max(solidAngle / TEXEL, 1.0))).rgb;
 }
+`;
 
-void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy), place = ivec2(at.x % ${AZIMUTHS}, at.y % ${ELEVATIONS});
-  int four = at.x / ${AZIMUTHS} + ${ACROSS} * (at.y / ${ELEVATIONS});
-  vec4 here = vec4(0.0);
-  for (int r = 0; r < 4 && four < rings * spokes / 4; r++) here[r] = lightAlong(4 * four + r, vec2(place));
-  result = here;
-}`;
-
-// What each half vector contributes per light, at each elevation.
-const MATERIAL = `${COMMON}${HALF_VECTORS}
-void main() {
-  Half h = halfVector(int(gl_FragCoord.x), floor(gl_FragCoord.y));
-  result = vec4(0.0);
-  if (h.cosine <= 0.0 || h.wo.z <= 0.0) return;
-  vec3 f = fCosines(h.theta, h.cosine, phiDifference(h.wi, h.theta, h.phi)) / h.wi.z;
-  result = vec4(clamp(f * (${SCALE}.0 * 4.0 * h.cosine * h.area), -6e4, 6e4), 0.0);
-}`;
-
-// The same, channel by channel, four half vectors to a texel.
-const TURN = `
-uniform sampler2D contribution;
+// An environment's rows and columns as a face of a cube.
+const FACES = `
+uniform sampler2D picture;
+uniform mat3 axes; // right, down, ahead
 out vec4 result;
-
 void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
-  vec4 four;
-  for (int r = 0; r < 4; r++) four[r] = texelFetch(contribution, ivec2(at.x / 3 * 4 + r, at.y), 0)[at.x % 3];
-  result = four;
+  vec2 at = gl_FragCoord.xy / ${FACE}.0 * 2.0 - 1.0;
+  vec3 w = normalize(axes * vec3(at, 1.0));
+  vec2 look = vec2(atan(w.x, w.y) / 6.28318530717959, acos(clamp(w.z, -1.0, 1.0)) / 3.14159265358979);
+  result = vec4(textureLod(picture, look, 0.0).rgb, 1.0);
+}`;
+
+// The light that arrives through each wide half vector's cell, at each normal of the grid: whatever the material.
+const LIGHT = `${COMMON}${HALF_VECTORS}${SKY}
+uniform int finer; // parts of a cell, each way
+uniform ivec2 grid; // azimuths, elevations
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy), tile = at / grid;
+  int index = tile.x + ${ACROSS} * tile.y;
+  result = vec4(0.0);
+  if (index >= rings * spokes) return;
+  vec2 place = vec2(at - tile * grid);
+  vec3 wi = viewerAt(place.y / float(grid.y - 1));
+  float azimuth = 2.0 * PI * (place.x + 0.5) / float(grid.x), n = float(finer);
+  mat3 frame = frameOf(vec3(wi.x * cos(azimuth), wi.x * sin(azimuth), wi.z));
+  vec2 cell = vec2(index / spokes, index % spokes);
+  for (int k = 0; k < finer * finer; k++) {
+    Half h = halfVector(cell.x + (float(k / finer) + 0.5) / n, cell.y + (float(k % finer) + 0.5) / n);
+    float cosine = dot(wi, h.m);
+    vec3 wo = 2.0 * cosine * h.m - wi;
+    if (cosine <= 0.0 || wo.z <= 0.0) continue;
+    float solidAngle = 4.0 * cosine * h.area / (n * n);
+    result.rgb += solidAngle * skyAt(frame * wo, solidAngle);
+  }
+}`;
+
+// f cos(theta_o) at each half vector and elevation; where isWhole, times the solid angle of its cell above the horizon.
+const MATERIAL = `${COMMON}${HALF_VECTORS}
+uniform float rows;
+uniform bool isWhole;
+void main() {
+  int index = int(gl_FragCoord.x);
+  Half h = halfVector(float(index / spokes) + 0.5, float(index % spokes) + 0.5);
+  vec3 wi = viewerAt((gl_FragCoord.y - 0.5) / (rows - 1.0));
+  float cosine = dot(wi, h.m), up = 2.0 * cosine * h.m.z - wi.z;
+  result = vec4(0.0);
+  if (cosine <= 0.0 || (isWhole && up <= 0.0)) return;
+  vec3 f = fCosines(h.theta, cosine, phiDifference(wi, h.theta, h.phi)) / wi.z;
+  result = vec4(clamp(isWhole ? f * 4.0 * cosine * h.area : f, 0.0, 6e4), 0.0);
 }`;
 
 const SUM = `
-uniform sampler2D channels, light;
-uniform int fours;
+uniform sampler2D material, light;
+uniform int count;
+uniform ivec2 grid;
 out vec4 result;
 
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec3 sum = vec3(0.0);
-  for (int m = 0; m < fours; m++) {
-    vec4 here = texelFetch(light, at + ivec2(m % ${ACROSS} * ${AZIMUTHS}, m / ${ACROSS} * ${ELEVATIONS}), 0);
-    for (int c = 0; c < 3; c++) sum[c] += dot(texelFetch(channels, ivec2(3 * m + c, at.y), 0), here);
+  for (int k = 0; k < count; k++) {
+    sum += texelFetch(material, ivec2(k, at.y), 0).rgb
+      * texelFetch(light, at + ivec2(k % ${ACROSS}, k / ${ACROSS}) * grid, 0).rgb;
   }
-  result = vec4(sum / ${SCALE}.0, 1.0);
+  result = vec4(sum, 1.0);
+}`;
+
+// The disc of normals: what the grids have and, at rest, the half vectors nearest to the normal one by one.
+const DISC = `${COMMON}${HALF_VECTORS}${SKY}
+uniform sampler2D wide, narrow, material;
+uniform float size;
+uniform bool isMoving;
+
+// Where a picture has an elevation: its first row is the normal, its last the horizon.
+float rowOf(float elevation, sampler2D picture) {
+  float rows = float(textureSize(picture, 0).y);
+  return (elevation * (rows - 1.0) + 0.5) / rows;
+}
+
+void main() {
+  vec2 place = (gl_FragCoord.xy / size * 2.0 - 1.0) * 1.02;
+  float radius = length(place);
+  result = vec4(0.0);
+  if (radius > 1.02 + 4.0 / size) return;
+  place *= min(1.0, 0.999 / max(radius, 1e-6));
+  vec3 seen = vec3(place, sqrt(1.0 - dot(place, place)));
+  float theta = acos(seen.z) / (0.5 * PI);
+  float azimuth = atan(place.y, place.x) / (2.0 * PI);
+  vec3 wi = vec3(length(place), 0.0, seen.z);
+  vec3 sum = textureLod(wide, vec2(azimuth, rowOf(theta, wide)), 0.0).rgb;
+  sum += textureLod(narrow, vec2(azimuth, rowOf(theta, narrow)), 0.0).rgb;
+  float row = rowOf(theta, material);
+  result = vec4(sum, 1.0);
+  if (isMoving) return;
+  mat3 frame = turned * frameOf(seen);
+  float grazing = 0.5 * log2(4.0 * max(seen.z, 0.05) / TEXEL);
+  vec2 next = vec2(cos(2.0 * PI / float(spokes)), sin(2.0 * PI / float(spokes)));
+  int index = 0;
+  for (int ring = 0; ring < rings; ring++) {
+    Half h = halfVector(float(ring) + 0.5, 0.5);
+    float lod = max(grazing + 0.5 * log2(h.area), 0.0);
+    vec3 m = h.m;
+    for (int spoke = 0; spoke < spokes; spoke++) {
+      vec3 contribution = textureLod(material, vec2((float(index++) + 0.5) / float(rings * spokes), row), 0.0).rgb;
+      vec3 wo = 2.0 * dot(wi, m) * m - wi;
+      sum += contribution * textureLod(environment, frame * wo, lod).rgb;
+      m.xy = vec2(m.x * next.x - m.y * next.y, m.x * next.y + m.y * next.x);
+    }
+  }
+  result = vec4(sum, 1.0);
 }`;
 
 const SHOW = `${COMMON}
-uniform sampler2D lit;
+uniform sampler2D disc, normals;
 uniform vec2 corner;
-uniform float side, exposure, flip;
+uniform float exposure;
 uniform bool isLamp;
 uniform vec3 lamp; // towards the lamp: right, up, towards the viewer
 
@@ -141,29 +210,33 @@ vec3 encoded(vec3 linear) {
 }
 
 void main() {
-  vec2 place = ((gl_FragCoord.xy - corner) / side * 2.0 - 1.0) * 1.02;
-  place.y *= flip;
-  float radius = length(place), edge = 3.0 / side;
-  float alpha = clamp((1.0 - radius) / edge + 0.5, 0.0, 1.0);
-  if (alpha <= 0.0) { result = vec4(0.0); return; }
-  place *= min(1.0, 0.999 / max(radius, 1e-6));
-  vec3 linear;
+  vec4 normal = texelFetch(normals, ivec2(gl_FragCoord.xy - corner), 0);
+  result = vec4(0.0);
+  if (normal.a <= 0.0) return;
+  vec3 linear = vec3(0.0);
   if (isLamp) {
-    mat3 frame = frameAt(place);
+    mat3 frame = frameOf(normal.xyz);
     vec3 right = normalize(cross(vec3(0.0, 0.0, 1.0), view)), up = cross(view, right);
     vec3 wi = view * frame, wo = (lamp.x * right + lamp.y * up + lamp.z * view) * frame;
-    linear = vec3(0.0);
     if (wo.z > 0.0) {
       vec3 h = normalize(wi + wo);
       float thetaH = atan(length(h.xy), h.z), phiH = atan(h.y, h.x);
       linear = PI * fCosines(thetaH, dot(wi, h), phiDifference(wi, thetaH, phiH)) / wi.z;
     }
   } else {
-    float theta = asin(min(length(place), 1.0)), azimuth = atan(place.y, place.x);
-    linear = texture(lit, vec2(azimuth / (2.0 * PI), theta / (0.5 * PI))).rgb;
+    linear = textureLod(disc, normal.xy / 1.02 * 0.5 + 0.5, 0.0).rgb;
   }
-  result = vec4(encoded(linear * exposure) * alpha, alpha);
+  result = vec4(encoded(linear * exposure) * normal.a, normal.a);
 }`;
+
+const PROGRAMS = { faces: FACES, light: LIGHT, material: MATERIAL, sum: SUM, disc: DISC, normals: NORMALS, show: SHOW };
+const FACE_AXES = [ // right, down, ahead of each face of a cube, as WebGL has them
+  [[0, 0, -1], [0, -1, 0], [1, 0, 0]], [[0, 0, 1], [0, -1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, 1], [0, 1, 0]],
+  [[1, 0, 0], [0, 0, -1], [0, -1, 0]], [[1, 0, 0], [0, -1, 0], [0, 0, 1]], [[-1, 0, 0], [0, -1, 0], [0, 0, -1]],
+];
+/** The light of the pictures of materials on the map. */
+export const PLAIN = { environment: 0, turn: 0 };
+const PLAIN_KEY = JSON.stringify([0, 0]);
 
 /** Draws predictions as balls into the canvas it is given; `null` of `create` where there is no WebGL2. */
 export class BallRenderer {
@@ -176,95 +249,197 @@ export class BallRenderer {
   }
 
   constructor(gl, materials) {
-    const { data } = materials;
     this.gl = gl;
-    this.data = data;
+    this.data = materials.data;
+    this.environments = materials.environments;
     this.blends = new BlendRenderer(gl, materials);
-    const { light } = data;
-    this.programs = Object.fromEntries(Object.entries({ light: LIGHT, material: MATERIAL, turn: TURN, sum: SUM })
-      .map(([name, fragment]) => [name, makeProgram(gl, fragment)]));
-    this.show = makeProgram(gl, SHOW);
-    const radiance = new Float32Array(light.radiance.length * 4);
-    light.radiance.forEach((v, k) => radiance.fill(v, 4 * k, 4 * k + 4));
-    this.environment = makeTexture(gl, light.columns, light.rows, radiance);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-    gl.generateMipmap(gl.TEXTURE_2D);
-    this.lights = new Map(); // by the number of rings
+    this.programs = Object.fromEntries(Object.entries(PROGRAMS).map(([name, fragment]) => [name, makeProgram(gl, fragment)]));
+    this.cubes = [];
+    this.lights = new Map(); // by set of half vectors, then by environment and turn: that of PLAIN, and the last
+    this.room = new Map(); // for what materials make of sets of half vectors
+    this.shapes = new Map(); // pictures of normals: the last, and that of thumbnails
     this.surfaces = [];
-    this.thumbnail = null;
   }
 
-  /** Take a prediction under an illuminant as surface 0, 1, ..., and light it by the studio, both coarsely. */
-  setSurface(k, prediction, illuminant) {
-    const { gl, blends } = this;
-    this.surfaces[k] ??= { table: blends.table(), ...makeTarget(gl, AZIMUTHS, ELEVATIONS) };
-    Object.assign(this.surfaces[k], { prediction, illuminant });
-    blends.draw(this.surfaces[k].table, prediction, illuminant, true);
-    this._lightByStudio(this.surfaces[k], MOVING);
+  /** Take a prediction under an illuminant as surface 0, 1, ..., and light it coarsely; light is {environment, turn}. */
+  setSurface(k, prediction, illuminant, light) {
+    const { blends, gl } = this, grid = ({ azimuths, elevations }) => makeTarget(gl, azimuths, elevations);
+    const disc = (size) => makeTarget(gl, size, size, { wrap: gl.CLAMP_TO_EDGE });
+    this.surfaces[k] ??= { table: blends.table(), wide: grid(WIDE), narrow: grid(NEAR), middle: grid(MIDDLE),
+      moving: disc(MOVING), resting: disc(RESTING) };
+    const surface = Object.assign(this.surfaces[k], { prediction, illuminant, light, isRefined: false });
+    blends.draw(surface.table, prediction, illuminant, true);
+    this._sum(surface, surface.wide, WIDE, 1);
+    this._sum(surface, surface.narrow, NEAR, 1);
+    this._drawDisc(surface, surface.moving, surface.narrow, null, 0, MOVING);
   }
 
   /** Blend and light a surface again, as finely as befits a still picture. */
   refine(k) {
+    for (const _ of this.refining(k)) continue;
+  }
+
+  /** The same, a strip at a time. */
+  *refining(k) {
     const surface = this.surfaces[k];
     if (!surface) return;
     this.blends.draw(surface.table, surface.prediction, surface.illuminant, false);
-    this._lightByStudio(surface, RESTING);
+    this._sum(surface, surface.wide, WIDE, 3);
+    this._sum(surface, surface.middle, MIDDLE, 2);
+    const contribution = this._contribution(surface, FINE), high = RESTING / STRIPS;
+    for (let row = 0; row < RESTING; row += high) {
+      this._drawDisc(surface, surface.resting, surface.middle, contribution, row, high);
+      yield;
+    }
+    surface.isRefined = true;
   }
 
-  _lightByStudio(surface, [rings, spokes]) {
-    const { gl } = this, { material, turn, sum } = this.programs;
-    const { light, contribution, channels } = this._light(rings, spokes);
-    this._use(material, surface);
-    gl.uniform1i(material.at("rings"), rings);
-    gl.uniform1i(material.at("spokes"), spokes);
-    drawInto(gl, contribution);
-    gl.useProgram(turn.handle);
-    bindTexture(gl, turn, "contribution", 0, contribution.picture);
-    drawInto(gl, channels);
-    gl.useProgram(sum.handle);
-    bindTexture(gl, sum, "channels", 0, channels.picture);
-    bindTexture(gl, sum, "light", 1, light.picture);
-    gl.uniform1i(sum.at("fours"), (rings * spokes) / 4);
-    drawInto(gl, surface);
+  /** An environment as a cube, made when first asked for. */
+  _cube(index) {
+    if (this.cubes[index]) return this.cubes[index];
+    const { gl, programs: { faces } } = this, { rows, columns, radiance } = this.environments[index];
+    const rgba = new Float32Array(4 * rows * columns);
+    for (let k = 0; k < rows * columns; k++) for (let c = 0; c < 3; c++) rgba[4 * k + c] = radiance[3 * k + c];
+    const picture = makeTexture(gl, columns, rows, rgba), cube = makeCube(gl, FACE);
+    gl.useProgram(faces.handle);
+    bindTexture(gl, faces, "picture", 0, picture);
+    FACE_AXES.forEach((axes, face) => {
+      gl.uniformMatrix3fv(faces.at("axes"), false, axes.flat());
+      drawInto(gl, { target: cube.targets[face], width: FACE, height: FACE });
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_CUBE_MAP, cube.picture);
+    gl.generateMipmap(gl.TEXTURE_CUBE_MAP);
+    gl.deleteTexture(picture);
+    return (this.cubes[index] = cube);
   }
 
-  /** The light along half vectors at all places, made when first asked for, and room for what a material makes of it. */
-  _light(rings, spokes) {
-    if (this.lights.has(rings)) return this.lights.get(rings);
-    const { gl, data } = this, { light: program } = this.programs, count = rings * spokes;
-    const made = {
-      light: makeTarget(gl, AZIMUTHS * ACROSS, ELEVATIONS * Math.ceil(count / 4 / ACROSS)),
-      contribution: makeTarget(gl, count, ELEVATIONS), channels: makeTarget(gl, (3 * count) / 4, ELEVATIONS),
-    };
+  /** The table of the light through half vectors, their cells in parts each way: made where there is none as fine. */
+  _light(light, set, finer) {
+    const key = JSON.stringify([light.environment, light.turn]), { gl, programs: { light: program } } = this;
+    const kept = this.lights.get(set) ?? this.lights.set(set, new Map()).get(set);
+    let made = kept.get(key);
+    if (made?.finer >= finer) return made.picture;
+    if (!made) {
+      const last = [...kept.keys()].find((other) => other !== PLAIN_KEY);
+      const rows = Math.ceil((set.rings * set.spokes) / ACROSS);
+      made = (key !== PLAIN_KEY && kept.get(last)) || makeTarget(gl, set.azimuths * ACROSS, set.elevations * rows);
+      if (key !== PLAIN_KEY) kept.delete(last);
+      kept.set(key, made);
+    }
     gl.useProgram(program.handle);
-    bindTexture(gl, program, "environment", 0, this.environment);
-    gl.uniform1i(program.at("rings"), rings);
-    gl.uniform1i(program.at("spokes"), spokes);
-    gl.uniform3f(program.at("view"), ...data.light.view);
-    gl.uniform2f(program.at("cells"), data.light.columns, data.light.rows);
-    drawInto(gl, made.light);
-    this.lights.set(rings, made);
-    return made;
+    gl.uniform3f(program.at("view"), ...this.data.view);
+    gl.uniform1i(program.at("finer"), finer);
+    gl.uniform2i(program.at("grid"), set.azimuths, set.elevations);
+    this._setHalfVectors(program, set);
+    this._bindSky(program, light);
+    drawInto(gl, made);
+    return Object.assign(made, { finer }).picture;
   }
 
-  /** Draw surfaces side by side, each in a square; light is {lamp: null or direction, exposure}. */
-  draw(surfaces, light) {
-    const { gl } = this, { width, height } = gl.canvas;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  _setHalfVectors(program, { rings, spokes, span }) {
+    this.gl.uniform1i(program.at("rings"), rings);
+    this.gl.uniform1i(program.at("spokes"), spokes);
+    this.gl.uniform2f(program.at("span"), ...span);
+  }
+
+  _bindSky(program, { environment, turn }) {
+    const { gl } = this, [c, s] = [Math.cos(turn), Math.sin(turn)], cube = this._cube(environment);
+    gl.useProgram(program.handle); // making a cube used another
+    gl.activeTexture(gl.TEXTURE3);
+    gl.bindTexture(gl.TEXTURE_CUBE_MAP, cube.picture);
+    gl.uniform1i(program.at("environment"), 3);
+    gl.uniformMatrix3fv(program.at("turned"), false, [c, -s, 0, s, c, 0, 0, 0, 1]);
+  }
+
+  /** What a surface's material makes of light along half vectors, a column each, at elevations. */
+  _contribution(surface, set) {
+    const { gl, programs: { material } } = this, { elevations, rings, spokes } = set;
+    if (!this.room.has(set)) this.room.set(set, makeTarget(gl, rings * spokes, elevations, { wrap: gl.CLAMP_TO_EDGE }));
+    this._use(material, surface);
+    this._setHalfVectors(material, set);
+    gl.uniform1i(material.at("isWhole"), set === FINE ? 1 : 0);
+    gl.uniform1f(material.at("rows"), elevations);
+    drawInto(gl, this.room.get(set));
+    return this.room.get(set).picture;
+  }
+
+  /** Light a grid of normals along a set of half vectors. */
+  _sum(surface, grid, set, finer) {
+    const { gl, programs: { sum } } = this, light = this._light(surface.light, set, finer);
+    const contribution = this._contribution(surface, set);
+    gl.useProgram(sum.handle);
+    bindTexture(gl, sum, "material", 0, contribution);
+    bindTexture(gl, sum, "light", 1, light);
+    gl.uniform1i(sum.at("count"), set.rings * set.spokes);
+    gl.uniform2i(sum.at("grid"), set.azimuths, set.elevations);
+    drawInto(gl, grid);
+  }
+
+  /** Draw rows of a disc of normals, from the wide and a narrower grid, and contributions of single half vectors, if any. */
+  _drawDisc(surface, disc, narrow, contribution, row, high) {
+    const { gl, programs: { disc: program } } = this, size = disc.width;
+    this._bindSky(program, surface.light);
+    bindTexture(gl, program, "wide", 0, surface.wide.picture);
+    bindTexture(gl, program, "narrow", 1, narrow.picture);
+    bindTexture(gl, program, "material", 2, contribution ?? narrow.picture);
+    gl.uniform3f(program.at("view"), ...this.data.view);
+    gl.uniform1f(program.at("size"), size);
+    gl.uniform1i(program.at("isMoving"), contribution ? 0 : 1);
+    this._setHalfVectors(program, FINE);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, row, size, high);
+    drawInto(gl, disc);
     gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** A picture of a shape's normals, side pixels wide. */
+  _normals(shape, turn, side, flip) {
+    const use = flip > 0 ? "shown" : "thumbnail", key = `${shape} ${turn} ${side}`, { gl, programs: { normals } } = this;
+    const made = this.shapes.get(use);
+    if (made?.key === key) return made.picture;
+    if (made) {
+      gl.deleteTexture(made.picture);
+      gl.deleteFramebuffer(made.target);
+    }
+    const target = makeTarget(gl, side, side);
+    gl.useProgram(normals.handle);
+    gl.uniform3f(normals.at("view"), ...this.data.view);
+    gl.uniform1i(normals.at("shape"), SHAPES.indexOf(shape));
+    for (const [name, value] of Object.entries({ side, turn, flip })) gl.uniform1f(normals.at(name), value);
+    drawInto(gl, target);
+    this.shapes.set(use, { ...target, key });
+    return target.picture;
+  }
+
+  /**
+   * Draw surfaces side by side, each in a square; light is {lamp: null or direction, exposure, shape, turnShape}. With a
+   * share of the width as `wipe`, two surfaces share one square: the second to the left of it, the first to the right.
+   */
+  draw(surfaces, light, wipe = null) {
+    const { gl } = this, { width, height } = gl.canvas, columns = wipe === null ? surfaces.length : 1;
+    const side = Math.floor(Math.min(height, width / columns)), left = (width - side * columns) / 2;
+    const corners = surfaces.map((_, k) => [left + (wipe === null ? k * side : 0), (height - side) / 2].map(Math.round));
+    const normals = this._normals(light.shape, light.turnShape, side, 1);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const side = Math.min(height, width / surfaces.length);
     surfaces.forEach((k, column) => {
-      const left = (width - side * surfaces.length) / 2 + column * side;
-      this._show(this.surfaces[k], [left, (height - side) / 2], side, light, 1);
+      if (wipe !== null) {
+        const at = Math.round(corners[0][0] + wipe * side);
+        gl.enable(gl.SCISSOR_TEST);
+        if (column === 1) gl.scissor(0, 0, at, height);
+        else gl.scissor(at, 0, width - at, height);
+      }
+      this._show(this.surfaces[k], normals, corners[column], side, light);
+      gl.disable(gl.SCISSOR_TEST);
     });
   }
 
-  /** A surface as ImageData, size x size, under the studio's light. */
+  /** A surface's ball as ImageData, size x size. */
   image(k, size) {
     const { gl } = this;
-    if (!this.thumbnail || this.thumbnail.size !== size) {
+    if (this.thumbnail?.size !== size) {
       const texture = gl.createTexture(), target = gl.createFramebuffer();
       gl.bindTexture(gl.TEXTURE_2D, texture);
       gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, size, size);
@@ -272,10 +447,11 @@ export class BallRenderer {
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
       this.thumbnail = { size, target };
     }
+    const normals = this._normals("ball", 0, size, -1); // rows from the top
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.thumbnail.target);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    this._show(this.surfaces[k], [0, 0], size, { lamp: null, exposure: 1 }, -1); // rows from the top
+    this._show(this.surfaces[k], normals, [0, 0], size, { lamp: null, exposure: 1 });
     const pixels = new Uint8ClampedArray(4 * size * size);
     gl.readPixels(0, 0, size, size, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
     for (let k4 = 0; k4 < pixels.length; k4 += 4) { // ImageData is not premultiplied
@@ -287,17 +463,16 @@ export class BallRenderer {
     return new ImageData(pixels, size, size);
   }
 
-  _show(surface, corner, side, light, flip) {
-    const { gl } = this;
-    this._use(this.show, surface);
-    gl.viewport(...corner.map(Math.round), Math.round(side), Math.round(side));
-    bindTexture(gl, this.show, "lit", 1, surface.picture);
-    gl.uniform2f(this.show.at("corner"), ...corner.map(Math.round));
-    gl.uniform1f(this.show.at("side"), Math.round(side));
-    gl.uniform1f(this.show.at("exposure"), light.exposure);
-    gl.uniform1f(this.show.at("flip"), flip);
-    gl.uniform1i(this.show.at("isLamp"), light.lamp ? 1 : 0);
-    gl.uniform3f(this.show.at("lamp"), ...(light.lamp ?? [0, 0, 1]));
+  _show(surface, normals, corner, side, light) {
+    const { gl, programs: { show } } = this;
+    this._use(show, surface);
+    gl.viewport(...corner, side, side);
+    bindTexture(gl, show, "disc", 1, (surface.isRefined ? surface.resting : surface.moving).picture);
+    bindTexture(gl, show, "normals", 2, normals);
+    gl.uniform2f(show.at("corner"), ...corner);
+    gl.uniform1f(show.at("exposure"), light.exposure);
+    gl.uniform1i(show.at("isLamp"), light.lamp ? 1 : 0);
+    gl.uniform3f(show.at("lamp"), ...(light.lamp ?? [0, 0, 1]));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
@@ -306,7 +481,7 @@ export class BallRenderer {
     gl.useProgram(program.handle);
     bindTexture(gl, program, "table", 0, surface.table.picture);
     gl.uniform3f(program.at("nodes"), p, d, h);
-    gl.uniform3f(program.at("view"), ...data.light.view);
+    gl.uniform3f(program.at("view"), ...data.view);
     gl.uniform1f(program.at("thetaHMax"), data.grid.thetaHMax);
     gl.uniform1f(program.at("thetaHPower"), data.grid.thetaHPower);
     gl.uniform1f(program.at("thetaDShare"), data.grid.thetaDShare);

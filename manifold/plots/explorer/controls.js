@@ -5,6 +5,7 @@ import { interpolate, parseSpectrum } from "./numerics.js";
 
 import { fromFragment, lampWithin, toFragment } from "./state.js";
 
+const DEGREES_ACROSS = 270; // by which a drag across the whole picture turns it
 const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
 
 export const controls = {
@@ -196,24 +197,49 @@ export const controls = {
     canvas.addEventListener("blur", () => this.showLabels());
     canvas.addEventListener("webglcontextlost", (event) => this.loseBalls(event));
     canvas.addEventListener("webglcontextrestored", () => this.restoreBalls());
-    canvas.addEventListener("pointermove", (event) => {
-      if (this.state.light !== "lamp") return;
-      const box = canvas.getBoundingClientRect(), count = this.state.pin ? 2 : 1;
-      const side = Math.min(box.height, box.width / count);
-      const left = event.clientX - box.left - (box.width - side * count) / 2;
-      const across = count === 2 && left > side ? left - side : left;
-      aim((2 * across) / side - 1, 1 - (2 * (event.clientY - box.top - (box.height - side) / 2)) / side);
+    let from = null; // where a drag began, and how far things were turned then
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || (this.state.light === "lamp" && this.turned === "turn")) return;
+      canvas.setPointerCapture(event.pointerId);
+      from = [event.clientX, this.state[this.turned]];
     });
+    canvas.addEventListener("pointermove", (event) => {
+      if (from) {
+        this.turnTo(this.turned, from[1] + ((event.clientX - from[0]) / canvas.clientWidth) * DEGREES_ACROSS, false);
+      } else if (this.state.light === "lamp") {
+        const box = canvas.getBoundingClientRect(), count = this.columns;
+        const side = Math.min(box.height, box.width / count);
+        const left = event.clientX - box.left - (box.width - side * count) / 2;
+        const across = count === 2 && left > side ? left - side : left;
+        aim((2 * across) / side - 1, 1 - (2 * (event.clientY - box.top - (box.height - side) / 2)) / side);
+      }
+    });
+    for (const end of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(end, () => {
+        if (from) this.commit();
+        from = null;
+      });
+    }
     canvas.addEventListener("pointerleave", () => this.state.light === "lamp" && keepLamp());
     canvas.addEventListener("keydown", (event) => {
       const move = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
       if (!move) return;
       event.preventDefault();
-      if (this.state.light !== "lamp") this.change({ light: "lamp" });
-      aim(this.state.lamp[0] + 0.05 * move[0], this.state.lamp[1] + 0.05 * move[1]);
-      keepLamp();
+      if (this.state.light === "lamp") {
+        aim(this.state.lamp[0] + 0.05 * move[0], this.state.lamp[1] + 0.05 * move[1]);
+        keepLamp();
+      } else {
+        this.turnTo(this.turned, this.state[this.turned] + 5 * move[0], false);
+      }
     });
-    for (const input of this.radios("light")) input.addEventListener("change", () => this.change({ light: input.value }));
+    canvas.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && this.commit());
+    for (const name of ["light", "shape"]) {
+      for (const input of this.radios(name)) input.addEventListener("change", () => this.change({ [name]: input.value }));
+    }
+    for (const name of ["turn", "turnShape"]) {
+      this.byId(name).addEventListener("input", (event) => this.turnTo(name, Number(event.target.value), false));
+      this.byId(name).addEventListener("change", () => this.commit());
+    }
     this.byId("illuminant").addEventListener("change", (event) => this.change({ illuminant: event.target.value }));
     this.byId("exposure").addEventListener("input", (event) => {
       this.state.exposure = Number(event.target.value);
@@ -221,6 +247,10 @@ export const controls = {
       this.drawBalls();
     });
     this.byId("exposure").addEventListener("change", () => this.commit());
+  },
+
+  turnTo(name, degrees, done) {
+    this.change({ [name]: Math.round(((((degrees + 180) % 360) + 360) % 360) - 180) }, done);
   },
 
   listenToColours() {

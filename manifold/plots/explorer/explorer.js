@@ -1,7 +1,7 @@
 // The page: controls to state, state to pictures.
 
 import { Materials } from "./numerics.js";
-import { BallRenderer } from "./ball.js";
+import { BallRenderer, PLAIN } from "./ball.js";
 import { MapView } from "./map.js";
 import { drawReflectance, drawSlices } from "./plots.js";
 import { History, fromFragment, isBetween, toFragment } from "./state.js";
@@ -12,6 +12,7 @@ import { facts } from "./facts.js";
 import { makeTabs } from "./tabs.js";
 
 const THUMBNAIL = 96;
+const MOVING_HEIGHT = 320; // pixels in height of a ball that moves
 const REST = 600; // ms without a change, after which the ball is lit more finely
 const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; everything else works.";
 const THEMES = {
@@ -162,9 +163,9 @@ export class Explorer {
     this.reflectance = this.prediction.reflectance();
     this.refreshPin();
     if (this.balls) {
-      this.balls.setSurface(0, this.prediction, state.illuminant);
-      this.drawBalls();
+      this.balls.setSurface(0, this.prediction, state.illuminant, this.sky);
       this.refineLater();
+      this.drawBalls();
     }
     this.drawMap();
     this.drawPlots();
@@ -177,32 +178,60 @@ export class Explorer {
   refineLater() {
     clearTimeout(this.refining);
     this.element.dataset.refined = "false";
-    this.refining = setTimeout(() => {
-      if (!this.balls) return;
-      for (const k of this.state.pin ? [0, 1] : [0]) this.balls.refine(k);
-      this.drawBalls();
-      this.element.dataset.refined = "true";
-    }, REST);
+    this.refining = setTimeout(() => this.refineStep(this.refined()), REST);
+  }
+
+  /** Refines what is shown, a strip per step, so that the page answers meanwhile. */
+  *refined() {
+    for (const k of this.state.pin ? [0, 1] : [0]) yield* this.balls?.refining(k) ?? [];
+  }
+
+  refineStep(steps) {
+    if (!steps.next().done) {
+      this.refining = setTimeout(() => this.refineStep(steps));
+      return;
+    }
+    this.element.dataset.refined = "true";
+    this.drawBalls();
   }
 
   refreshPin() {
     const { pin, illuminant } = this.state;
-    const key = pin ? JSON.stringify([pin, illuminant]) : null;
+    const key = pin ? JSON.stringify([pin, illuminant, this.sky]) : null;
     if (this.pinned.key === key) return;
     this.pinned = { key, prediction: pin ? this.predicted(pin) : null };
-    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant);
+    if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant, this.sky);
   }
 
   get light() {
-    const { light, lamp, exposure } = this.state;
+    const { light, lamp, exposure, shape, turnShape } = this.state;
     const [x, y] = lamp, z = Math.sqrt(Math.max(1 - x * x - y * y, 0));
-    return { lamp: light === "lamp" ? [x, y, z] : null, exposure: 2 ** exposure };
+    return { lamp: light === "lamp" ? [x, y, z] : null, exposure: 2 ** exposure, shape, turnShape: (turnShape * Math.PI) / 180 };
+  }
+
+  /** The environment, by its index, and how far it is turned. */
+  get sky() {
+    const { light, turn } = this.state;
+    const environment = Math.max(this.data.environments.findIndex(({ name }) => name === light), 0);
+    return { environment, turn: (turn * Math.PI) / 180 };
+  }
+
+  /** Pictures beside each other. */
+  get columns() {
+    return this.state.pin ? 2 : 1;
+  }
+
+  /** What dragging the picture turns: a ball looks the same from all sides. */
+  get turned() {
+    return this.state.shape === "ball" ? "turn" : "turnShape";
   }
 
   drawBalls() {
     if (!this.balls) return;
     const canvas = this.byId("ball"), ratio = Math.min(window.devicePixelRatio || 1, 2);
-    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+    const isMoving = this.element.dataset.refined === "false";
+    const scale = isMoving ? Math.min(ratio, MOVING_HEIGHT / canvas.clientHeight) : ratio;
+    const width = Math.round(canvas.clientWidth * scale), height = Math.round(canvas.clientHeight * scale);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     this.balls.draw(this.state.pin ? [0, 1] : [0], this.light);
   }
@@ -235,7 +264,7 @@ export class Explorer {
       this.element.dataset.complete = "true";
       return;
     }
-    this.balls.setSurface(2, this.materials.predict(this.data.X[k]), "D65");
+    this.balls.setSurface(2, this.materials.predict(this.data.X[k]), "D65", PLAIN);
     const image = document.createElement("canvas");
     Object.assign(image, { width: THUMBNAIL, height: THUMBNAIL });
     image.getContext("2d").putImageData(this.balls.image(2, THUMBNAIL), 0, 0);

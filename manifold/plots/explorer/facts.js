@@ -133,8 +133,16 @@ export const facts = {
 
   showControls() {
     const { state, history: past } = this;
-    for (const input of this.radios("light")) input.checked = input.value === state.light;
-    for (const input of this.radios("colour")) input.checked = input.value === state.colour;
+    for (const name of ["light", "shape", "colour"]) {
+      for (const input of this.radios(name)) input.checked = input.value === state[name];
+    }
+    for (const name of ["turn", "turnShape"]) {
+      this.byId(name).value = state[name];
+      this.byId(`${name}-value`).textContent = `${state[name]}°`;
+      this.byId(name).setAttribute("aria-valuetext", `${state[name]}°`);
+    }
+    this.byId("turn").disabled = state.light === "lamp";
+    this.byId("turnShape").disabled = state.shape === "ball";
     this.byId("like").value = state.like;
     this.byId("picked").value = state.srgb;
     this.byId("spectrum-name").textContent = this.spectrum?.name ?? "";

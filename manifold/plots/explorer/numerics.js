@@ -85,7 +85,11 @@ export class Materials {
   static async load(data) {
     const { first, ratios, scales } = data.components;
     const [halves, steps] = [new Uint16Array(await inflate(first)), new Int8Array(await inflate(ratios))];
-    return new Materials(data, halves, steps, scales, new Float32Array(await inflate(data.walks.cosines)));
+    const made = new Materials(data, halves, steps, scales, new Float32Array(await inflate(data.walks.cosines)));
+    const float = (half) => made.packed.float[half];
+    made.environments = await Promise.all(data.environments.map(async ({ radiance, ...rest }) => (
+      { ...rest, radiance: Float32Array.from(new Uint16Array(await inflate(radiance)), float) })));
+    return made;
   }
 
   constructor(data, halves, steps, scales, cosines) {

@@ -1,5 +1,6 @@
 // The state of the page as one object, its history, and its form as the fragment of a link.
 
+import { SHAPES } from "./shapes.js";
 import { reachOf, within } from "./numerics.js";
 
 /** The state at the start: the material nearest to the middle of the map. */
@@ -7,8 +8,8 @@ export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
-    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, light: "studio", lamp: [-0.4, 0.5],
-    illuminant: "D65", exposure: 0, pin: null, path: null,
+    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, light: "studio", turn: 0, lamp: [-0.4, 0.5],
+    shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, path: null,
   };
 }
 
@@ -34,6 +35,9 @@ export function toFragment(state) {
   if (state.colour === "like") parts.set("like", state.like);
   if (state.colour === "picked") parts.set("srgb", state.srgb);
   if (state.light === "lamp") parts.set("lamp", place(state.lamp));
+  else if (state.light !== "studio") parts.set("light", state.light);
+  if (state.turn) parts.set("turn", state.turn);
+  if (state.shape !== "ball") parts.set("shape", `${state.shape},${state.turnShape}`);
   if (state.illuminant !== "D65") parts.set("illuminant", state.illuminant);
   if (state.exposure) parts.set("exposure", state.exposure);
   if (state.pin) {
@@ -75,6 +79,11 @@ export function fromFragment(fragment, data) {
   if (colour(parts.get("srgb"))) Object.assign(state, { colour: "picked", srgb: parts.get("srgb") });
   const lamp = numbers(parts.get("lamp"), 2);
   if (lamp) Object.assign(state, { light: "lamp", lamp: lampWithin(lamp) });
+  else if (data.environments.some(({ name }) => name === parts.get("light"))) state.light = parts.get("light");
+  const degrees = (text) => Math.min(Math.max(Math.round(Number(text)) || 0, -180), 180);
+  state.turn = degrees(parts.get("turn"));
+  const [shape, turnShape] = (parts.get("shape") ?? "").split(",");
+  if (SHAPES.includes(shape)) Object.assign(state, { shape, turnShape: degrees(turnShape) });
   if (Object.hasOwn(data.toSrgb, parts.get("illuminant"))) state.illuminant = parts.get("illuminant");
   const exposure = Number(parts.get("exposure"));
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);

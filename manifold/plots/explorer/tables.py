@@ -19,6 +19,7 @@ from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.weighted_sums import WeightedSum
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
+from manifold.colour.environments import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
 from manifold.latent.lobes import cos_theta_d
@@ -140,19 +141,22 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         "reflectances": space.reflectances[:, nodes].tolist(),
         "paths": _paths(space, tables),
         "walks": _walks(tables),
-        "light": _studio_light(),
+        "environments": _environments(),
+        "view": ball_colours.VIEW.tolist(),
         "error": error_field(model),
     }  # fmt: skip
 
 
-def _studio_light() -> dict[str, Any]:
-    """Radiance of the ball's environment, row by row from the zenith, and the direction of the viewer."""
-    environment = ball_colours.environment()[..., 0]
-    return {
-        "rows": environment.shape[0], "columns": environment.shape[1],
-        "radiance": [float(f"{v:.6g}") for v in environment.ravel()],
-        "view": ball_colours.VIEW.tolist(),
-    }  # fmt: skip
+def _environments() -> list[dict[str, Any]]:
+    """The environments of the page: radiance in float16, row by row from the zenith."""
+    made = []
+    for name in ENVIRONMENTS:
+        radiance = environment(name)
+        rows, columns, _ = radiance.shape
+        # Six bits of the fraction are enough for a light, and compress well.
+        halves = (radiance.astype("<f2").view("<u2") + 8) & 0xFFF0
+        made.append({"name": name, "rows": rows, "columns": columns, "radiance": _text(halves)})
+    return made
 
 
 def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
@@ -238,5 +242,5 @@ def _rounded(values: Array) -> list[float]:
     return [float(f"{v:.7g}") for v in values]
 
 
-def _text(values: Array) -> str:
+def _text(values: NDArray[Any]) -> str:
     return base64.b64encode(gzip.compress(values.tobytes(), 9, mtime=0)).decode()

@@ -4,7 +4,7 @@ const VERSION = "#version 300 es\n";
 const QUAD = `${VERSION}
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 // Fragment shaders have integers of 16 bits and textures of 8 by default, and some drivers do use so few.
-const PRECISE = `${VERSION}precision highp float; precision highp int; precision highp sampler2D;`;
+const PRECISE = `${VERSION}precision highp float; precision highp int; precision highp sampler2D; precision highp samplerCube;`;
 
 /** A program of a fragment shader, without its version and precisions: its handle, and `at(name)`, the place of a uniform. */
 export function makeProgram(gl, fragment) {
@@ -47,6 +47,22 @@ export function makeTarget(gl, width, height, options) {
   gl.bindFramebuffer(gl.FRAMEBUFFER, target);
   gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, picture, 0);
   return { picture, target, width, height };
+}
+
+/** A cube of half floats with mipmaps, and targets that draw into its faces. */
+export function makeCube(gl, size) {
+  const picture = gl.createTexture(), levels = Math.log2(size) + 1;
+  gl.activeTexture(gl.TEXTURE0);
+  gl.bindTexture(gl.TEXTURE_CUBE_MAP, picture);
+  gl.texStorage2D(gl.TEXTURE_CUBE_MAP, levels, gl.RGBA16F, size, size);
+  gl.texParameteri(gl.TEXTURE_CUBE_MAP, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+  const targets = [...Array(6).keys()].map((face) => {
+    const target = gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_CUBE_MAP_POSITIVE_X + face, picture, 0);
+    return target;
+  });
+  return { picture, targets };
 }
 
 /** Let a program read a texture by a unit. */

@@ -9,7 +9,7 @@ MINUTES ?= 10
 # Installed without bytecode: unless Python may write it, every process that a test starts compiles all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo kernels test test-slow test-lowest check attack bench clean help
+.PHONY: demo kernels test test-slow test-lowest check attack bench docs clean help
 
 help:
 	@echo "make demo        run the whole program on the built-in corpus, into $(OUT)/"
@@ -19,6 +19,7 @@ help:
 	@echo "make test-lowest run the tests with the oldest versions that pyproject.toml admits, in .venv-lowest"
 	@echo "make check       ruff, mypy, import-linter"
 	@echo "make attack      changed files, models, libraries, scenes, fits, servers: SEED=0 MINUTES=10"
+	@echo "make docs        the documentation site, into docs/_build/html; warnings are errors"
 	@echo "make bench       speed as ratios, into benchmarks/results/"
 
 .venv/ready: pyproject.toml tools/setup.sh
@@ -27,6 +28,9 @@ help:
 .venv/readydev: pyproject.toml tools/setup.sh
 	tools/setup.sh dev
 	@touch .venv/ready
+
+.venv/readydocs: pyproject.toml tools/setup.sh
+	tools/setup.sh docs
 
 demo: .venv/ready
 	$(BIN)/manifold demo $(OUT)
@@ -58,6 +62,10 @@ attack: .venv/readydev
 
 bench: .venv/readydev
 	$(BIN)/python benchmarks/run_all.py
+
+docs: .venv/readydocs
+	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md SECURITY.md docs manifold cli
+	$(BIN)/python -m sphinx -b html -W --keep-going -q docs docs/_build/html
 
 clean:
 	rm -rf .venv .venv-lowest build dist *.egg-info

@@ -40,7 +40,7 @@ def explore(
     """Explore the map in a web page: drag a point to see the ball, slices, reflectance and nearest materials.
 
     The page is served on the loopback interface only, until Ctrl-C; it can also write .bsdf files, render, fit,
-    export, locate files and complete readings. For the notebook widget, see docs/explorer.md.
+    export, locate files and complete readings. For the notebook widget, see docs/how-to/explore.md.
     """
     from manifold.workflows import explore
 

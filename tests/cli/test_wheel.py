@@ -83,7 +83,7 @@ def files(tmp_path):
 def test_the_archive_of_the_sources_holds_what_the_tests_need(sources):
     expected = {path.name for path in (REPOSITORY / "tests").glob("*.py")}
     assert {path.name for path in (sources / "tests").glob("*.py")} == expected
-    for name in ("Makefile", "README.md", "docs/glossary.md", "tools/setup.sh", "cli/main.py"):
+    for name in ("Makefile", "README.md", "docs/reference/glossary.md", "tools/setup.sh", "cli/main.py"):
         assert (sources / name).is_file(), name
 
 

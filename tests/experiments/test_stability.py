@@ -27,7 +27,7 @@ from manifold.experiments.stability.trials import (
 )
 from manifold.plots import plot_stability
 
-PAGE = "docs/stability.md"
+PAGE = "docs/explanation/stability.md"
 
 Found = Measurement | list[Measurement] | Exception
 

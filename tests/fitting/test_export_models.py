@@ -199,7 +199,7 @@ def test_the_coat_has_the_peak_of_mitsuba_s(rng):
 
 
 def test_sheens_have_mitsuba_s_albedo():
-    # The constants of the table in docs/exports.md.
+    # The constants of the table in docs/how-to/export.md.
     light, solid_angle = hemisphere(48)
     cosines = np.array([0.2, 0.4, 0.6, 0.8])
     pairs = [Pairs.of(np.broadcast_to([np.sqrt(1 - c * c), 0.0, c], light.shape), light) for c in cosines]

@@ -197,7 +197,9 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     unknown = [name for name in only if name not in known]
     if unknown:
         near = names_like(sorted(known), unknown[0], "there are")
-        raise UsageError(f"no failure mode is called '{unknown[0]}'; {near} (docs/stability.md lists all)")
+        raise UsageError(
+            f"no failure mode is called '{unknown[0]}'; {near} (docs/explanation/stability.md lists all)"
+        )
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 

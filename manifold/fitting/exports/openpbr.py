@@ -15,7 +15,7 @@ from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
 from manifold.records import Array
 
-FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/exports.md
+FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/how-to/export.md
 
 PARAMETERS = {
     "base_weight": Parameter(1.0),
@@ -43,7 +43,7 @@ SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; see docs/exports.md."""
+    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "base_metalness": material.metallic,

@@ -16,7 +16,7 @@ from manifold.fitting.exports.principled_values import Principled
 from manifold.fitting.exports.thin_film import film_over_index
 from manifold.records import Array
 
-SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/exports.md
+SHEEN_SCALE, SHEEN_ROUGHNESS = 0.091, 0.125  # nearest in directional albedo, docs/how-to/export.md
 
 PARAMETERS = {
     "base": Parameter(1.0),
@@ -46,7 +46,7 @@ FILM = ("thin_film_thickness", "thin_film_IOR")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
-    """Parameters of a material, all of `DEFAULTS`; see docs/exports.md."""
+    """Parameters of a material, all of `DEFAULTS`; see docs/how-to/export.md."""
     made = DEFAULTS | {
         "base_color": list(material.base_color),
         "metalness": material.metallic,

@@ -21,7 +21,7 @@ class OutputOptions:
         physical: project the file to non-negative values, reciprocity within 5 %, and albedo at most 1.
         force: also write a file whose albedo exceeds 1.05.
         resolution: nodes per axis of the outgoing grid; with `physical`, at least.
-        incidences: incident elevations from 0 to 90 degrees; with `physical`, at least.
+        incidences: incident elevations from 0 to 90 degrees, at least; see `output_file`.
     """
 
     physical: bool = False
@@ -43,8 +43,9 @@ def output_file(
 ) -> tuple[BsdfFile, Plausibility]:
     """Measure a BRDF without negative values into a file, and the plausibility of that file.
 
-    A file with a valley beside its highlight is measured again with a softer normal distribution; the better one of
-    the two is returned.
+    A file whose albedo exceeds 1.05 is measured again with twice as many incidences, which resolve sharp highlights
+    near grazing, and returned so where its albedo then does not. A file with a valley beside its highlight is measured
+    again with a softer normal distribution; the better one of the two is returned.
 
     Args:
         brdf: what is measured.
@@ -64,6 +65,11 @@ def output_file(
     )
     file = measure()
     found = plausibility_of_file(file)
+    if found.max_albedo > diagnostics.MOST_ALBEDO:
+        finer = measure(n_theta_i=2 * options.incidences)
+        resolved = plausibility_of_file(finer)
+        if resolved.max_albedo <= diagnostics.MOST_ALBEDO:
+            return finer, resolved
     if found.highlight_valley > diagnostics.MOST_VALLEY:
         soft = measure(bend=goniometer.SOFT_BEND)
         softly = plausibility_of_file(soft)

@@ -11,7 +11,7 @@ import pytest
 from manifold.brdf import cells, goniometer
 from manifold.brdf.analytic import GGX, Lambert, Plastic, RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.plausibility import plausibility
+from manifold.brdf.plausibility import plausibility, plausibility_of_file
 from manifold.brdf.warp import Warp
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.errors import UsageError
@@ -199,3 +199,14 @@ def test_predictions_with_valleys_in_their_files_are_measured_again():
     soft = goniometer.measure(truth, "peak", bend=goniometer.SOFT_BEND, version=(1, 0))
     np.testing.assert_array_equal(file.spectra, soft.spectra)
     assert found.highlight_valley == plausibility(MeasuredBRDF(soft)).highlight_valley
+
+
+def test_a_sharp_highlight_that_few_incidences_do_not_resolve_gets_more():
+    """Interpolated between the incidences of 76 and 90 degrees, its file would have an albedo of 1.5 at 85."""
+    clear = Plastic(GGX.isotropic(0.015), np.array(1.58), np.full(3, 0.15), Bands(None))
+    coarse = goniometer.measure(clear, "clear", version=(1, 0))
+    assert plausibility_of_file(coarse).max_albedo > 1.2
+    file, found = output_file(clear, "clear")
+    assert file.theta_i_rad.size == 16
+    wi = from_spherical(np.deg2rad(np.arange(0.0, 86.0, 5.0)), np.zeros(18))
+    assert found.max_albedo == pytest.approx(clear.albedo(wi).max(), rel=0.1)

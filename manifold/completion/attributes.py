@@ -152,7 +152,7 @@ class Adjusted:
     @property
     def shortfalls(self) -> tuple[str, ...]:
         """What could not be reached, in sentences."""
-        missed = [
+        shortfalls = [
             f"gloss at {angle:g} degrees: {reached:.3g} reached, {asked:.3g} asked; no material of this map near it in "
             "this colour has that gloss"
             for angle, (asked, reached) in self.gloss.items()
@@ -160,8 +160,8 @@ class Adjusted:
         ]
         if self.difference > COLOUR_TOLERANCE:
             asked, reached = ("L {:.1f}, C {:.1f}, h {:.0f}".format(*lch) for lch in self.lch)
-            missed.append(f"colour: {reached} reached, {asked} asked, CIEDE2000 {self.difference:.1f}")
-        return tuple(missed)
+            shortfalls.append(f"colour: {reached} reached, {asked} asked, CIEDE2000 {self.difference:.1f}")
+        return tuple(shortfalls)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -326,13 +326,13 @@ class _Search:
         def cost(x: Array) -> float:
             colours, reached = self._model.space.colours_of(x, factor, self._reflectometer, spot)
             off = _lab_of_factor(reached, bands) - lab
-            missed = _COLOUR_WEIGHT * float(off @ off)
+            penalty = _COLOUR_WEIGHT * float(off @ off)
             for angle, asked in units.items():
                 meter, decoder = self._meters[angle]
                 collected = self._model.space.reflectance_of(x, colours, decoder, meter.weights)
                 gloss = 100.0 * float(luminance(collected, self._model.bands)) / meter.full_scale
-                missed += _GLOSS_WEIGHT * np.log(max(gloss, _LEAST_GLOSS) / asked) ** 2
-            return float(np.sum((x - start) ** 2)) + missed
+                penalty += _GLOSS_WEIGHT * np.log(max(gloss, _LEAST_GLOSS) / asked) ** 2
+            return float(np.sum((x - start) ** 2)) + penalty
 
         ways = [min(start + _ALONG * (end - start), key=cost) for end in self._model.X]
         tried = sorted(ways, key=cost)[:_REFINED]

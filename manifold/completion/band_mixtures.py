@@ -83,9 +83,9 @@ def band_mixtures(
         level = float(np.sqrt(np.mean(read.material[is_read] ** 2)))
         misfit += [gloss.misfit(weights, level) for weights in fitted]
         count += len(gloss.roots)
-    missed = fitted @ read.atoms - np.where(is_read, read.material, 0.0)
-    missed = np.sum(is_read * missed**2 * read.weights, axis=(1, 2)) / np.sum(is_read)
-    norm = np.sum((of_mean @ gram) * of_mean, axis=1) + missed
+    residual = fitted @ read.atoms - np.where(is_read, read.material, 0.0)
+    squares = np.sum(is_read * residual**2 * read.weights, axis=(1, 2)) / np.sum(is_read)
+    norm = np.sum((of_mean @ gram) * of_mean, axis=1) + squares
     prior = material_prior(int(material_of[-1]), n_library)
     log_prior = log_prior_of(material_of[mixtures.first[chosen]], material_of[mixtures.second[chosen]], prior)
     probability = normalised(log_prior + log_likelihood(misfit, count) - log_of_norm(norm))

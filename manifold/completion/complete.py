@@ -265,11 +265,11 @@ def complete_at(
         np.hstack([read.material, gloss.scaled(glossy)]), np.hstack([mixed, glossy]), all_where,
         np.append(readings.weights, ones),
     )  # fmt: skip
-    missed = gloss.missed(glossy)
+    differences = gloss.differences(glossy)
     in_library = replace(residual, strength=in_all_bands(residual.strength, readings, atoms.bands))
     return Completion(
         atoms, readings, at_readings, hypotheses, in_all_bands(combined, readings, atoms.bands), in_library,
-        (mixed * residual.at(where)).T ** 3, dict(zip(readings.gloss, missed.tolist(), strict=True)),
+        (mixed * residual.at(where)).T ** 3, dict(zip(readings.gloss, differences.tolist(), strict=True)),
     )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ class GlossReadings:
         variance = (NOISE**2 + MODEL_ERROR**2) * (self.roots**2 + level**2)
         return float(np.sum((self._luminous(weights @ self.atoms) - self.roots) ** 2 / variance))
 
-    def missed(self, roots: Array) -> Array:
+    def differences(self, roots: Array) -> Array:
         """Relative differences of cube roots in bands, shape (B, G), from what was read within a gloss unit: (G,)."""
         made, read = self._luminous(roots), self.roots**3
         nearest = np.cbrt(np.clip(made**3, np.maximum(read - self.unit, 0.0), read + self.unit))

@@ -121,7 +121,7 @@ def read_model(path: Path) -> ModelRecord:
             f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; embed again with this version"
         )
     try:
-        return _opened(content, path)
+        return _record_of(content, path)
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OSError, RuntimeError) as error:
         raise damaged(path, error) from error
 
@@ -132,7 +132,7 @@ def damaged(path: Path, error: Exception) -> ModelError:
     return ModelError(f"{path}: not a readable model ({reason}); embed again")
 
 
-def _opened(content: bytes, path: Path) -> ModelRecord:
+def _record_of(content: bytes, path: Path) -> ModelRecord:
     if content[_DIGEST] != _digest(content):
         raise ValueError("its hash does not match its content")
     with h5py.File(io.BytesIO(content)) as file:

@@ -19,7 +19,7 @@ def fit_nearest(data: Data, training: Indices) -> Encode:
 
     def encode(i: int) -> Combination:
         nearest = training[np.argmin(_squared_distances(G, i, training))]
-        return _whole(data, training, (training == nearest).astype(float), _IDENTITY)
+        return _in_all_bands(data, training, (training == nearest).astype(float), _IDENTITY)
 
     return encode
 
@@ -62,7 +62,7 @@ def fit_pca(mapping_name: str, count: int) -> Fit:
             centred = cross - cross.mean() - mean + mean.mean()  # products with the others less their mean
             shift = U @ ((U.T @ centred) / scale)
             weights = 1.0 / len(training) + shift - shift.mean()
-            return _whole(data, training, weights, mapping)
+            return _in_all_bands(data, training, weights, mapping)
 
         return encode
 
@@ -87,10 +87,10 @@ def _best_mix(data: Data, G: Array, i: int, training: Indices, among: Indices) -
     weights = np.zeros(len(training))
     weights[among[b]] += 1.0 - t[a, b]
     weights[among[a]] += t[a, b]
-    return _whole(data, training, weights, _IDENTITY)
+    return _in_all_bands(data, training, weights, _IDENTITY)
 
 
-def _whole(data: Data, training: Indices, weights: Array, mapping: Mapping) -> Combination:
+def _in_all_bands(data: Data, training: Indices, weights: Array, mapping: Mapping) -> Combination:
     """A combination of whole materials, by weights of the training materials; negative values stay."""
     spread = np.zeros(data.n_materials)
     spread[training] = weights

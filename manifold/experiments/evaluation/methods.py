@@ -74,14 +74,14 @@ def gplvm_methods() -> list[Method]:
     return [*models.values(), colours, _few_atoms(SAMPLE_BANDS), *blends]
 
 
-def _whole(latent_dim: int, mapping: str = "cube-root") -> Settings:
+def _gplvm(latent_dim: int, mapping: str = "cube-root") -> Settings:
     prior = 0.0 if latent_dim == 2 else 0.1
     return Settings("material", latent_dim, mapping, optimizer="l-bfgs", prior=prior, criterion="decoded")
 
 
 STANDARD = {
-    "gplvm_2": _whole(2),
-    "gplvm_6": _whole(6),
+    "gplvm_2": _gplvm(2),
+    "gplvm_6": _gplvm(6),
     "monochrome_2_1": Settings("monochrome", 2, criterion="decoded"),
     "monochrome_3_1": Settings("monochrome", 3, criterion="decoded"),
     "blend_2": Settings("blend", 2),
@@ -124,7 +124,7 @@ def settings(n_bands: int) -> list[Method]:
     """All settings that a chart compares for materials of so many bands, simplest first."""
     mappings = ("identity", "cube-root", "log-relative")
     pcas = [_pca(f"pca_{k}_{T}", f"PCA {k}, {T}", T, k) for T in mappings for k in (2, 4, 6, 8)]
-    gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _whole(Q, T)) for T in mappings for Q in (2, 4, 6)]
+    gplvms = [_model(f"gplvm_{Q}_{T}", f"GPLVM {Q}, {T}", _gplvm(Q, T)) for T in mappings for Q in (2, 4, 6)]
     monochromes = [_monochrome(Q, _SAMPLES) for Q in (1, 2, 3)]
     blends = [_model(f"blend_{Q}", f"blend {Q}+2", Settings("blend", Q)) for Q in (2, 3)]
     by_key = {setting.key: setting for setting in (*pcas, *gplvms)}

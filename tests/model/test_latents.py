@@ -118,6 +118,14 @@ def test_latents_of_a_model_cannot_be_written_to(model):
         fitted.X[:] += 1.0
 
 
+def test_what_is_missing_is_also_the_error_that_python_raises(model, tmp_path):
+    with pytest.raises(KeyError):
+        Manifold.load(model).material("no such material")
+    for open_missing in (Library.open, Manifold.load):
+        with pytest.raises(FileNotFoundError):
+            open_missing(tmp_path / "missing")
+
+
 def test_an_embedded_material_says_what_it_is_in_a_line(model):
     loaded = Manifold.load(model)
     said = repr(loaded.embed(loaded.material(NAMES[0])))

@@ -324,7 +324,7 @@ def test_downloads_hold_the_latent_and_the_colours(visited):
     documents = {}
     for name in ("latent", "colours"):
         with page.expect_download() as download:
-            control(page, f"#save-{name}").click()
+            page.locator(f"#save-{name}").click()
         with open(download.value.path(), encoding="utf-8") as stream:
             documents[name] = json.load(stream)
     assert documents["latent"]["latent"] == state(page)["x"]

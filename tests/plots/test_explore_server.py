@@ -359,9 +359,9 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
         control(page, "#do-predict").press("Enter")
         page.locator("#jobs li[data-state=done]", has_text="mine_rgb.bsdf").wait_for()
         control(page, "#locate-file").set_input_files(str(tmp_path / "mine_rgb.bsdf"))
-        control(page, "#jobs button", has_text="Go to").click()
-        x = page.evaluate("window.explorer.state.x")
-        assert len(x) == 2
+        page.locator("#caption", has_text="mine_rgb").wait_for()
+        assert page.evaluate("window.explorer.state.x.length") == 2
+        page.evaluate("window.explorer.goTo(0)")
         control(page, "#export-target").select_option("unreal")
         control(page, "#do-export").press("Enter")
         page.locator("#jobs li[data-state=done]", has_text="mine.json").wait_for()
@@ -371,7 +371,7 @@ def test_a_page_writes_the_prediction_and_finds_a_dropped_file(tmp_path):
             {"name": "my readings.csv", "mimeType": "text/csv", "buffer": rows.encode()}
         )
         page.locator("#jobs li[data-state=done]", has_text="complete my-readings_rgb.bsdf").wait_for()
-        page.locator("#jobs img[alt*='my-readings']").wait_for()
+        page.locator("#jobs img[alt*='my-readings']").wait_for(state="attached")
         control(page, "#action-name").fill("../mine")
         control(page, "#do-render").click()
         page.locator("#problem", has_text="name: expected letters").wait_for()

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import threading
 from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.browser import control, settle, state, visit
 from helpers.small_library import NAMES
+from PIL import Image
 
 from manifold.colour.reflectances import read_reflectance
+from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
 from manifold.plots.explorer.actions import Context
 from manifold.plots.explorer.jobs import Queue
@@ -437,3 +442,179 @@ def test_an_illuminant_that_does_not_apply_says_why(page):
     page.locator("#tab-light").click()
     assert page.locator("#illuminant").is_disabled()
     assert "no spectrum" in page.locator("#illuminant-reason").inner_text()
+
+
+def test_kept_looks_come_back_by_a_click_undo_and_a_link(page):
+    page.evaluate("window.explorer.goTo(1)")
+    page.locator("#keep").click()
+    control(page, "#like").select_option(NAMES[3])
+    page.locator("#keep").press("Enter")
+    page.evaluate("window.explorer.change({ x: [0.1, 0.2], colour: 'blend' })")
+    page.locator("#keep").click()
+    settle(page)
+    assert page.locator("#strip li").count() == 3
+    assert page.locator("#strip canvas").count() == 3
+    assert page.locator("#strip li").nth(1).inner_text().startswith(f"{NAMES[1]}, like {NAMES[3]}")
+    page.locator("#strip li").nth(1).locator("button").first.click()
+    settle(page)
+    assert (state(page)["at"], state(page)["colour"], state(page)["like"]) == (NAMES[1], "like", NAMES[3])
+    link = page.evaluate("location.hash")
+    page.locator("#strip [aria-label^=Remove]").first.press("Enter")
+    settle(page)
+    assert page.locator("#strip li").count() == 2
+    assert page.evaluate("document.activeElement.closest('#strip') !== null")
+    page.locator("#undo").click()
+    settle(page)
+    assert page.locator("#strip li").count() == 3
+    page.evaluate("window.explorer.reset()")
+    settle(page)
+    assert page.locator("#strip").is_hidden()
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
+    kept = state(page)["variants"]
+    assert [look.get("at") for look in kept] == [NAMES[1], NAMES[1], None]
+    assert [look["colour"] for look in kept] == ["blend", "like", "blend"]
+    assert kept[2]["x"] == [0.1, 0.2]
+
+
+def test_kept_looks_are_saved_together(page):
+    assert control(page, "#save-variants").is_disabled()
+    for k in (0, 2):
+        page.evaluate(f"window.explorer.goTo({k})")
+        page.locator("#keep").click()
+    settle(page)
+    with page.expect_download() as download:
+        control(page, "#save-variants").click()
+    saved = json.loads(Path(download.value.path()).read_text(encoding="utf-8"))
+    assert [one["material"] for one in saved["variants"]] == [NAMES[0], NAMES[2]]
+    assert all(sum(one["weights"].values()) == pytest.approx(1.0) for one in saved["variants"])
+
+
+def test_the_picture_is_saved_as_it_is_shown(page):
+    with page.expect_download() as download:
+        page.locator("#save-picture").click()
+    picture = Image.open(download.value.path())
+    assert picture.size == tuple(
+        page.evaluate("[explorer.balls.gl.canvas.width, explorer.balls.gl.canvas.height]")
+    )
+    red, _, _, alpha = picture.convert("RGBA").getpixel((picture.width // 2, picture.height // 2))
+    assert alpha == 255
+    assert red > 10
+
+
+def columns_of_ball(page):
+    """Encoded values of the picture's middle row, (width, 4)."""
+    script = """() => { const { gl } = window.explorer.balls;
+      window.explorer.drawBalls();
+      const width = gl.drawingBufferWidth, row = new Uint8Array(4 * width);
+      gl.readPixels(0, gl.drawingBufferHeight >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
+      return [...row]; }"""
+    return np.array(page.evaluate(script)).reshape(-1, 4)
+
+
+def test_a_wipe_shows_before_on_the_left_and_after_on_the_right(page):
+    page.wait_for_selector("[data-complete]", state="attached")
+    rows = []
+    for k in (3, 1):  # after, then before: pinned
+        page.evaluate(f"window.explorer.goTo({k})")
+        settle(page)
+        rows.append(columns_of_ball(page))
+    control(page, "#pin").click()
+    page.evaluate("window.explorer.goTo(3)")
+    settle(page)
+    after, before = rows
+    shown = columns_of_ball(page)
+    middle = len(shown) // 2
+    assert np.array_equal(shown[: middle - 2], before[: middle - 2])
+    assert np.array_equal(shown[middle + 2 :], after[middle + 2 :])
+    page.locator("#wipe").press("Home")
+    settle(page)
+    assert np.array_equal(columns_of_ball(page), after)
+    assert NAMES[1] in page.locator("#wipe").get_attribute("aria-valuetext")
+    control(page, "input[name=view][value=beside]").check()
+    settle(page)
+    assert page.locator("#wipe").is_hidden()
+    assert state(page)["wipe"] is None
+    control(page, "input[name=view][value=wipe]").check()
+    control(page, "#unpin").click()
+    settle(page)
+    assert page.locator("#wipe").is_hidden()
+
+
+def located(model, name, **gain):
+    """What `manifold locate` says of a material of the map, here with gains."""
+    own = model.space.own_colours[model.names.index(name)]
+    gains = np.array([gain.get(band, 1.0) for band in ("red", "green", "blue")])
+    return {
+        "name": "a dropped file", "latent": model.latent(name).tolist(), "colours": [own.tolist(), gains.tolist()],
+        "ball": 2.5, "cube_root_error": 0.1, "expected_ball": 3.5, "diagnostics": ["a diagnostic"],
+    }  # fmt: skip
+
+
+def test_a_dropped_material_stands_on_the_map_in_its_own_colours_until_it_is_removed(page, model):
+    found = located(model, NAMES[3], red=0.5)
+    page.evaluate("(found) => window.explorer.addGuest(found)", found)
+    settle(page)
+    assert page.locator("#caption").inner_text() == "a dropped file"
+    assert page.locator("#error-value").inner_text().startswith("3.5")
+    assert "a diagnostic" in page.locator("#diagnostics").inner_text()
+    assert "within 2.5 CIEDE2000" in page.locator("#guests").inner_text()
+    expected = model.predict(found["latent"], np.array(found["colours"])).albedo(
+        from_spherical(np.deg2rad(8.0), 0.0)
+    )
+    assert np.allclose(page.evaluate("window.explorer.reflectance"), expected, atol=0.01)
+    x, y = page.evaluate(
+        "(() => { const { map } = explorer; return map.places[6].map((v) => v / map.ratio); })()"
+    )
+    page.evaluate("window.explorer.goTo(0)")
+    settle(page)
+    assert state(page)["colour"] == "blend"
+    assert page.evaluate("window.explorer.map.names.length") == 7
+    page.locator("#map").click(position={"x": x, "y": y})
+    settle(page)
+    assert state(page)["colour"] == "own"
+    page.locator("#guests [aria-label^=Remove]").press("Enter")
+    settle(page)
+    assert page.locator("#guests").is_hidden()
+    assert page.evaluate("window.explorer.map.names.length") == 6
+    assert page.locator("#caption").inner_text() == "a dropped file"  # what is shown stays
+
+
+def test_a_located_file_is_shown_and_a_finished_job_collapses(browser, served, served_page, model):
+    page, queue = served_page.page, served.queue
+    answer = json.dumps(located(model, NAMES[2]) | {"nearest": [[NAMES[2], 0.0]]})
+    command, queue._command = queue._command, (sys.executable, "-c", f"print({answer!r})")
+    try:
+        control(page, "#locate-file").set_input_files(
+            {"name": "mine.bsdf", "mimeType": "application/octet-stream", "buffer": b"tensor_file"}
+        )
+        page.locator("#caption", has_text="mine").wait_for()
+    finally:
+        queue._command = command
+    job = page.locator("#jobs li", has_text="locate mine")
+    assert job.locator("details").get_attribute("open") is None
+    assert page.evaluate("window.explorer.guests.length") == 1
+    control(page, "#do-predict").click()
+    page.locator("#problem", has_text="the colours of a dropped file").wait_for()
+    job.locator("summary").click()
+    assert job.locator("button", has_text="Show at").is_visible()
+    page.evaluate("explorer.removeGuest(0); explorer.reset(); explorer.problem('')")
+
+
+def test_commands_are_requested_for_all_kept_looks(served, served_page):
+    page = served_page.page
+    page.evaluate("explorer.reset()")
+    for k in (0, 1):
+        page.evaluate(f"window.explorer.goTo({k})")
+        page.locator("#keep").click()
+    settle(page)
+    control(page, "#all-variants").check()
+    control(page, "#action-name").fill("both")
+    control(page, "#do-predict").click()
+    for k in (1, 2):
+        page.locator("#jobs li[data-state=done]", has_text=f"predict both-{k}_rgb.bsdf").wait_for()
+    arguments = [job.action.arguments for job in served.queue.jobs[-2:]]
+    latents = [next(a for a in one if a.startswith("--latent")) for one in arguments]
+    assert len(set(latents)) == 2
+    page.evaluate("explorer.reset()")
+    assert served_page.errors == []

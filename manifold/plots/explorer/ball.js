@@ -414,7 +414,7 @@ export class BallRenderer {
 
   /**
    * Draw surfaces side by side, each in a square; light is {lamp: null or direction, exposure, shape, turnShape}. With a
-   * share of the width as `wipe`, two surfaces share one square: the second to the left of it, the first to the right.
+   * share of the width as `wipe`, two surfaces share one square: the first to the left of it, the second to the right.
    */
   draw(surfaces, light, wipe = null) {
     const { gl } = this, { width, height } = gl.canvas, columns = wipe === null ? surfaces.length : 1;
@@ -428,7 +428,7 @@ export class BallRenderer {
       if (wipe !== null) {
         const at = Math.round(corners[0][0] + wipe * side);
         gl.enable(gl.SCISSOR_TEST);
-        if (column === 1) gl.scissor(0, 0, at, height);
+        if (column === 0) gl.scissor(0, 0, at, height);
         else gl.scissor(at, 0, width - at, height);
       }
       this._show(this.surfaces[k], normals, corners[column], side, light);

@@ -68,15 +68,15 @@ export const controls = {
     this.listenToMap();
     this.listenToBall();
     this.listenToColours();
-    this.listenToComparison();
+    this.listenToPath();
+    this.listenToVariants();
     this.listenToSearch();
     this.byId("undo").addEventListener("click", () => this.restore(this.history.move(-1)));
     this.byId("redo").addEventListener("click", () => this.restore(this.history.move(1)));
     this.byId("link").addEventListener("click", () => this.copyLink());
     this.byId("theme").addEventListener("click", () => this.setTheme(this.theme.name === "dark" ? "light" : "dark"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
-    this.byId("save-latent").addEventListener("click", () => this.save("latent.json", this.latentDocument()));
-    this.byId("save-colours").addEventListener("click", () => this.save("colours.json", this.coloursDocument()));
+    this.listenToDownloads();
     this.byId("problem-close").addEventListener("click", () => {
       this.problem("");
       this.byId("map").focus({ preventScroll: true }); // what had the focus is hidden
@@ -325,18 +325,7 @@ export const controls = {
     });
   },
 
-  listenToComparison() {
-    this.byId("pin").addEventListener("click", () => {
-      const { x, at, colour, like, srgb, spectrum, path } = this.state;
-      this.change({ pin: structuredClone({ x, at, colour, like, srgb, spectrum, path }) });
-    });
-    this.byId("unpin").addEventListener("click", () => this.change({ pin: null }));
-    this.byId("pinned").addEventListener("change", (event) => {
-      const k = this.data.names.indexOf(event.target.value);
-      const { like, srgb, spectrum } = this.state;
-      const x = k >= 0 ? [...this.data.X[k]] : null;
-      this.change({ pin: x ? { x, at: this.data.names[k], colour: "blend", like, srgb, spectrum, path: null } : null });
-    });
+  listenToPath() {
     const travel = (done) => {
       const [from, to, t] = [this.byId("path-from").value, this.byId("path-to").value, Number(this.byId("path-t").value)];
       const [a, b] = [from, to].map((name) => this.data.X[this.data.names.indexOf(name)]);

@@ -15,33 +15,57 @@ export const documents = {
     setTimeout(() => (this.byId("link").textContent = "Copy link"), 1500);
   },
 
-  latentDocument() {
-    const { state, data, prediction } = this;
+  listenToDownloads() {
+    const listen = (id, save) => this.byId(id).addEventListener("click", save);
+    listen("save-picture", () => this.savePicture());
+    listen("save-latent", () => this.save("latent.json", this.latentDocument(this.state, this.prediction)));
+    listen("save-colours", () => this.save("colours.json", this.coloursDocument()));
+    listen("save-variants", () => this.save("variants.json", {
+      library: this.data.library,
+      variants: this.state.variants.map((look) => this.latentDocument(look, this.predicted(look))),
+    }));
+  },
+
+  /** The picture as it would be at rest, as PNG. */
+  savePicture() {
+    for (const k of this.state.pin ? [0, 1] : [0]) this.balls?.refine(k);
+    this.element.dataset.refined = "true";
+    this.drawBalls();
+    this.byId("ball").toBlob((blob) => this.download("ball.png", blob));
+  },
+
+  latentDocument(look, prediction) {
+    const { data } = this, error = this.error(look);
     const weights = Object.fromEntries(data.names.flatMap((name, k) => (prediction.u[k] > 0 ? [[name, prediction.u[k]]] : [])));
-    const error = this.error();
     return {
-      library: data.library, latent: state.x, material: state.at ?? null, path: isBetween(state) ? state.path : null,
-      colour: this.choice(), weights,
-      [data.error?.what ?? "uncertainty"]: error, diagnostics: this.diagnostics(),
+      library: data.library, latent: look.x, material: look.at ?? null, path: isBetween(look) ? look.path : null,
+      colour: this.choice(look), weights, [data.error?.what ?? "uncertainty"]: error,
+      diagnostics: this.diagnostics(look, prediction),
     };
   },
 
   coloursDocument() {
     const { state, data, prediction } = this;
     return {
-      library: data.library, latent: state.x, colour: this.choice(), wavelengths_nm: data.wavelengths,
+      library: data.library, latent: state.x, colour: this.choice(state), wavelengths_nm: data.wavelengths,
       reflectance: this.reflectance, colour_coordinates: prediction.coordinates,
     };
   },
 
-  choice() {
-    const { colour, like, srgb } = this.state;
-    return { blend: null, like: { like }, picked: { srgb }, file: { reflectance: this.spectrum?.name } }[colour];
+  choice({ colour, like, srgb, spectrum, guest }) {
+    return {
+      blend: null, like: { like }, picked: { srgb }, file: { reflectance: this.spectra[spectrum]?.name },
+      own: { file: this.guests[guest]?.name },
+    }[colour];
   },
 
   save(name, content) {
+    this.download(name, new Blob([`${JSON.stringify(content, null, 2)}\n`], { type: "application/json" }));
+  },
+
+  download(name, blob) {
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([`${JSON.stringify(content, null, 2)}\n`], { type: "application/json" }));
+    link.href = URL.createObjectURL(blob);
     link.download = name;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);

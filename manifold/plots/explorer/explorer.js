@@ -1,7 +1,7 @@
 // The page: controls to state, state to pictures.
 
 import { Materials } from "./numerics.js";
-import { BallRenderer, PLAIN } from "./ball.js";
+import { BallRenderer } from "./ball.js";
 import { MapView } from "./map.js";
 import { drawReflectance, drawSlices } from "./plots.js";
 import { History, fromFragment, isBetween, toFragment } from "./state.js";
@@ -9,9 +9,10 @@ import { History, fromFragment, isBetween, toFragment } from "./state.js";
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
 import { facts } from "./facts.js";
+import { guests } from "./guests.js";
 import { makeTabs } from "./tabs.js";
+import { variants } from "./variants.js";
 
-const THUMBNAIL = 96;
 const MOVING_HEIGHT = 320; // pixels in height of a ball that moves
 const REST = 600; // ms without a change, after which the ball is lit more finely
 const LOST = "The graphics were lost, so balls are not drawn until the browser restores them; everything else works.";
@@ -35,6 +36,7 @@ export class Explorer {
     this.history = new History(this.state);
     this.map = new MapView(this.byId("map"), data);
     this.spectra = []; // dropped ones; the state has the index of the one in use
+    this.guests = []; // dropped materials, likewise
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
     this.balls = BallRenderer.create(this.byId("ball"), materials);
@@ -89,6 +91,7 @@ export class Explorer {
   /** Change the state; `done` where it is worth an undo. */
   change(changes, done = true) {
     if ("x" in changes && !("path" in changes)) changes.path = null;
+    if ("x" in changes && !("colour" in changes) && this.state.colour === "own") changes.colour = "blend";
     if ("x" in changes && !("at" in changes)) changes.at = this.data.names[this.materials.materialAt(changes.x)];
     Object.assign(this.state, changes);
     if (done) this.commit();
@@ -122,6 +125,7 @@ export class Explorer {
   }
 
   goTo(k, path = null) {
+    if (k >= this.data.names.length) return this.showGuest(this.map.guests[k - this.data.names.length]);
     this.map.keepInView(this.data.X[k]);
     this.change({ x: [...this.data.X[k]], at: this.data.names[k], path });
   }
@@ -151,6 +155,7 @@ export class Explorer {
 
   /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
+    if (state.colour === "own") return this.materials.predictIn(state.x, this.guests[state.guest]);
     return isBetween(state) ? this.materials.between(state.path) : this.materials.predict(state.x, this.requestedReflectance(state));
   }
 
@@ -218,7 +223,7 @@ export class Explorer {
 
   /** Pictures beside each other. */
   get columns() {
-    return this.state.pin ? 2 : 1;
+    return this.state.pin && this.state.wipe === null ? 2 : 1;
   }
 
   /** What dragging the picture turns: a ball looks the same from all sides. */
@@ -233,7 +238,7 @@ export class Explorer {
     const scale = isMoving ? Math.min(ratio, MOVING_HEIGHT / canvas.clientHeight) : ratio;
     const width = Math.round(canvas.clientWidth * scale), height = Math.round(canvas.clientHeight * scale);
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    this.balls.draw(this.state.pin ? [0, 1] : [0], this.light);
+    this.balls.draw(this.state.pin ? [1, 0] : [0], this.light, this.state.pin ? this.state.wipe : null);
   }
 
   /** A tab was chosen: its curves are drawn while they are seen. */
@@ -264,14 +269,10 @@ export class Explorer {
       this.element.dataset.complete = "true";
       return;
     }
-    this.balls.setSurface(2, this.materials.predict(this.data.X[k]), "D65", PLAIN);
-    const image = document.createElement("canvas");
-    Object.assign(image, { width: THUMBNAIL, height: THUMBNAIL });
-    image.getContext("2d").putImageData(this.balls.image(2, THUMBNAIL), 0, 0);
-    this.map.images[k] = image;
+    this.map.images[k] = this.pictureOf({ material: k }, this.materials.predict(this.data.X[k]));
     this.drawMap();
     this.nextThumbnail();
   }
 }
 
-Object.assign(Explorer.prototype, facts, controls, documents);
+Object.assign(Explorer.prototype, facts, controls, documents, guests, variants);

@@ -2,7 +2,6 @@
 
 import { deepestValley, fieldAt } from "./numerics.js";
 import { fixed, percent } from "./elements.js";
-import { isBetween } from "./state.js";
 
 const NEAREST = 6;
 const SILENCE = 400; // ms without a change, after which screen readers announce the latent
@@ -11,28 +10,30 @@ const ANISOTROPIC = 0.01; // share of anisotropic materials
 const RESIDUAL = 0.02, UNMEASURED = 0.01; // as in manifold/model/diagnostics.py
 
 export const facts = {
-  /** Expected error, 0 at a material; null where it is unknown. */
-  error() {
-    const isMaterial = this.materials.materialAt(this.state.x) >= 0;
-    return isMaterial ? 0 : fieldAt(this.data.error, this.state.x);
+  /** Expected error of a look, 0 at a material; null where it is unknown. */
+  error({ x, colour, guest } = this.state) {
+    if (colour === "own") return this.guests[guest].expected_ball ?? null;
+    const isMaterial = this.materials.materialAt(x) >= 0;
+    return isMaterial ? 0 : fieldAt(this.data.error, x);
   },
 
-  isUnsupported() {
+  isUnsupported(x) {
     const { error } = this.data;
-    return (fieldAt({ ...error, values: error.unsupported }, this.state.x) ?? 1) > 0.5;
+    return (fieldAt({ ...error, values: error.unsupported }, x) ?? 1) > 0.5;
   },
 
-  diagnostics() {
-    const { data, prediction, state } = this, found = [];
-    if (data.error && prediction.u[this.materials.materialAt(state.x)] !== 1 && this.isUnsupported()) {
+  diagnostics({ x, colour, guest } = this.state, prediction = this.prediction) {
+    const { data } = this, found = colour === "own" ? [...this.guests[guest].diagnostics] : [];
+    if (data.error && prediction.u[this.materials.materialAt(x)] !== 1 && this.isUnsupported(x)) {
       found.push("not supported by the data; choose a latent nearer to the materials");
     }
-    const valley = Math.max(...this.slices.map(deepestValley));
+    const isShown = prediction === this.prediction;
+    const valley = Math.max(...(isShown ? this.slices : prediction.slices("D65")).map(deepestValley));
     if (valley > VALLEY) found.push(`dark hole or ring near the mirror direction: ${percent(valley)} deep`);
     if (prediction.residual > RESIDUAL) {
       found.push(`requested reflectance cannot be reached at this structure: error up to ${prediction.residual.toFixed(2)}`);
     }
-    const most = Math.max(...this.reflectance);
+    const most = Math.max(...(isShown ? this.reflectance : prediction.reflectance()));
     if (most > 1.05) found.push(`not energy-conserving: reflectance ${most.toFixed(2)}`);
     const anisotropic = prediction.u.reduce((sum, u, i) => sum + u * data.anisotropic[i], 0);
     if (anisotropic > ANISOTROPIC) {
@@ -115,14 +116,6 @@ export const facts = {
     this.byId("live").textContent = text;
   },
 
-  describe(state) {
-    const { x, at, colour, like, srgb, spectrum, path } = state;
-    if (isBetween(state)) return `${percent(path.t)} of the way from ${path.from} to ${path.to}`;
-    const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
-    const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
-    return named ? `${place}, ${named}` : place;
-  },
-
   /** Enable and disable buttons; the focus of one that is disabled goes to another, else it would be lost. */
   enable(buttons) {
     const focused = this.root.activeElement;
@@ -141,6 +134,8 @@ export const facts = {
       this.byId(`${name}-value`).textContent = `${state[name]}°`;
       this.byId(name).setAttribute("aria-valuetext", `${state[name]}°`);
     }
+    this.showVariants();
+    this.showWipe();
     this.byId("turn").disabled = state.light === "lamp";
     this.byId("turnShape").disabled = state.shape === "ball";
     this.byId("like").value = state.like;

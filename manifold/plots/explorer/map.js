@@ -15,6 +15,7 @@ export class MapView {
     this.canvas = canvas;
     this.data = data;
     this.images = data.names.map(() => null);
+    this.setGuests([], []);
     this.zoom = 1;
     const axis = (q) => data.X.map((row) => row[q] ?? 0);
     this.low = [0, 1].map((q) => Math.min(...axis(q)));
@@ -24,6 +25,16 @@ export class MapView {
     }
     this.centre = [0, 1].map((q) => (this.low[q] + this.high[q]) / 2);
     this.reach = reachOf(data.X);
+  }
+
+  /** Dropped materials {name, x, image} that stand on the map besides its own, and their indices. */
+  setGuests(indices, shown) {
+    const { names, X } = this.data;
+    this.guests = indices;
+    this.names = [...names, ...shown.map(({ name }) => name)];
+    this.X = [...X, ...shown.map(({ x }) => x)];
+    this.images.splice(names.length, Infinity, ...shown.map(({ image }) => image));
+    this.groundKey = this.arranged = null;
   }
 
   /** Fit the canvas to its box; pixels per unit of the map. */
@@ -70,12 +81,12 @@ export class MapView {
 
   /** Where balls and names stand: near their latents, and not over each other. */
   _arrange(context) {
-    const { canvas: { width, height }, data, ratio } = this, limit = Math.min(width, height);
-    const own = data.X.map((row) => this.toPixel(row));
-    const share = Math.sqrt((0.16 * width * height) / data.names.length) / 2; // balls cover a sixth of the map at most
+    const { canvas: { width, height }, ratio } = this, limit = Math.min(width, height);
+    const own = this.X.map((row) => this.toPixel(row));
+    const share = Math.sqrt((0.16 * width * height) / this.names.length) / 2; // balls cover a sixth of the map at most
     this.radius = Math.min(share, 0.05 * limit) * this.zoom ** 0.25;
     context.font = this.font;
-    const lines = data.names.map(inLines), line = LETTERS * ratio * 1.15, ball = 2 * this.radius;
+    const lines = this.names.map(inLines), line = LETTERS * ratio * 1.15, ball = 2 * this.radius;
     const widths = lines.map((text) => Math.max(...text.map((row) => context.measureText(row).width)) + 4 * ratio);
     const named = lines.map((text, k) => [Math.max(widths[k], ball), ball + text.length * line]);
     const isInside = ([x, y]) => x >= 0 && x <= width && y >= 0 && y <= height;
@@ -127,7 +138,7 @@ export class MapView {
     this.groundKey = key;
     this.ground ??= document.createElement("canvas");
     Object.assign(this.ground, { width, height });
-    const context = this.ground.getContext("2d"), { names, X } = this.data;
+    const context = this.ground.getContext("2d"), { names, X } = this;
     const arranged = JSON.stringify([this.scale, this.centre, width, height]);
     if (this.arranged !== arranged) this._arrange(context);
     this.arranged = arranged;
@@ -139,7 +150,7 @@ export class MapView {
 
   /** How near a material is in the dimensions that are not drawn, 1 at the same. */
   _depth(k, state) {
-    const rest = this.data.X[k].slice(2).reduce((s, v, q) => s + (v - state.x[q + 2]) ** 2, 0);
+    const rest = this.X[k].slice(2).reduce((s, v, q) => s + (v - state.x[q + 2]) ** 2, 0);
     return Math.exp(-rest / 2);
   }
 
@@ -188,7 +199,7 @@ export class MapView {
   }
 
   _drawPath(context, path, theme) {
-    const ends = [path.from, path.to].map((name) => this.toPixel(this.data.X[this.data.names.indexOf(name)]));
+    const ends = [path.from, path.to].map((name) => this.toPixel(this.data.X[this.names.indexOf(name)]));
     context.strokeStyle = theme.point;
     context.setLineDash([6 * this.ratio, 5 * this.ratio]);
     context.lineWidth = 1.5 * this.ratio;
@@ -201,7 +212,7 @@ export class MapView {
 
   /** A line from a ball that was moved aside to where it belongs. */
   _drawLeader(context, k, theme) {
-    const own = this.toPixel(this.data.X[k]), place = this.places[k];
+    const own = this.toPixel(this.X[k]), place = this.places[k];
     if (Math.hypot(own[0] - place[0], own[1] - place[1]) < 0.3 * this.radius) return;
     context.strokeStyle = context.fillStyle = theme.soft;
     context.lineWidth = this.ratio;
@@ -271,7 +282,7 @@ export class MapView {
   _drawLabel(context, k, theme) {
     const [px, py] = this.places[k], { ratio } = this;
     context.font = `${13 * ratio}px system-ui, sans-serif`;
-    const name = this.data.names[k], width = context.measureText(name).width + 12 * ratio, height = 22 * ratio;
+    const name = this.names[k], width = context.measureText(name).width + 12 * ratio, height = 22 * ratio;
     const left = Math.min(Math.max(px - width / 2, 2), this.canvas.width - width - 2);
     const top = py - this.radius - height - 4 * ratio < 2 ? py + this.radius + 4 * ratio : py - this.radius - height - 4 * ratio;
     context.fillStyle = theme.panel;

@@ -238,18 +238,22 @@ export class Materials {
   combination(u, reflectance) {
     if (!reflectance) return { outputs: null, toNodes: this.data.basis, coordinates: null, residual: 0 };
     const { coordinates, reached } = this.coordinatesOf(u, reflectance);
-    const residual = Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j])));
+    return { ...this._onPath(u, coordinates), residual: Math.max(...reached.map((v, j) => Math.abs(v - reflectance[j]))) };
+  }
+
+  /** The combination at coordinates (J) of a blend's path, its cube roots times gains. */
+  _onPath(u, coordinates, gains = coordinates.map(() => 1)) {
     const low = Math.min(...coordinates), high = Math.max(...coordinates);
     const isShort = coordinates.length <= PATH_NODES;
     const nodes = isShort ? coordinates
       : Array.from({ length: PATH_NODES }, (_, k) => low + ((high - low) * k) / (PATH_NODES - 1));
     const toNodes = coordinates.map((t, j) => nodes.map((_, k) => {
-      if (isShort) return j === k ? 1 : 0;
+      if (isShort) return j === k ? gains[j] : 0;
       const position = high > low ? ((t - low) / (high - low)) * (PATH_NODES - 1) : 0;
-      return Math.max(0, 1 - Math.abs(position - k));
+      return gains[j] * Math.max(0, 1 - Math.abs(position - k));
     }));
     const outputs = nodes.map((t) => this.pathComponents(u, t).map((w) => (Math.abs(w) > LEAST_COMPONENT ? w : 0)));
-    return { outputs, toNodes, coordinates, residual };
+    return { outputs, toNodes, coordinates, residual: 0 };
   }
 
   /** The prediction of a place, in a reflectance (J) or as materials blend. */
@@ -257,6 +261,12 @@ export class Materials {
     const u = this.weights(x);
     const isOwn = reflectance && this.materialAt(x) >= 0 && reflectance === this.data.reflectances[this.materialAt(x)];
     return new Prediction(this, u, this.combination(u, isOwn ? null : reflectance));
+  }
+
+  /** The prediction of a place at coordinates of its path, times gains, as `manifold locate` finds them. */
+  predictIn(x, { coordinates, gains }) {
+    const u = this.weights(x);
+    return new Prediction(this, u, this._onPath(u, coordinates, gains));
   }
 
   /** Share of material b at t of the walk from a. */

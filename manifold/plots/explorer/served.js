@@ -34,11 +34,11 @@ function summary(result) {
   const made = result?.exports?.[0];
   if (made) {
     const principled = made.principled_ciede2000;
-    return `, error ${made.ciede2000.toFixed(2)} CIEDE2000` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
+    return `error ${made.ciede2000.toFixed(2)} CIEDE2000` + (principled === null ? "" : `; principled loses ${principled.toFixed(2)}`);
   }
   if (result?.expected) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
-    return `, expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`;
+    return `expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`;
   }
   return "";
 }
@@ -48,16 +48,17 @@ class Actions {
     this.explorer = explorer;
     this.token = token;
     this.items = new Map();
+    this.requested = new Set(); // titles of what this page has asked to locate
     this.wait = POLL;
     const byId = (id) => explorer.byId(id);
     this.list = byId("jobs");
     byId("actions").hidden = false;
     for (const kind of ["predict", "render", "fit"]) {
-      byId(`do-${kind}`).addEventListener("click", () => this.request(kind, this.place()));
+      byId(`do-${kind}`).addEventListener("click", () => this.requestAll(kind));
     }
     byId("export-target").append(...targets.map(([name, title]) => new Option(title, name)));
-    byId("do-export").addEventListener("click", () => this.request("export",
-      { ...this.place(), target: byId("export-target").value, direct: byId("export-direct").checked }));
+    byId("do-export").addEventListener("click", () => this.requestAll("export",
+      { target: byId("export-target").value, direct: byId("export-direct").checked }));
     for (const kind of ["locate", "complete"]) {
       byId(`${kind}-file`).addEventListener("change", (event) => {
         const [file] = event.target.files;
@@ -74,13 +75,24 @@ class Actions {
     return this.explorer.byId("action-replace").checked;
   }
 
-  /** The shown latent and colour, as requests hold them. */
-  place() {
-    const { state, spectrum } = this.explorer;
-    const place = { name: this.explorer.byId("action-name").value, latent: latentOf(state), replace: this.replaces };
-    if (state.colour === "like") place.like = state.like;
-    if (state.colour === "picked") place.srgb = state.srgb;
-    if (state.colour === "file" && spectrum) place.spectrum = spectrum.rows;
+  /** Request a command for the look on the page or, numbered, for all that are kept. */
+  async requestAll(kind, options = {}) {
+    const looks = this.explorer.looks(), name = this.explorer.byId("action-name").value;
+    for (const [k, look] of looks.entries()) {
+      if (look.colour === "own") {
+        this.explorer.problem("the colours of a dropped file are in `manifold locate FILE --output NEW`; choose others here");
+      } else if (!await this.request(kind, { ...this.place(look), ...options, name: looks.length > 1 ? `${name}-${k + 1}` : name })) {
+        return;
+      }
+    }
+  }
+
+  /** A look's latent and colour, as requests hold them. */
+  place(look) {
+    const place = { latent: latentOf(look), replace: this.replaces };
+    if (look.colour === "like") place.like = look.like;
+    if (look.colour === "picked") place.srgb = look.srgb;
+    if (look.colour === "file") place.spectrum = this.explorer.spectra[look.spectrum].rows;
     return place;
   }
 
@@ -107,6 +119,7 @@ class Actions {
 
   async locate(file) {
     const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "file" };
+    this.requested.add(`locate ${headers["X-Name"]}`);
     await this.post("/do/locate", { body: file, headers });
   }
 
@@ -118,14 +131,18 @@ class Actions {
     await this.post("/do/complete", { body: file, headers });
   }
 
+  /** Whether a request was accepted; if not, the page says why. */
   async post(path, options) {
     try {
       await this.send(path, { method: "POST", ...options });
       this.explorer.problem("");
+      return true;
     } catch (error) {
       this.explorer.problem(error.message);
+      return false;
+    } finally {
+      this.poll();
     }
-    this.poll();
   }
 
   async poll() {
@@ -145,34 +162,38 @@ class Actions {
   }
 
   show(job) {
-    let item = this.items.get(job.number);
-    if (!item) {
-      item = document.createElement("li");
-      const text = document.createElement("span"), bar = document.createElement("progress");
-      const cancel = document.createElement("button");
-      cancel.type = "button";
-      cancel.textContent = "Cancel";
-      cancel.addEventListener("click", () => this.request("cancel", { number: job.number }));
-      bar.setAttribute("aria-label", `progress of ${job.title}`);
-      item.append(text, " ", bar, " ", cancel);
-      this.items.set(job.number, item);
-      this.list.prepend(item);
-    }
-    const isOpen = OPEN.has(job.state);
-    const [text, bar, cancel] = item.children;
-    const detail = job.state === "failed" ? `: ${job.message}` : job.state === "done" ? summary(job.result) : "";
+    const item = this.items.get(job.number) ?? this.addItem(job);
+    const isOpen = OPEN.has(job.state), [details] = item.children;
+    const [title, bar, cancel, text] = details.children;
+    const detail = job.state === "failed" ? job.message : job.state === "done" ? summary(job.result) : "";
     const isKnown = job.state === "running" && job.share !== null;
     const share = isKnown ? `, ${percent(job.share)}${job.stage && `, ${job.stage}`}` : "";
     const seconds = job.state === "waiting" ? "" : `, ${job.seconds.toFixed(0)} s`;
-    text.textContent = `${job.title}: ${job.state}${share}${seconds}${detail}`;
+    title.textContent = `${job.title}: ${job.state}${share}${seconds}`;
+    text.textContent = detail;
     if (isKnown) bar.value = job.share;
     else bar.removeAttribute("value");
     bar.hidden = cancel.hidden = !isOpen;
     if (item.dataset.state === job.state) return;
     item.dataset.state = job.state;
-    if (job.state !== "running") this.explorer.announce(`${job.title}: ${job.state}${detail}`);
-    if (job.state === "done" && job.picture) this.showPicture(item, job);
-    if (job.state === "done" && job.result?.latent) this.showPlace(item, job.result);
+    details.open = isOpen || job.state === "failed"; // what is done collapses
+    if (job.state !== "running") this.explorer.announce([`${job.title}: ${job.state}`, detail].filter((part) => part).join(", "));
+    if (job.state === "done" && job.picture) this.showPicture(details, job);
+    if (job.state === "done" && job.result?.latent) this.showPlace(details, job);
+  }
+
+  addItem(job) {
+    const item = document.createElement("li"), details = document.createElement("details");
+    const [title, bar, cancel, text] = ["summary", "progress", "button", "p"].map((name) => document.createElement(name));
+    cancel.type = "button";
+    cancel.textContent = "Cancel";
+    cancel.addEventListener("click", () => this.request("cancel", { number: job.number }));
+    bar.setAttribute("aria-label", `progress of ${job.title}`);
+    details.append(title, bar, cancel, text);
+    item.append(details);
+    this.items.set(job.number, item);
+    this.list.prepend(item);
+    return item;
   }
 
   async showPicture(item, job) {
@@ -183,11 +204,14 @@ class Actions {
     item.append(image);
   }
 
-  showPlace(item, { latent, nearest }) {
-    const button = document.createElement("button");
+  /** What was located stands on the map, in its own colours; where another tab located it, after a click. */
+  showPlace(item, { title, result }) {
+    const { latent, nearest } = result, button = document.createElement("button");
+    const show = () => this.explorer.addGuest({ ...result, name: title.replace(/^locate /, "") });
     button.type = "button";
-    button.textContent = `Go to ${latent.map((v) => v.toFixed(2)).join(", ")}, near ${nearest[0][0]}`;
-    button.addEventListener("click", () => this.explorer.change({ x: latent }));
+    button.textContent = `Show at ${latent.map((v) => v.toFixed(2)).join(", ")}, near ${nearest[0][0]}`;
+    button.addEventListener("click", show);
     item.append(button);
+    if (this.requested.delete(title)) show();
   }
 }

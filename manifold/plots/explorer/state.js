@@ -8,8 +8,8 @@ export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
-    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, light: "studio", turn: 0, lamp: [-0.4, 0.5],
-    shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, path: null,
+    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, path: null, light: "studio",
+    turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, wipe: 0.5, variants: [],
   };
 }
 
@@ -27,56 +27,71 @@ export function lampWithin([x, y]) {
 /** Whether a state or pin has the colours between two materials. */
 export const isBetween = ({ colour, path }) => colour === "blend" && Boolean(path) && path.t > 0 && path.t < 1;
 
-/** A state as the fragment of a link, without what is as at the start. */
+/** What a look is made of: a place and its colours, whatever the light. */
+export function lookOf({ x, at, colour, like, srgb, spectrum, guest, path }) {
+  return structuredClone({ x, at, colour, like, srgb, spectrum, guest, path });
+}
+
+/** A state as the fragment of a link, without what is as at the start; of dropped files places alone. */
 export function toFragment(state) {
-  const parts = new URLSearchParams();
-  const place = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
-  parts.set("x", state.at ?? place(state.x));
-  if (state.colour === "like") parts.set("like", state.like);
-  if (state.colour === "picked") parts.set("srgb", state.srgb);
-  if (state.light === "lamp") parts.set("lamp", place(state.lamp));
+  const parts = lookParts(state);
+  if (state.light === "lamp") parts.set("lamp", written(state.lamp));
   else if (state.light !== "studio") parts.set("light", state.light);
   if (state.turn) parts.set("turn", state.turn);
   if (state.shape !== "ball") parts.set("shape", `${state.shape},${state.turnShape}`);
   if (state.illuminant !== "D65") parts.set("illuminant", state.illuminant);
   if (state.exposure) parts.set("exposure", state.exposure);
-  if (state.pin) {
-    parts.set("pin", state.pin.at ?? place(state.pin.x));
-    if (state.pin.colour === "like") parts.set("pin-like", state.pin.like);
-    if (state.pin.colour === "picked") parts.set("pin-srgb", state.pin.srgb);
-    if (state.pin.path) parts.set("pin-path", written(state.pin.path));
-  }
-  if (state.path) parts.set("path", written(state.path));
+  if (state.pin) parts.set("pin", asText(state.pin));
+  if (state.wipe === null) parts.set("view", "beside");
+  for (const look of state.variants) parts.append("variant", asText(look));
   return parts.toString();
 }
 
-const written = ({ from, to, t }) => JSON.stringify([from, to, t]);
+const written = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
 
-/** The state of a fragment; whatever is not understood stays as at the start, and places stay within reach. */
-export function fromFragment(fragment, data) {
-  const state = initialState(data), Q = data.X[0].length;
-  const parts = new URLSearchParams(fragment.replace(/^#/, ""));
-  const known = (name) => data.names.includes(name);
-  const colour = (name) => (/^#[0-9a-f]{6}$/i.test(name ?? "") ? name : null);
-  const place = (text) => {
-    if (known(text)) return { at: text, x: [...data.X[data.names.indexOf(text)]] };
-    const x = numbers(text, Q);
-    return x && { x: within(reachOf(data.X), x) };
-  };
-  const path = (key) => {
-    try {
-      const [from, to, t] = JSON.parse(parts.get(key));
-      if (!(known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1)) return { path: null };
+function lookParts({ x, at, colour, like, srgb, path }) {
+  const parts = new URLSearchParams({ x: at ?? written(x) });
+  if (colour === "like") parts.set("like", like);
+  if (colour === "picked") parts.set("srgb", srgb);
+  if (path) parts.set("path", JSON.stringify([path.from, path.to, path.t]));
+  return parts;
+}
+
+/** A look inside a link: its parts, the first of which, x, goes without its name. */
+const asText = (look) => lookParts(look).toString().slice("x=".length);
+
+/** What a link says of a look: nothing that is not understood, and places within reach. */
+function readLook(parts, data) {
+  const known = (name) => data.names.includes(name), found = {};
+  const [text, like, srgb] = ["x", "like", "srgb"].map((key) => parts.get(key));
+  if (known(text)) {
+    Object.assign(found, { at: text, x: [...data.X[data.names.indexOf(text)]] });
+  } else {
+    const x = numbers(text, data.X[0].length);
+    if (x) found.x = within(reachOf(data.X), x);
+  }
+  if (known(like)) Object.assign(found, { colour: "like", like });
+  if (/^#[0-9a-f]{6}$/i.test(srgb ?? "")) Object.assign(found, { colour: "picked", srgb });
+  try {
+    const [from, to, t] = JSON.parse(parts.get("path"));
+    if (known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1) {
       const [a, b] = [from, to].map((name) => data.X[data.names.indexOf(name)]);
-      const between = t > 0 && t < 1 ? { x: a.map((v, q) => v + t * (b[q] - v)), at: undefined } : {};
-      return { ...between, path: { from, to, t } }; // the place is that of the path, however x was rounded
-    } catch {
-      return { path: null };
+      found.path = { from, to, t };
+      // The place is that of the path, however x was rounded.
+      if (t > 0 && t < 1) Object.assign(found, { x: a.map((v, q) => v + t * (b[q] - v)), at: undefined });
     }
+  } catch { /* not a path */ }
+  return found;
+}
+
+/** The state of a fragment; whatever is not understood stays as at the start. */
+export function fromFragment(fragment, data) {
+  const state = initialState(data), parts = new URLSearchParams(fragment.replace(/^#/, ""));
+  const nested = (text) => {
+    const look = readLook(new URLSearchParams(`x=${text}`), data);
+    return look.x ? [{ ...lookOf(initialState(data)), ...look }] : [];
   };
-  Object.assign(state, place(parts.get("x")));
-  if (known(parts.get("like"))) Object.assign(state, { colour: "like", like: parts.get("like") });
-  if (colour(parts.get("srgb"))) Object.assign(state, { colour: "picked", srgb: parts.get("srgb") });
+  Object.assign(state, readLook(parts, data));
   const lamp = numbers(parts.get("lamp"), 2);
   if (lamp) Object.assign(state, { light: "lamp", lamp: lampWithin(lamp) });
   else if (data.environments.some(({ name }) => name === parts.get("light"))) state.light = parts.get("light");
@@ -87,13 +102,10 @@ export function fromFragment(fragment, data) {
   if (Object.hasOwn(data.toSrgb, parts.get("illuminant"))) state.illuminant = parts.get("illuminant");
   const exposure = Number(parts.get("exposure"));
   if (Number.isFinite(exposure)) state.exposure = Math.min(Math.max(exposure, -3), 3);
-  const pin = place(parts.get("pin"));
-  if (pin) {
-    state.pin = { colour: "blend", like: state.like, srgb: state.srgb, spectrum: null, ...pin, ...path("pin-path") };
-    if (known(parts.get("pin-like"))) Object.assign(state.pin, { colour: "like", like: parts.get("pin-like") });
-    if (colour(parts.get("pin-srgb"))) Object.assign(state.pin, { colour: "picked", srgb: parts.get("pin-srgb") });
-  }
-  return Object.assign(state, path("path"));
+  [state.pin] = [...nested(parts.get("pin") ?? ""), null];
+  if (parts.get("view") === "beside") state.wipe = null;
+  state.variants = parts.getAll("variant").flatMap(nested);
+  return state;
 }
 
 /** States before and after the present one. */

@@ -133,6 +133,7 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
             ],
         },
         "wavelengths": None if bands.is_rgb else list(node_bands.wavelengths_nm or ()),
+        "nodes": nodes.tolist(),
         "basis": tables.basis.tolist(),
         "components": packed(tables),
         "toSrgb": {name: to_srgb(np.eye(node_bands.count), node_bands, name).tolist() for name in ILLUMINANTS},

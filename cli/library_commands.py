@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,13 @@ from manifold.errors import LibraryError, UsageError
 
 from . import options, terminal
 from .application import app
+
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Mean CIEDE2000 of the ball that a compact material may differ by.  [default: 0.2]", metavar="E"
+    ),
+]
 
 
 @app.command(
@@ -152,19 +160,33 @@ def import_(
     sources: Annotated[list[Path], typer.Argument(help=".bsdf files, or folders of them.", metavar="SOURCE")],
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Replace materials whose file has changed.")
+        bool,
+        typer.Option(
+            "--replace", help="Replace materials whose file has changed, or that are compact or not."
+        ),
     ] = False,
+    compact: Annotated[
+        bool, typer.Option("--compact", help="Store them as `manifold compact` does; by default bit for bit.")
+    ] = False,
+    tolerance: ToleranceOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Import .bsdf files or folders into a library, which is created if missing.
 
     Materials are added atomically; those already in the library are skipped.
     """
+    from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.importing import import_files
 
+    if tolerance is not None and not compact:
+        raise UsageError(
+            "--tolerance without --compact: nothing is approximated; add --compact, or leave it out"
+        )
+    if compact and tolerance is None:
+        tolerance = DEFAULT_TOLERANCE
     results = terminal.Results(json)
     with terminal.progress("Importing") as step:
-        result = import_files(library, sources, replace=replace, on_progress=step)
+        result = import_files(library, sources, replace=replace, tolerance=tolerance, on_progress=step)
     results.rows(
         f"Library {library}",
         {
@@ -182,6 +204,49 @@ def import_(
     )
     if result.failed:
         raise LibraryError(_shortened(list(result.failed.values()), "left out"))
+
+
+@app.command(
+    "compact",
+    short_help="Store the materials of a library in a few per cent of their bytes.",
+    epilog="Example: manifold compact library.zarr --tolerance 0.1",
+)
+def compact(
+    library: Annotated[
+        Path, typer.Argument(help="The library.", metavar="LIBRARY")
+    ] = options.DEFAULT_LIBRARY,
+    tolerance: ToleranceOption = None,
+    json: options.JsonOption = None,
+) -> None:
+    """Store the materials of a library in a few per cent of their bytes, within a bound on the visible error.
+
+    What a material decodes to is compared with the original, which is then removed: keep the imported files if you need
+    them bit for bit. All commands read compact libraries, and models that were fitted before stay valid. The cube-root
+    error is bounded, too: by 1 % at the default tolerance, otherwise in proportion.
+    """
+    from manifold.library.compacting import compact_library
+    from manifold.library.identity import DEFAULT_TOLERANCE
+    from manifold.library.store import Library
+
+    results = terminal.Results(json)
+    before = Library(library).disk_bytes
+    with terminal.progress("Compacting") as step:
+        result = compact_library(library, DEFAULT_TOLERANCE if tolerance is None else tolerance, step)
+    after, errors = Library(library).disk_bytes, list(result.compacted.values())
+    rows: dict[str, object] = {"compacted": len(errors), "compact already": len(result.skipped)}
+    if errors:
+        rows["largest errors"] = [
+            f"{max(e.ball for e in errors):.2f} CIEDE2000 of the ball",
+            f"{max(e.cube_root for e in errors):.2%} cube-root error",
+        ]
+    rows["left as they are"] = len(result.failed)
+    rows["size"] = f"{terminal.megabytes(after)}, before {terminal.megabytes(before)}"
+    results.rows(f"Library {library}", rows)
+    results.document(
+        {"library": str(library), **asdict(result), "bytes_before": before, "bytes_after": after}
+    )
+    if result.failed:
+        raise LibraryError(_shortened(list(result.failed.values()), "left as they are"))
 
 
 @app.command(

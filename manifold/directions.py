@@ -9,6 +9,19 @@ import numpy as np
 from manifold.errors import ShapeError
 from manifold.records import Array
 
+HORIZON = np.deg2rad(89.9)
+"""Elevation in radians at which the limit at the horizon is evaluated."""
+
+
+def u_to_theta(u: Array) -> Array:
+    """Elevation in radians of the unit-square coordinate u in [0, 1] of RGL files: u^2 pi / 2."""
+    return np.square(u) * (0.5 * np.pi)
+
+
+def u_to_phi(v: Array) -> Array:
+    """Azimuth in radians of the unit-square coordinate v in [0, 1] of RGL files: (2 v - 1) pi."""
+    return (2.0 * np.asarray(v) - 1.0) * np.pi
+
 
 def from_spherical(theta_rad: Array | float, phi_rad: Array | float) -> Array:
     """Unit vectors (..., 3) of elevation from the normal and azimuth, both in radians, broadcast."""

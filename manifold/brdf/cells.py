@@ -8,21 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from manifold.brdf.warp import Warp
-from manifold.directions import from_spherical
+from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.records import Array, BsdfFile, Mask
-
-HORIZON = np.deg2rad(89.9)
-"""Elevation in radians at which the limit at the horizon is evaluated."""
-
-
-def u_to_theta(u: Array) -> Array:
-    """Elevation in radians of the unit-square coordinate u in [0, 1]: u^2 pi / 2."""
-    return np.square(u) * (0.5 * np.pi)
-
-
-def u_to_phi(v: Array) -> Array:
-    """Azimuth in radians of the unit-square coordinate v in [0, 1]: (2 v - 1) pi."""
-    return (2.0 * np.asarray(v) - 1.0) * np.pi
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from manifold.brdf.cells import HORIZON, Cells, u_to_phi, u_to_theta
+from manifold.brdf.cells import Cells
 from manifold.brdf.measured import BRDF, require_brdf
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import luminance as luminance_of
-from manifold.directions import from_spherical
+from manifold.directions import HORIZON, from_spherical, u_to_phi, u_to_theta
 from manifold.errors import UsageError
 from manifold.records import Array, BsdfFile, Mask
 

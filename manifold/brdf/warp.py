@@ -26,6 +26,7 @@ if hasattr(options.DefaultOptions, "_nrt"):  # not documented
     WITHOUT_REFERENCE_COUNTS["_nrt"] = False
 """For loops over points: counting references to tables that outlive the loop takes longer than a lookup."""
 
+_FEW = 4096  # points
 _FLAT = 1e-4  # relative slope under which a linear density is treated as constant
 
 
@@ -204,18 +205,33 @@ def sample(data, conditional, marginal, slices, weights, u, v):
     return (j + tx) / (n_cols - 1), (i + ty) / (n_rows - 1), pdf
 
 
+@nb.njit(**WITHOUT_REFERENCE_COUNTS)
+def _map_point(mode, data, conditional, marginal, phi_nodes, theta_nodes, phi, theta, point, out):
+    slices, weights = blend(phi_nodes, theta_nodes, phi, theta)
+    x, y = point[0], point[1]
+    if mode == 0:
+        out[2] = density(data, slices, weights, x, y)
+    elif mode == 1:
+        out[0], out[1], out[2] = sample(data, conditional, marginal, slices, weights, x, y)
+    else:
+        out[0], out[1], out[2] = invert(data, conditional, marginal, slices, weights, x, y)
+
+
+@nb.njit(cache=True, nogil=True)
+def _map_few_points(mode, data, conditional, marginal, phi_nodes, theta_nodes, phi, theta, points, out):
+    for k in range(points.shape[0]):
+        _map_point(
+            mode, data, conditional, marginal, phi_nodes, theta_nodes, phi[k], theta[k], points[k], out[k]
+        )
+
+
 @serialised
 @nb.njit(cache=True, parallel=True)
 def _map_points(mode, data, conditional, marginal, phi_nodes, theta_nodes, phi, theta, points, out):
     for k in nb.prange(points.shape[0]):
-        slices, weights = blend(phi_nodes, theta_nodes, phi[k], theta[k])
-        x, y = points[k, 0], points[k, 1]
-        if mode == 0:
-            out[k, 2] = density(data, slices, weights, x, y)
-        elif mode == 1:
-            out[k, 0], out[k, 1], out[k, 2] = sample(data, conditional, marginal, slices, weights, x, y)
-        else:
-            out[k, 0], out[k, 1], out[k, 2] = invert(data, conditional, marginal, slices, weights, x, y)
+        _map_point(
+            mode, data, conditional, marginal, phi_nodes, theta_nodes, phi[k], theta[k], points[k], out[k]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +282,9 @@ class Warp:
         phi, theta = (np.broadcast_to(np.asarray(a, float), shape).copy().reshape(-1) for a in (phi, theta))
         out = np.empty((flat.shape[0], 3))
         tables = (self.data, self.conditional, self.marginal, self.phi_nodes, self.theta_nodes)
-        _map_points(mode, *tables, phi, theta, flat, out)
+        # Threads cost more than a few points do, and callers with many such calls have threads of their own.
+        run = _map_few_points if len(flat) <= _FEW else _map_points
+        run(mode, *tables, phi, theta, flat, out)
         return out.reshape(*shape, 3)
 
     def evaluate(self, points: Array, phi: Array | float = 0.0, theta: Array | float = 0.0) -> Array:

@@ -16,9 +16,27 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.library.schema import FIELDS
-from manifold.records import Array, BsdfFile, origin_of
+from manifold.records import AnyArray, Array, BsdfFile, origin_of
+
+DEFAULT_TOLERANCE = 0.2
+"""Mean CIEDE2000 of the ball that a compact material may differ by."""
 
 _MOST_BYTES = 1 << 60  # of a material; more is damage
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of a compact material.
+
+    Attributes:
+        tolerance: that was asked for, mean CIEDE2000 of the ball.
+        ball: mean CIEDE2000 of the ball.
+        cube_root: `||(w f*)^(1/3) - (w f)^(1/3)|| / ||(w f)^(1/3)||`.
+    """
+
+    tolerance: float
+    ball: float
+    cube_root: float
 
 
 @dataclass(frozen=True)
@@ -34,7 +52,8 @@ class MaterialInfo:
         description: the file's own text.
         is_synthetic: whether the description marks the file as synthetic.
         shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
-        bytes: of all arrays together.
+        bytes: of all arrays together, before any compression.
+        accuracy: of a compact material; None where it is stored as it was imported.
     """
 
     name: str
@@ -46,6 +65,7 @@ class MaterialInfo:
     is_synthetic: bool
     shape: tuple[int, ...]
     bytes: int
+    accuracy: Accuracy | None = None
 
     @property
     def origin(self) -> str:
@@ -66,25 +86,33 @@ def origins_in_words(materials: Iterable[MaterialInfo]) -> str:
     return ", ".join(f"{count} of them {origin}" for origin, count in origins.most_common())
 
 
-def describe(file: BsdfFile, source_file: str, sha256: str) -> MaterialInfo:
+def describe(
+    file: BsdfFile,
+    source_file: str,
+    sha256: str,
+    compact: tuple[Mapping[str, AnyArray], Accuracy] | None = None,
+) -> MaterialInfo:
     """Metadata that a library stores about a file.
 
     Args:
         file: the material.
         source_file: name of its file.
         sha256: of its file, in hexadecimal.
+        compact: the arrays of its compact form, and their errors.
     """
+    arrays, accuracy = compact or (None, None)
     return MaterialInfo(
         name=file.name,
         source_file=source_file,
         sha256=sha256,
-        content_sha256=content_sha256(file, source_file, sha256),
+        content_sha256=content_sha256(file, source_file, sha256, arrays),
         pipeline_version=tuple(int(part) for part in file.version),
         description=file.description,
         is_synthetic="synthetic" in file.description.lower(),
         shape=tuple(file.spectra.shape),
         bytes=sum(array.nbytes for array in present_arrays(file).values())
         + sum(array.nbytes for array in file.extra.values()),
+        accuracy=accuracy,
     )
 
 
@@ -99,20 +127,28 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def content_sha256(file: BsdfFile, source_file: str, sha256: str) -> str:
+def content_sha256(
+    file: BsdfFile, source_file: str, sha256: str, arrays: Mapping[str, AnyArray] | None = None
+) -> str:
     """Hash of all that a library holds of a material, independent of how it is chunked.
+
+    Args:
+        file: the material.
+        source_file: name of its file.
+        sha256: of its file, in hexadecimal.
+        arrays: of a compact material; by default those of the file.
 
     Returns:
         SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description,
-        version, jacobian) and then `hash_arrays` of the fields and the extra fields.
+        version, jacobian) and then, as `hash_arrays` has it, of the fields and the extra fields.
     """
     version = [int(part) for part in file.version]
     header = [file.name, source_file, sha256, file.description, version, bool(file.jacobian)]
     digest = hashlib.sha256(json.dumps(header).encode())
-    for name, array in present_arrays(file).items():
+    if arrays is None:
+        arrays = present_arrays(file) | {f"extra {name}": array for name, array in file.extra.items()}
+    for name, array in arrays.items():
         _update(digest, name, array)
-    for name, array in file.extra.items():
-        _update(digest, f"extra {name}", array)
     return digest.hexdigest()
 
 
@@ -140,6 +176,14 @@ def require_material_name(name: str) -> None:
         )
 
 
+def require_tolerance(tolerance: float) -> None:
+    """Raise UsageError unless the tolerance of compact materials is a number above 0."""
+    if not 0.0 < tolerance < np.inf:
+        raise UsageError(
+            f"tolerance is {tolerance:g}, expected a CIEDE2000 above 0, such as {DEFAULT_TOLERANCE}"
+        )
+
+
 def alike(name: str) -> str:
     """A key that is equal for names that differ in case or Unicode form only, as on some file systems."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
@@ -152,7 +196,9 @@ def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
         LookupError: one is missing.
         ValueError: one is of another type.
     """
-    known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name != "name"}
+    optional = ("name", "accuracy")
+    known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name not in optional}
+    accuracy = values.get("accuracy")
     expected = {
         "source_file": str,
         "sha256": str,
@@ -168,7 +214,9 @@ def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
     if len(known["shape"]) != 5:
         raise ValueError(f"attribute 'shape' has {len(known['shape'])} entries, expected 5")
     lists = {key: tuple(known[key]) for key in ("shape", "pipeline_version")}
-    return MaterialInfo(name=name, **(known | lists))
+    if accuracy is not None:
+        accuracy = Accuracy(*(float(accuracy[field.name]) for field in fields(Accuracy)))
+    return MaterialInfo(name=name, accuracy=accuracy, **(known | lists))
 
 
 def _update(digest: Any, name: str, array: Array) -> None:

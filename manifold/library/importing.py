@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
-from manifold.library.identity import file_sha256, require_material_name
+from manifold.library.identity import file_sha256, require_material_name, require_tolerance
 from manifold.library.location import require_outside_libraries
 from manifold.library.store import Library
 from manifold.library.writing import make_store, write_material
@@ -57,6 +57,7 @@ def import_files(
     sources: Iterable[Path | str] | Path | str,
     *,
     replace: bool = False,
+    tolerance: float | None = None,
     on_progress: Progress | None = None,
 ) -> ImportResult:
     """Import RGL files into a library, which is made with the bands of the first file if there is none.
@@ -67,7 +68,8 @@ def import_files(
     Args:
         library_path: the library.
         sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`; one of them, or several.
-        replace: exchange materials that are there under the same name with other content.
+        replace: exchange materials that are there under the same name with other content, or in another form.
+        tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
         on_progress: called with (done, total, name) after each file.
     Returns:
         What became of each file; `failed` must be looked at.
@@ -76,6 +78,8 @@ def import_files(
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
     """
+    if tolerance is not None:
+        require_tolerance(tolerance)
     paths = find_files([sources] if isinstance(sources, str | Path) else sources)
     library = Path(library_path).expanduser().resolve()  # staging beside the library, not beside a link
     require_outside_libraries(library)
@@ -88,7 +92,7 @@ def import_files(
         with staging.writing(library) as staged:
             if is_new:
                 make_store(library, loaded[0].bands, staged)
-            _store_all(Library(library), loaded, staged, replace, report)
+            _store_all(Library(library), loaded, staged, replace, tolerance, report)
     return report.result()
 
 
@@ -168,7 +172,12 @@ def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library
 
 
 def _store_all(
-    library: Library, loaded: Sequence[_Source], staged: Path, replace: bool, report: _Report
+    library: Library,
+    loaded: Sequence[_Source],
+    staged: Path,
+    replace: bool,
+    tolerance: float | None,
+    report: _Report,
 ) -> None:
     chosen: dict[str, _Source] = {}
     for source in loaded:
@@ -180,9 +189,14 @@ def _store_all(
         if first is not source:
             report.step(source.path)
 
+    if tolerance is not None:  # which loads what evaluates materials
+        from manifold.library import compacting
+
     def store(source: _Source) -> None:
         known = library.attributes(source.name) if source.name in library else None
-        if known is not None and known.sha256 == source.sha256:
+        is_same = known is not None and known.sha256 == source.sha256
+        is_same_form = known is not None and (known.accuracy and known.accuracy.tolerance) == tolerance
+        if is_same and (is_same_form or not replace):
             report.outcomes[source.name] = "skipped"
         elif known is not None and not replace:
             report.fail(
@@ -191,10 +205,15 @@ def _store_all(
                 f"this file has {source.sha256[:12]}...; replace it (replace=True), or rename the file",
             )
         else:
-            folder = staged / source.name
-            write_material(folder, read_bsdf(source.path), source.path.name, source.sha256)
-            staging.publish(folder, library.path / "materials" / source.name)
-            report.outcomes[source.name] = "imported" if known is None else "replaced"
+            folder, file = staged / source.name, read_bsdf(source.path)
+            try:
+                compact = None if tolerance is None else compacting.encode(file, tolerance)
+            except LibraryError as error:
+                report.fail(source.path, str(error))
+            else:
+                write_material(folder, file, source.path.name, source.sha256, compact)
+                staging.publish(folder, library.path / "materials" / source.name)
+                report.outcomes[source.name] = "imported" if known is None else "replaced"
         report.step(source.path)
 
     try:

@@ -3,7 +3,12 @@
     library.zarr/             attributes: schema, schema_version, bands (wavelengths in nm, or "RGB")
       materials/NAME/         attributes of `MaterialInfo`, and one array per field of `BsdfFile`
         spectra               (phi_i, theta_i, row, column, band), one chunk per direction and band range
+        vndf_difference       from what `ndf` says, in units in the last place, see `manifold.library.visible_normals`;
+                              libraries of schema 1 have `vndf` itself
         extra/0, 1, ...       fields this package does not interpret; attribute `field` holds the name
+      materials/NAME/         of a compact material (`manifold.library.compact`):
+        coefficients          (component, phi_i, theta_i, row, column)
+        tables                everything else as bytes, as the attribute `tables` says
       cache/KEY/              arrays that can be computed again
 
 `docs/design/library.md` says why the chunks are what they are, with the figures.
@@ -16,10 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from manifold.records import RGB_NAMES, Array, Bands
+from manifold.records import RGB_NAMES, AnyArray, Array, Bands
 
 SCHEMA = "manifold-library"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+READABLE_VERSIONS = (1, 2)
+VISIBLE_NORMALS, VNDF_DIFFERENCE = "visible_normals", "vndf_difference"
+COEFFICIENTS, TABLES = "coefficients", "tables"
 MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
 
 # Field of BsdfFile, in the order in which they are hashed -> (array name and dimension names in the store, units).
@@ -46,20 +54,22 @@ class StoredArray:
         shards: shape of what one file holds; None for one chunk per file.
         dims: names of the axes.
         attributes: of the array.
+        is_compressed: by zstd, losslessly.
     """
 
-    values: Array
+    values: AnyArray
     chunks: tuple[int, ...] | None = None
     shards: tuple[int, ...] | None = None
     dims: tuple[str, ...] | None = None
     attributes: dict[str, Any] = field(default_factory=dict)
+    is_compressed: bool = False
 
 
 def stored(name: str, values: Array, bands: Bands) -> StoredArray:
     """A field of `BsdfFile`, by its name there, as the store holds it."""
     _, dims, units = FIELDS[name]
     attributes: dict[str, Any] = {"units": units} if units else {}
-    if name in ("vndf", "luminance"):
+    if name == "luminance":
         return StoredArray(values, (1, *values.shape[1:]), None, dims)
     if name == "valid" and values.ndim != 1:
         dims = tuple(f"valid_{axis}" for axis in range(values.ndim))

@@ -11,7 +11,7 @@ import glob
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -60,6 +60,30 @@ def writing(library: Path) -> Iterator[Path]:
 def contents(library: Path) -> list[Path]:
     """What a folder holds, without lock and staging folder."""
     return [path for path in library.iterdir() if not path.name.startswith(f".{library.name}.")]
+
+
+def supplant(staged: Path, target: Path) -> None:
+    """Put a finished group in the place of another whose arrays have other names; at no moment there is neither.
+
+    A killed process leaves one of them, and perhaps arrays of the other, which `keep_arrays` removes.
+    """
+    for path in staged.rglob("*"):
+        if path.is_file():
+            with path.open("rb") as written:
+                os.fsync(written.fileno())
+    arrays = [path for path in staged.iterdir() if path.is_dir()]
+    for path in arrays:
+        shutil.rmtree(target / path.name, ignore_errors=True)
+        os.rename(path, target / path.name)
+    os.replace(staged / "zarr.json", target / "zarr.json")
+    keep_arrays(target, {path.name for path in arrays})
+
+
+def keep_arrays(group: Path, names: Collection[str]) -> None:
+    """Remove all other arrays of a group."""
+    for path in group.iterdir():
+        if path.is_dir() and path.name not in names:
+            shutil.rmtree(path)
 
 
 def publish(staged: Path, target: Path) -> None:

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,11 +24,12 @@ from manifold.errors import (
     UsageError,
 )
 from manifold.library import cache, staging
-from manifold.library.identity import MaterialInfo, content_sha256, info_of, is_material_name
+from manifold.library.identity import MaterialInfo, info_of, is_material_name
 from manifold.library.location import require_outside_libraries
-from manifold.library.schema import FIELDS, SCHEMA, SCHEMA_VERSION
+from manifold.library.reading import read_material
+from manifold.library.schema import READABLE_VERSIONS, SCHEMA
 from manifold.library.writing import make_store
-from manifold.library.zarr_arrays import open_group, read_array, read_extra
+from manifold.library.zarr_arrays import open_group, read_array
 from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.system.stages import with_progress
 
@@ -55,7 +55,7 @@ class Library:
             raise MissingLibraryError(f"{path}: no such library; create one with `manifold import`")
         if not self.path.is_dir():
             raise LibraryError(f"{path}: a file, expected a library, which is a folder; name another path")
-        self.bands = _read_bands(self.path, path)
+        self.schema_version, self.bands = _read_root(self.path, path)
 
     def __repr__(self) -> str:
         try:
@@ -103,7 +103,10 @@ class Library:
         return isinstance(name, str) and is_material_name(name) and (self.path / "materials" / name).is_dir()
 
     def read(self, name: str) -> BsdfFile:
-        """One material, equal to the imported file in every value, shape and dtype, verified by its hash.
+        """One material, verified by its hash.
+
+        It equals the imported file in every value, shape and dtype, unless it is compact: `attributes` tells how
+        accurate it is then.
 
         Returns:
             A record whose `spectra` (P, T, B, H, W) is a view: `np.moveaxis(spectra, 2, -1)` is C-contiguous.
@@ -113,21 +116,7 @@ class Library:
         """
         with self._material(name) as group:
             info = info_of(name, group.attrs)
-            arrays = {
-                field: read_array(group, stored)
-                for field, (stored, _, _) in FIELDS.items()
-                if field != "wavelengths_nm" or not self.bands.is_rgb
-            }
-            arrays["spectra"] = np.moveaxis(arrays["spectra"], -1, 2)
-            file = BsdfFile(
-                name=name,
-                description=info.description,
-                version=info.pipeline_version,
-                jacobian=bool(group.attrs["jacobian"]),
-                extra=MappingProxyType(read_extra(group)),
-                **{"wavelengths_nm": None, **arrays},  # type: ignore[arg-type]
-            )
-        found = content_sha256(file, info.source_file, info.sha256)
+            file, found = read_material(group, info, is_rgb=self.bands.is_rgb)
         if found != info.content_sha256:
             raise LibraryError(
                 f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
@@ -149,6 +138,8 @@ class Library:
         bands: slice | None = None,
     ) -> Array:
         """A part of one material's spectra; only the chunks that contain it are read, so no hash is verified.
+
+        Compact materials are read whole.
 
         Args:
             name: the material.
@@ -172,7 +163,10 @@ class Library:
             )
 
         with self._material(name) as group:
-            return np.moveaxis(read_array(group, "spectra", select), -1, 2)
+            if info_of(name, group.attrs).accuracy is None:
+                return np.moveaxis(read_array(group, "spectra", select), -1, 2)
+            values = np.moveaxis(self.read(name).spectra, 2, -1)
+            return np.moveaxis(np.ascontiguousarray(values[select(values.shape)]), -1, 2)
 
     def attributes(self, name: str) -> MaterialInfo:
         """Metadata of a material, without reading its arrays.
@@ -183,6 +177,11 @@ class Library:
         """
         with self._material(name) as group:
             return info_of(name, group.attrs)
+
+    @property
+    def disk_bytes(self) -> int:
+        """Bytes of the materials' files."""
+        return sum(path.stat().st_size for path in (self.path / "materials").rglob("*") if path.is_file())
 
     @property
     def content_hash(self) -> str:
@@ -236,8 +235,12 @@ class Library:
         return f"delete {self.path / 'materials' / name} and import its file again"
 
 
-def _read_bands(folder: Path, shown: Path | str) -> Bands:
-    """The bands of the library in a folder, which is `shown` in errors. Raises LibraryError where it is none."""
+def _read_root(folder: Path, shown: Path | str) -> tuple[int, Bands]:
+    """Schema version and bands of the library in a folder, which is `shown` in errors.
+
+    Raises:
+        LibraryError: it is none.
+    """
     again = "import its files again into a new library"
     try:
         attributes: dict[str, Any] = dict(open_group(folder).attrs)
@@ -254,13 +257,14 @@ def _read_bands(folder: Path, shown: Path | str) -> Bands:
     if attributes.get("schema") != SCHEMA:
         raise LibraryError(f"{shown}: a zarr store, but not a library made by `manifold import`")
     version, bands = attributes.get("schema_version"), attributes.get("bands")
-    if version != SCHEMA_VERSION:
-        raise LibraryError(f"{shown}: schema version {version}, expected {SCHEMA_VERSION}; {again}")
+    if version not in READABLE_VERSIONS:
+        expected = " or ".join(map(str, READABLE_VERSIONS))
+        raise LibraryError(f"{shown}: schema version {version}, expected {expected}; {again}")
     if bands == "RGB":
-        return Bands(None)
+        return version, Bands(None)
     try:
         if isinstance(bands, list) and all(isinstance(w, int | float) for w in bands):
-            return Bands.from_array(np.array(bands, dtype=np.float64))
+            return version, Bands.from_array(np.array(bands, dtype=np.float64))
         raise ShapeError("no list of numbers")
     except (ShapeError, OverflowError) as error:
         raise LibraryError(f"{shown}: attribute 'bands' is damaged ({error}); {again}") from error

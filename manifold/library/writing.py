@@ -5,12 +5,23 @@ from __future__ import annotations
 import os
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from manifold.errors import LibraryError
-from manifold.library import staging
+from manifold.library import staging, visible_normals
+from manifold.library.compact import Compact
 from manifold.library.identity import describe, present_arrays
-from manifold.library.schema import FIELDS, StoredArray, root_attributes, stored
-from manifold.library.zarr_arrays import write_array, write_group
+from manifold.library.schema import (
+    COEFFICIENTS,
+    FIELDS,
+    TABLES,
+    VISIBLE_NORMALS,
+    VNDF_DIFFERENCE,
+    StoredArray,
+    root_attributes,
+    stored,
+)
+from manifold.library.zarr_arrays import pack, write_array, write_group
 from manifold.records import Bands, BsdfFile
 
 
@@ -33,7 +44,9 @@ def make_store(folder: Path, bands: Bands, staged: Path) -> None:
         staging.publish(root, folder)
 
 
-def write_material(folder: Path, file: BsdfFile, source_file: str, sha256: str) -> None:
+def write_material(
+    folder: Path, file: BsdfFile, source_file: str, sha256: str, compact: Compact | None = None
+) -> None:
     """Write a material's group into a folder that does not exist yet (it is published by a rename).
 
     Args:
@@ -41,10 +54,25 @@ def write_material(folder: Path, file: BsdfFile, source_file: str, sha256: str) 
         file: what to store.
         source_file: name of the imported file.
         sha256: of the imported file, in hexadecimal.
+        compact: the form in which it is stored; by default as it is.
     """
+    attributes: dict[str, Any] = {"jacobian": bool(file.jacobian)}
+    if compact is not None:
+        info = describe(file, source_file, sha256, (compact.arrays, compact.accuracy))
+        tables, layout = pack(compact.tables)
+        write_group(folder, asdict(info) | attributes | {TABLES: layout})
+        axes = ("component", "phi_i", "theta_i", "row", "column")
+        write_array(folder / COEFFICIENTS, StoredArray(compact.coefficients, dims=axes, is_compressed=True))
+        write_array(folder / TABLES, StoredArray(tables, is_compressed=True))
+        return
     info = describe(file, source_file, sha256)
-    write_group(folder, asdict(info) | {"jacobian": bool(file.jacobian)})
+    difference, slices = visible_normals.encode(file)
+    write_group(folder, asdict(info) | attributes | {VISIBLE_NORMALS: slices.to_json()})
+    chunks, dims = (1, *difference.shape[1:]), FIELDS["vndf"][1]
+    write_array(folder / VNDF_DIFFERENCE, StoredArray(difference, chunks, None, dims, is_compressed=True))
     for name, array in present_arrays(file).items():
+        if name == "vndf":
+            continue
         write_array(folder / FIELDS[name][0], stored(name, array, file.bands))
     if file.extra:
         write_group(folder / "extra", {})

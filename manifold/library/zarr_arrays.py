@@ -5,22 +5,26 @@ What zarr would trust in the files of others is checked first: sizes and codecs,
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
+from zarr.codecs import BloscCodec
 
 from manifold.library.schema import StoredArray
-from manifold.records import Array
+from manifold.records import AnyArray, Array
 
 _MOST_METADATA = 16 << 20  # bytes
 _MOST_ARRAY = 4 << 30  # bytes
 # By default every chunk of a shard is a task of its own, which takes several times as long.
 zarr.config.set({"codec_pipeline.batch_size": 1024})
 _PLAIN = (["BytesCodec"], ["ShardingCodec", "BytesCodec", "BytesCodec", "Crc32cCodec"])
+_COMPRESSED = ["BytesCodec", "BloscCodec"]
+_BLOSC_HEADER = 16  # bytes
 
 
 def write_group(folder: Path, attributes: dict[str, Any]) -> None:
@@ -29,7 +33,7 @@ def write_group(folder: Path, attributes: dict[str, Any]) -> None:
 
 
 def write_array(folder: Path, stored: StoredArray) -> None:
-    """Make a folder that is an array of little-endian chunks, not compressed, one file per chunk or shard."""
+    """Make a folder that is an array of little-endian chunks, one file per chunk or shard."""
     values = np.asarray(stored.values, dtype=stored.values.dtype.newbyteorder("<"))
     array = zarr.create_array(
         folder,
@@ -37,7 +41,7 @@ def write_array(folder: Path, stored: StoredArray) -> None:
         dtype=values.dtype,
         chunks=tuple(max(1, size) for size in stored.chunks or values.shape),
         shards=stored.shards,
-        compressors=None,
+        compressors=_compressor() if stored.is_compressed else None,
         filters=None,
         # Dots, not folders in folders: on some file systems making a folder costs as much as a file.
         chunk_key_encoding={"name": "default", "separator": "."},
@@ -50,6 +54,10 @@ def write_array(folder: Path, stored: StoredArray) -> None:
     array[...] = values
 
 
+def _compressor() -> BloscCodec:
+    return BloscCodec(typesize=4, cname="zstd", clevel=5, shuffle="bitshuffle")
+
+
 def open_group(folder: Path) -> zarr.Group:
     """The group in a folder; zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors."""
     _require_metadata(folder, "it lacks its zarr.json")
@@ -58,12 +66,33 @@ def open_group(folder: Path) -> zarr.Group:
 
 def read_array(
     group: zarr.Group, name: str, select: Callable[[tuple[int, ...]], tuple[slice, ...]] | None = None
-) -> Array:
+) -> AnyArray:
     """One array, or the part that `select` chooses by its shape, C-contiguous in the axis order of the store."""
     array = _array(group, name)
     selection = tuple(slice(0, size) for size in array.shape) if select is None else select(array.shape)
     _require_chunks(array, selection)
     return np.asarray(array[selection])
+
+
+def pack(tables: Mapping[str, AnyArray]) -> tuple[AnyArray, list[Any]]:
+    """Arrays one behind the other as bytes (n,), and name, dtype and shape of each: reading few arrays is quicker."""
+    little = {name: np.asarray(array, array.dtype.newbyteorder("<")) for name, array in tables.items()}
+    layout = [[name, array.dtype.str, list(array.shape)] for name, array in little.items()]
+    return np.frombuffer(b"".join(array.tobytes() for array in little.values()), np.uint8), layout
+
+
+def unpack(packed: AnyArray, layout: Any) -> dict[str, AnyArray]:
+    """What `pack` packed. Raises LookupError or ValueError where the layout is none of these bytes."""
+    tables, content, position = {}, packed.tobytes(), 0
+    for name, kind, shape in layout:
+        dtype = np.dtype(kind)
+        if dtype.kind not in "iuf" or any(type(size) is not int or size < 0 for size in shape):
+            raise LookupError(f"table '{name}' has dtype {kind} and shape {shape}, expected plain numbers")
+        count = math.prod(shape)
+        end = position + count * dtype.itemsize
+        tables[str(name)] = np.frombuffer(content[position:end], dtype, count).reshape(shape)
+        position = end
+    return tables
 
 
 def read_extra(group: zarr.Group) -> dict[str, Array]:
@@ -89,7 +118,7 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     codecs: Any = getattr(array.metadata, "codecs", ())
     inner = [*getattr(codecs[0], "codecs", ()), *getattr(codecs[0], "index_codecs", ())] if codecs else []
     found = [type(codec).__name__ for codec in (*codecs, *inner)]
-    if array.dtype.kind not in "iuf" or found not in _PLAIN:
+    if array.dtype.kind not in "iuf" or found not in (*_PLAIN, _COMPRESSED):
         raise LookupError(
             f"field '{name}' has dtype {array.dtype}, coded by {', '.join(found)}, expected plain numbers"
         )
@@ -107,8 +136,21 @@ def _require_chunks(array: zarr.Array[Any], selection: tuple[slice, ...]) -> Non
     last = [(part.stop - 1) // size for part, size in zip(selection, sizes, strict=True)]
     for index in np.ndindex(*(b - a + 1 for a, b in zip(first, last, strict=True))):
         key = ".".join(["c", *(str(a + i) for a, i in zip(first, index, strict=True))])
-        if not (_folder(array) / key).is_file():
+        chunk = _folder(array) / key
+        if not chunk.is_file():
             raise LookupError(f"field '{array.basename}' lacks its chunk {key}")
+        if len(array.metadata.codecs) > 1:  # type: ignore[union-attr]
+            _require_size(chunk, math.prod(array.chunks) * array.dtype.itemsize)
+
+
+def _require_size(chunk: Path, expected: int) -> None:
+    """Raise LookupError where a compressed chunk would expand to another size, for which memory would be taken."""
+    with chunk.open("rb") as file:
+        found = int.from_bytes(file.read(_BLOSC_HEADER)[4:8], "little")
+    if found != expected:
+        raise LookupError(
+            f"chunk {chunk.name} of '{chunk.parent.name}' has {found} bytes, expected {expected}"
+        )
 
 
 def _require_metadata(folder: Path, lack: str) -> None:

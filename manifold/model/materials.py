@@ -101,7 +101,7 @@ class MaterialCache:
         cells = unmeasured_cells(file)
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
         filled = fill_unmeasured(file, cells)
-        if self.is_nonnegative and np.any(filled.spectra < 0):
+        if self.is_nonnegative and filled.spectra.min() < 0:
             filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
             self._cut.add(name)
         if filled is not file:

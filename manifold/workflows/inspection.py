@@ -187,19 +187,25 @@ def _words(value: float | list[float]) -> str:
 
 def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
     from manifold.library.identity import origins_in_words
-    from manifold.library.schema import SCHEMA_VERSION
     from manifold.library.store import Library
 
     library = Library(path)
     materials = [library.attributes(name) for name in library.names]
-    others, size = origins_in_words(materials), sum(m.bytes for m in materials)
+    others, size = origins_in_words(materials), library.disk_bytes
+    errors = [m.accuracy for m in materials if m.accuracy is not None]
     rows: dict[str, object] = {
         "materials": f"{len(materials)}" + (f", {others}" if others else ""),
         "bands": str(library.bands),
-        "size": f"{size / 1e6:.1f} MB",
+        "size": f"{size / 1e6:.1f} MB, as files {sum(m.bytes for m in materials) / 1e6:.1f} MB",
         "content hash": library.content_hash,
-        "schema version": SCHEMA_VERSION,
+        "schema version": library.schema_version,
     }
+    if errors:
+        rows["compact"] = [
+            f"{len(errors)} of the materials",
+            f"largest errors {max(e.ball for e in errors):.2f} CIEDE2000 of the ball, "
+            f"{max(e.cube_root for e in errors):.2%} cube-root error",
+        ]
     problems = library.verify(on_progress) if verify else []
     if verify:
         rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
@@ -209,13 +215,18 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
             f"{m.shape[3]} x {m.shape[4]}" + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else ""),
             ".".join(str(v) for v in m.pipeline_version),
             f"{m.bytes / 1e6:.1f}",
+            *(
+                ["-" if m.accuracy is None else f"{m.accuracy.ball:.2f}, {m.accuracy.cube_root:.2%}"]
+                if errors
+                else []
+            ),
             m.description,
         )
         for m in materials
     ]
     document = {
         "path": str(path),
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": library.schema_version,
         "bands": str(library.bands),
         "content_hash": rows["content hash"],
         "bytes": size,
@@ -223,7 +234,7 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
         "verified": verify,
         "problems": problems,
     }
-    columns = ("material", "grid", "pipeline", "MB", "description")
+    columns = ("material", "grid", "pipeline", "MB", *(["ball, cube root"] if errors else []), "description")
     return Inspection(f"{path}: library", rows, document, [(columns, table)], problems)
 
 

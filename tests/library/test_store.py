@@ -556,7 +556,7 @@ def truncate_chunk(group: Path) -> None:
         damage_attribute,
         truncate_chunk,
         lambda group: (group / "theta_i" / "c.0").unlink(),
-        lambda group: (group / "vndf" / "zarr.json").write_text("{"),
+        lambda group: (group / "vndf_difference" / "zarr.json").write_text("{"),
         lambda group: shutil.rmtree(group / "extra"),
         lambda group: (group / "zarr.json").unlink(),
     ],

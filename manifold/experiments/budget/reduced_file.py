@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from manifold.brdf import goniometer
-from manifold.brdf.cells import HORIZON, Cells
+from manifold.brdf.cells import Cells
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.warp import Warp, bilinear, interpolate
 from manifold.colour.conversion import interpolation_matrix, sensor_responses
 from manifold.colour.illuminants import Illuminant
+from manifold.directions import HORIZON
 from manifold.records import Array, Bands, BsdfFile
 
 _SEEN_NM = np.arange(380.0, 781.0, 1.0)

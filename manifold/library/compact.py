@@ -1,0 +1,82 @@
+"""Compact materials: cube roots in a few spectral components, quantised, within a bound on the visible error.
+
+The cube roots of a material's values, and of its luminance as one band more, are stored in the principal components
+of its own spectra, as multiples of one step; of these, the differences between neighbours, which compress well. Cells
+without any value stay so. `vndf` is kept to four digits, everything else as it is.
+`manifold.library.compacting` finds the step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold.library import visible_normals
+from manifold.library.identity import Accuracy
+from manifold.records import AnyArray
+
+EXTRA = "extra "
+"""Before the names of fields that this package does not interpret."""
+
+_MOST_VALUES = 1 << 28  # of spectra; the largest measured materials have a tenth
+
+
+@dataclass(frozen=True, eq=False)
+class Compact:
+    """The compact form of a material.
+
+    Attributes:
+        coefficients: multiples of a step, as differences along rows and columns, int32, shape (K, P, T, H, W).
+        tables: by name: `step`; `basis` (K, B + 1), whose last band is the luminance; `is_nonnegative`; what `vndf`
+            follows from (`visible_normals`); and the fields that are kept as they are.
+        accuracy: of what it decodes to.
+    """
+
+    coefficients: NDArray[np.int32]
+    tables: dict[str, AnyArray]
+    accuracy: Accuracy
+
+    @property
+    def arrays(self) -> dict[str, AnyArray]:
+        """All arrays by name."""
+        return {"coefficients": self.coefficients, **self.tables}
+
+    def decode(self) -> dict[str, Any]:
+        """The fields of `BsdfFile` that hold arrays.
+
+        Raises:
+            LookupError, ValueError: damaged.
+        """
+        return decode(self.coefficients, self.tables)
+
+
+def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> dict[str, Any]:
+    """The fields of `BsdfFile` that hold arrays, from those of `Compact`. Raises LookupError or ValueError."""
+    from manifold.library.dequantise import dequantise  # loads Numba, which other libraries do without
+
+    tables = dict(tables)
+    slices = visible_normals.Slices(*(tables.pop(name) for name in visible_normals.Slices._fields))
+    difference, step = tables.pop("vndf_difference"), tables.pop("step")
+    basis = (tables.pop("basis") * step).astype(np.float32)
+    least = np.float32(0.0 if tables.pop("is_nonnegative")[0] else -np.inf)
+    (count, *shape), n_bands = coefficients.shape, basis.shape[1] - 1
+    if math.prod(shape) * n_bands > _MOST_VALUES:
+        raise ValueError(f"{math.prod(shape) * n_bands} values, expected at most {_MOST_VALUES}")
+    slices_of = np.ascontiguousarray(coefficients, np.int32).reshape(count, -1, *shape[2:])
+    spectra, luminance = (np.empty((*slices_of.shape[1:], n), np.float32) for n in (n_bands, 1))
+    dequantise(slices_of, np.ascontiguousarray(basis[:, :-1]), least, spectra)
+    dequantise(slices_of, np.ascontiguousarray(basis[:, -1:]), np.float32(0.0), luminance)
+    extra = {name: tables.pop(name) for name in list(tables) if name.startswith(EXTRA)}
+    return {
+        **tables,
+        "vndf": visible_normals.decode(difference, slices, tables["ndf"], tables["phi_i_rad"]),
+        "luminance": luminance.reshape(shape),
+        "spectra": np.moveaxis(spectra.reshape(*shape, n_bands), -1, 2),
+        "extra": MappingProxyType({name.removeprefix(EXTRA): array for name, array in extra.items()}),
+    }

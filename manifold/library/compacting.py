@@ -1,0 +1,206 @@
+"""Compacting of libraries: the compact form of each material, verified before the original is removed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import ball_colours
+from manifold.errors import LibraryError
+from manifold.latent.decoder import EncodingPairs
+from manifold.library import staging, visible_normals
+from manifold.library.compact import EXTRA, Compact, decode
+from manifold.library.identity import (
+    DEFAULT_TOLERANCE,
+    Accuracy,
+    MaterialInfo,
+    info_of,
+    present_arrays,
+    require_tolerance,
+)
+from manifold.library.reading import read_material
+from manifold.library.schema import COEFFICIENTS, TABLES
+from manifold.library.store import Library
+from manifold.library.writing import write_material
+from manifold.library.zarr_arrays import open_group
+from manifold.metrics import RusinkiewiczGrid, cube_root_error
+from manifold.records import AnyArray, Array, BsdfFile, Progress
+from manifold.system.stages import with_progress
+
+CUBE_ROOT_PER_BALL = 0.05
+"""The cube-root error that is allowed per CIEDE2000 of the ball that is: 1 % at 0.2."""
+
+_COARSEST = 0.08  # step, relative to the root mean square of the norms of spectra
+_MOST_STEPS = 12
+_LUMINANCE_WEIGHT = 0.5  # relative to all bands together
+_VNDF_BITS = 10  # of the last places that are not kept
+
+
+@dataclass(frozen=True)
+class CompactResult:
+    """What became of each material.
+
+    Attributes:
+        compacted: their names and errors.
+        skipped: names of materials that were compact already.
+        failed: why a material stays as it is, by name.
+    """
+
+    compacted: dict[str, Accuracy]
+    skipped: tuple[str, ...]
+    failed: dict[str, str]
+
+
+def compact_library(
+    path: Path | str, tolerance: float = DEFAULT_TOLERANCE, on_progress: Progress | None = None
+) -> CompactResult:
+    """Store the materials of a library in compact form, one after the other; what they were is lost.
+
+    A killed run leaves every material whole, in one form or the other; another run does the rest.
+
+    Args:
+        path: the library.
+        tolerance: as `encode` takes it.
+        on_progress: called with (done, total, name) after each material.
+    Raises:
+        UsageError: the tolerance is not above 0.
+        LibraryError: it cannot be written, or another process writes to it.
+    """
+    require_tolerance(tolerance)
+    library = Library(path)
+    result = CompactResult({}, (), {})
+    skipped = []
+    with staging.writing(library.path) as staged:
+        for name in with_progress(library.names, on_progress, str):
+            folder = library.path / "materials" / name
+            try:
+                info = library.attributes(name)
+                if info.accuracy is None:
+                    result.compacted[name] = _compact(library, info, staged / name, folder, tolerance)
+                else:
+                    staging.keep_arrays(folder, (COEFFICIENTS, TABLES))
+                    skipped.append(name)
+            except LibraryError as error:
+                result.failed[name] = str(error)
+    return replace(result, skipped=tuple(skipped))
+
+
+def _compact(library: Library, info: MaterialInfo, staged: Path, folder: Path, tolerance: float) -> Accuracy:
+    file = library.read(info.name)
+    compact = encode(file, tolerance)
+    write_material(staged, file, info.source_file, info.sha256, compact)
+    written = open_group(staged)
+    expected = info_of(info.name, written.attrs)
+    _, found = read_material(written, expected, is_rgb=library.bands.is_rgb)
+    if found != expected.content_sha256:
+        raise LibraryError(f"{info.name}: was not written as it should be; check the disk, and try again")
+    staging.supplant(staged, folder)
+    return compact.accuracy
+
+
+def encode(file: BsdfFile, tolerance: float = DEFAULT_TOLERANCE) -> Compact:
+    """The coarsest compact form that was found within a tolerance, verified on what it decodes to.
+
+    Args:
+        file: the material.
+        tolerance: mean CIEDE2000 of the ball; the cube-root error may be `CUBE_ROOT_PER_BALL` times that.
+    Raises:
+        LibraryError: no step that was tried is fine enough.
+    """
+    roots, errors_of, kept = _Roots(file), _errors_from(file), _kept_tables(file)
+    step, most = _COARSEST * roots.norm, Accuracy(tolerance, tolerance, CUBE_ROOT_PER_BALL * tolerance)
+    for _ in range(_MOST_STEPS):
+        coefficients, basis = roots.quantised(step)
+        tables = kept | {"step": np.array([step]), "basis": basis}
+        ball, cube_root = errors_of(replace(file, **decode(coefficients, tables)))
+        excess = max(ball / most.ball, cube_root / most.cube_root)
+        if excess <= 1.0:
+            return Compact(coefficients, tables, Accuracy(tolerance, ball, cube_root))
+        step *= min(max(0.8 / excess, 0.25), 0.8)
+    raise LibraryError(
+        f"{file.name}: its compact form differs by {ball:.2g} CIEDE2000 and {cube_root:.2%} in cube roots at the "
+        f"finest step, expected at most {most.ball:.2g} and {most.cube_root:.2%}; allow more, or keep it as it is"
+    )
+
+
+class _Roots:
+    """The cube roots of a file in its own components, luminance included.
+
+    Attributes:
+        norm: root mean square of the norms of the spectra.
+    """
+
+    def __init__(self, file: BsdfFile) -> None:
+        values = np.moveaxis(file.spectra, 2, -1)
+        self._shape, count = values.shape[:-1], values.shape[-1]
+        self._is_lit = np.any(values != 0, axis=-1).reshape(-1)
+        self._least = 0.0 if file.spectra.min() >= 0.0 else -np.inf
+        self._weight = _LUMINANCE_WEIGHT * np.sqrt(count)
+        luminance = self._weight * np.cbrt(np.maximum(file.luminance, 0.0)).reshape(-1, 1)
+        roots = np.hstack([np.cbrt(values.reshape(-1, count)), luminance.astype(np.float32)])
+        roots[~self._is_lit] = 0.0
+        products = (roots.T @ roots).astype(np.float64)
+        components = np.linalg.eigh(products)[1].T[::-1].astype(np.float32)
+        components[0] *= np.where(components[0].sum() < 0.0, -1.0, 1.0)  # positive where all values are
+        self._components = components
+        self._coefficients = components @ roots.T  # [B + 1, n]
+        self.norm = float(np.sqrt(np.trace(products) / max(np.count_nonzero(self._is_lit), 1))) or 1.0
+
+    def quantised(self, step: float) -> tuple[NDArray[np.int32], Array]:
+        """Coefficients as they are stored, and the basis."""
+        multiples = np.rint(self._coefficients / np.float32(step)).astype(np.int32)
+        count = 1 + int(np.flatnonzero(np.any(multiples, axis=1)).max(initial=0))
+        multiples, basis = multiples[:count], self._components[:count].copy()
+        basis[:, -1] /= self._weight
+        # Cells that hold something keep something: empty ones would pass for unmeasured.
+        decoded = np.maximum(multiples.T.astype(np.float32) @ basis[:, :-1], self._least)
+        empty = self._is_lit & ~np.any(decoded, axis=1)
+        multiples[:, empty] = 0
+        multiples[0, empty] = 1
+        multiples = multiples.reshape(count, *self._shape)
+        return np.diff(np.diff(multiples, axis=-1, prepend=0), axis=-2, prepend=0), basis.astype(np.float16)
+
+
+def _kept_tables(file: BsdfFile) -> dict[str, AnyArray]:
+    difference, slices = visible_normals.encode(file)
+    half = 1 << (_VNDF_BITS - 1)
+    coarse = (difference + half) >> _VNDF_BITS << _VNDF_BITS
+    fields = {
+        name: a for name, a in present_arrays(file).items() if name not in ("vndf", "luminance", "spectra")
+    }
+    return {
+        **fields,
+        **{f"{EXTRA}{name}": array for name, array in file.extra.items()},
+        **slices._asdict(),
+        # Zeros, and what is next to them, are kept.
+        "vndf_difference": np.where(file.vndf.view(np.int32) < half, difference, coarse),
+        "is_nonnegative": np.array([file.spectra.min() >= 0.0], np.uint8),
+    }
+
+
+@cache
+def _pairs(is_isotropic: bool) -> EncodingPairs:
+    return EncodingPairs.of_grid(RusinkiewiczGrid.named("default").suited_to(is_isotropic), stride=1)
+
+
+def _errors_from(file: BsdfFile) -> Callable[[BsdfFile], tuple[float, float]]:
+    """Ball and cube-root error of other forms of a file."""
+    ball, pairs = ball_colours.ball(), _pairs(file.is_isotropic)
+
+    def values(other: BsdfFile) -> tuple[Array, Array]:
+        brdf = MeasuredBRDF(other)
+        return ball.xyz(brdf.eval(ball.wi, ball.wo), brdf.bands), brdf.eval(pairs.wi, pairs.wo)
+
+    xyz, f = values(file)
+
+    def errors(other: BsdfFile) -> tuple[float, float]:
+        xyz_star, f_star = values(other)
+        return ball_colours.delta_e(xyz, xyz_star), cube_root_error(f, f_star, pairs.cosines)
+
+    return errors

@@ -31,7 +31,7 @@ from manifold.model.reconstruction import reconstruct
 from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import SPACES, open_library, restore
 from manifold.model.settings import Settings
-from manifold.model.walks import PATH_NODES, Walked, step_of, walk_path
+from manifold.model.walks import Walk, Walked
 from manifold.records import Array, Bands, Progress, evenly_spaced
 
 _ONE = np.ones(1)
@@ -220,21 +220,14 @@ class Manifold(LatentMap):
         require_between(t)
         if a == b or t in (0.0, 1.0):
             return PredictedBRDF([self.material(b if t else a)], Combination(self.mapping, _ONE))
-        return step_of(
-            self.materials.filled([a, b]), [self.walked(a), self.walked(b)], self.walk_share(a, b, t)
-        )
+        start, end = self.materials.filled([a, b])
+        return Walk((start, end), (self.walked(a), self.walked(b))).at(t)
 
     def walked(self, name: str) -> Walked:
         """A material as an end of walks; kept once it is made."""
         if name not in self._walked:
             self._walked[name] = Walked.of(self.materials.filled([name])[0])
         return self._walked[name]
-
-    def walk_share(self, a: str, b: str, t: float) -> float:
-        """Share of material b at t of the walk from a."""
-        return float(
-            np.interp(t, np.linspace(0.0, 1.0, PATH_NODES), walk_path(self.walked(a), self.walked(b)))
-        )
 
     def embed(self, brdf: BRDF, criterion: str | None = None) -> Embedded:
         """Find the latent, and colours, whose decoded prediction is nearest to a material's data.

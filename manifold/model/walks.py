@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -219,23 +220,25 @@ def step_of(ends: Sequence[BRDF], walked: Sequence[Walked], share: float) -> Pre
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk between two materials.
+    """A walk between two materials of the same bands.
 
     Attributes:
         ends: both.
-        walked: the same.
-        shares: of the second at `PATH_NODES` even values of t.
+        walked: the same, as ends of walks.
     """
 
     ends: tuple[BRDF, BRDF]
     walked: tuple[Walked, Walked]
-    shares: Array
 
     @classmethod
     def between(cls, start: BRDF, end: BRDF) -> Walk:
-        """Fit the highlights of two BRDFs of the same bands."""
-        walked = Walked.of(start), Walked.of(end)
-        return cls((start, end), walked, walk_path(*walked))
+        """Fit the highlights of two BRDFs."""
+        return cls((start, end), (Walked.of(start), Walked.of(end)))
+
+    @cached_property
+    def shares(self) -> Array:
+        """Shares of the second at `PATH_NODES` even values of t."""
+        return walk_path(*self.walked)
 
     def at(self, t: float) -> PredictedBRDF:
         """The step at t from 0 to 1; at both ends, the material itself."""

@@ -16,8 +16,8 @@ _CAPTIONS = {
     "map.png": "The map: similar materials are close together; the background is the expected error of a prediction "
     "there, hatched where the data do not support it.",
     "predicted.png": "The predicted material, which nobody measured, rendered spectrally.",
-    "walk.png": "From one gold to the other. Top: the walk, in steps that look equally large. Bottom: the predictions on the "
-    "straight line between their latents.",
+    "walk.png": "From one gold to the other. Top: the walk, in steps that look equally large. Bottom: the "
+    "predictions on the straight line between their latents.",
     "slices.png": "Values of the two measured golds and of the prediction, in the plane of incidence.",
     "predicted.fit.png": "The prediction beside the parameters of a game engine's model that were fitted to it.",
     "budget_felt.png": "A scene of felt: the cheapest representation that preserves the image.",

@@ -56,7 +56,7 @@ def material_labels(model: Manifold) -> list[str]:
     labels = []
     for name in model.names:
         origin = model.library.attributes(name).origin
-        what = "" if origin in ("measured", "synthetic") else f" ({origin})"
+        what = "" if origin in ("measured", "synthetic", name) else f" ({origin})"
         labels.append(name.removeprefix("syn_").replace("_", " ") + what)
     return labels
 

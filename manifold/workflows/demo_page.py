@@ -119,7 +119,7 @@ def _numbers(predicted: Prediction, report: Report) -> list[tuple[str, str]]:
         (f"{physical.max_albedo:.2f}", "The largest albedo of the prediction: it must not exceed 1."),
         (
             f"{physical.reciprocity_error:.1%}",
-            "Reciprocity error of the prediction: how far light and view may not be exchanged.",
+            "Reciprocity error of the prediction: how much values change where light and view are exchanged.",
         ),
     ]
     if predicted.expected is not None:

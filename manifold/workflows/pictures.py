@@ -41,7 +41,8 @@ def sources(materials: Sequence[MaterialSource]) -> list[Source]:
             found.append((given, Source(f"{content['source']['name']}, fitted", FittedBRDF(content))))
         else:
             file = read_source(material)
-            label = file.name if file.origin == "measured" else f"{file.name}, {file.origin}"
+            is_told = file.origin in ("measured", file.name)
+            label = file.name if is_told else f"{file.name}, {file.origin}"
             found.append((given, Source(label, MeasuredBRDF(blank_unmeasured(file)))))
     if not found:
         raise UsageError("found nothing to draw; name files, materials of a library, or places on a map")

@@ -188,7 +188,8 @@ def test_files_that_were_not_measured_are_not_called_measured(run, folder):
         shown = "".join(run(*words, cwd=folder)[1] for words in commands)
         assert shown.count(origin) >= 3, shown
         assert "measured file" not in shown
-    assert run("import", FILE, f"files/{OTHER}_rgb.bsdf", "predicted.bsdf", "-L", "L", cwd=folder)[0] == 0
+    (folder / "predicted.bsdf").rename(folder / "between.bsdf")
+    assert run("import", FILE, f"files/{OTHER}_rgb.bsdf", "between.bsdf", "-L", "L", cwd=folder)[0] == 0
     assert "1 of them predicted" in run("info", "L", cwd=folder)[1]
     model = Manifold.fit(folder / "L", calibrate=False)
-    assert plot_latents.material_labels(model)[0] == "predicted (predicted)"
+    assert plot_latents.material_labels(model)[0] == "between (predicted)"

@@ -47,9 +47,14 @@ def convert(
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
     resolution: Annotated[
-        int,
-        typer.Option(help="Of RGL files: nodes per axis of the outgoing grid.", metavar="N", min=2, max=512),
-    ] = 64,
+        int | None,
+        typer.Option(
+            help="Of RGL files: nodes per axis of the outgoing grid; 64, but what is an RGL file stays as it is.",
+            metavar="N",
+            min=2,
+            max=512,
+        ),
+    ] = None,
     incidences: Annotated[
         int | None,
         typer.Option(

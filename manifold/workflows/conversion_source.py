@@ -42,12 +42,14 @@ class Source:
         interpolated: what interpolates them, or the error that says why readings do not make a BRDF.
         theta_i_rad: the file's own incidences, increasing; none where it has no such nodes.
         is_readings: whether the nodes are all that the file holds.
+        file: the RGL file, where it is one.
     """
 
     nodes: Readings
     interpolated: BRDF | UsageError
     theta_i_rad: Array
     is_readings: bool
+    file: BsdfFile | None = None
 
     @property
     def brdf(self) -> BRDF:
@@ -176,7 +178,7 @@ def _of_rgl(file: BsdfFile) -> Source:
         file.name, "RGL goniometer", all_wi[chosen], all_wo[chosen], file.wavelengths_nm,
         brdf.eval(all_wi[chosen], all_wo[chosen]),
     )  # fmt: skip
-    return Source(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False)
+    return Source(nodes, brdf, file.theta_i_rad.astype(np.float64), is_readings=False, file=file)
 
 
 def _of_readings(readings: Readings) -> Source:

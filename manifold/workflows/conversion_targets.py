@@ -50,16 +50,21 @@ class Options(NamedTuple):
     """How an RGL file is sampled.
 
     Attributes:
-        resolution: nodes per axis of its outgoing grid.
+        resolution: nodes per axis of its outgoing grid, by default 64.
         n_theta_i: incident elevations over the hemisphere, beside the file's own; by default 16, and 48 where a file
             has none of its own.
+
+    Without any, an RGL file stays as it is, byte for byte.
     """
 
-    resolution: int = 64
+    resolution: int | None = None
     n_theta_i: int | None = None
 
 
 def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
+    if source.file is not None and options == Options():
+        write_bsdf(path, source.file)
+        return []
     brdf = source.brdf
     own = source.theta_i_rad[source.theta_i_rad < np.deg2rad(89.0)]
     if own.size > _MOST_INCIDENCES:
@@ -70,7 +75,7 @@ def _write_rgl(path: Path, source: Source, options: Options) -> list[str]:
     theta_i: Array = np.unique(np.concatenate([own, others, spread[[0, -1]]]))
     file = goniometer.measure(
         brdf, source.nodes.name, description=f"Converted from {source.nodes.instrument} by manifold {__version__}",
-        resolution=options.resolution, theta_i_rad=theta_i, compensate=False,
+        resolution=options.resolution or 64, theta_i_rad=theta_i, compensate=False,
         bend=goniometer.SOFT_BEND,
     )  # fmt: skip
     write_bsdf(path, file)

@@ -314,3 +314,14 @@ def test_names_stay_on_their_line_of_a_text_file(form, tmp_path):
     found, expected = (registry.read_readings(tmp_path / name) for name in ("hostile.dat", "plain.dat"))
     np.testing.assert_array_equal(found.values, expected.values)
     assert found.name.endswith("? 0,180,0,0,9,9,9")
+
+
+@pytest.mark.parametrize("name", ["syn_felt_green", "syn_satin_gold"])
+def test_a_material_of_a_library_comes_back_byte_for_byte(tmp_path, library, run, name):
+    status, out, _ = run("convert", name, "--library", library, "-o", "back_rgb.bsdf", cwd=tmp_path)
+    assert status == 0
+    assert "error, linear     0.00%" in out
+    imported = library.parent / "files" / f"{name}_rgb.bsdf"
+    assert (tmp_path / "back_rgb.bsdf").read_bytes() == imported.read_bytes()
+    assert run("convert", imported, "--resolution", "8", "-o", "coarse.bsdf", cwd=tmp_path)[0] == 0
+    assert read_bsdf(tmp_path / "coarse.bsdf").spectra.shape[-1] == 8

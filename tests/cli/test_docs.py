@@ -37,11 +37,3 @@ def test_options_of_commands_in_documents_exist(document):
             known = {o for p in commands[name].params for o in (*p.opts, *p.secondary_opts)}
             unknown = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line)) - known
             assert not unknown, f"manifold {name}{line}"
-
-
-def test_every_command_is_in_the_readme():
-    from manifold.cli.main import app
-
-    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| `manifold (\w+)", readme, flags=re.MULTILINE)
-    assert sorted(set(listed)) == sorted(command.name for command in app.registered_commands)

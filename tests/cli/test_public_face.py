@@ -20,10 +20,15 @@ PACKAGES = sorted(
     ".".join(file.parent.relative_to(REPOSITORY).parts)
     for file in (REPOSITORY / "manifold").rglob("__init__.py")
 )
-IN_PYTHON = (REPOSITORY / "README.md").read_text(encoding="utf-8").split("## In Python")[1].split("\n## ")[0]
+IN_PYTHON = (
+    (REPOSITORY / "docs/reference/python.md")
+    .read_text(encoding="utf-8")
+    .split("## A tour")[1]
+    .split("\n## ")[0]
+)
 
 
-def test_the_names_of_the_package_are_those_that_the_readme_lists():
+def test_the_names_of_the_package_are_those_that_the_reference_lists():
     heads = re.findall(r"^\| (`.*?) \|", IN_PYTHON, flags=re.MULTILINE)
     listed = [name for head in heads for name in re.findall(r"`(\w+)`", head) if name != "manifold"]
     assert sorted(listed) == dir(manifold)
@@ -53,7 +58,7 @@ def test_importing_the_package_is_quick_and_loads_nothing_heavy():
     assert min(float(run.stdout) for run in runs) < 0.3
 
 
-def test_the_readme_runs(tmp_path, monkeypatch):
+def test_the_tour_of_the_reference_runs(tmp_path, monkeypatch):
     (tmp_path / "corpus").mkdir()
     for name in NAMES:
         write_bsdf(tmp_path / "corpus" / f"{name}_spec.bsdf", measured(name))

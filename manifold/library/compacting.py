@@ -39,7 +39,7 @@ CUBE_ROOT_PER_BALL = 0.05
 _COARSEST = 0.08  # step, relative to the root mean square of the norms of spectra
 _MOST_STEPS = 12
 _LUMINANCE_WEIGHT = 0.5  # relative to all bands together
-_VNDF_BITS = 10  # of the last places that are not kept
+_VNDF_BITS, _BASIS_BITS = 10, 8  # of the last places that are not kept
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,17 @@ class _Roots:
         multiples[:, empty] = 0
         multiples[0, empty] = 1
         multiples = multiples.reshape(count, *self._shape)
-        return np.diff(np.diff(multiples, axis=-1, prepend=0), axis=-2, prepend=0), basis.astype(np.float16)
+        differences = np.diff(np.diff(multiples, axis=-1, prepend=0), axis=-2, prepend=0)
+        return differences, _rounded(basis.view(np.int32), _BASIS_BITS).view(np.float32)
+
+
+def _rounded(numbers: NDArray[np.int32], bits: int) -> NDArray[np.int32]:
+    """Numbers, or those behind floats in single precision, whose last bits are zero."""
+    return (numbers + (1 << (bits - 1))) >> bits << bits
 
 
 def _kept_tables(file: BsdfFile) -> dict[str, AnyArray]:
     difference, slices = visible_normals.encode(file)
-    half = 1 << (_VNDF_BITS - 1)
-    coarse = (difference + half) >> _VNDF_BITS << _VNDF_BITS
     fields = {
         name: a for name, a in present_arrays(file).items() if name not in ("vndf", "luminance", "spectra")
     }
@@ -179,7 +183,9 @@ def _kept_tables(file: BsdfFile) -> dict[str, AnyArray]:
         **{f"{EXTRA}{name}": array for name, array in file.extra.items()},
         **slices._asdict(),
         # Zeros, and what is next to them, are kept.
-        "vndf_difference": np.where(file.vndf.view(np.int32) < half, difference, coarse),
+        "vndf_difference": np.where(
+            file.vndf.view(np.int32) < 1 << _VNDF_BITS, difference, _rounded(difference, _VNDF_BITS)
+        ),
         "is_nonnegative": np.array([file.spectra.min() >= 0.0], np.uint8),
     }
 

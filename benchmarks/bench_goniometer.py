@@ -1,7 +1,7 @@
 """Accuracy of files written by the virtual goniometer, read back by Mitsuba's `measured` plugin.
 
 Prints the mean relative error in percent for GGX over a diffuse base, and with --choices what each choice of
-docs/design/goniometer.md contributes; with --corpus the same error of the materials of the built-in corpus, without
+docs/explanation/rgl-files.md contributes; with --corpus the same error of the materials of the built-in corpus, without
 noise. With --predictions, files of 24 random places inside the map of a model are compared with the predictions
 themselves, and with --neural those of published neural fits with the fits, for each spread of the outgoing grid and
 each limit of how sharply the normal distribution may bend.

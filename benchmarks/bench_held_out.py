@@ -5,7 +5,7 @@
 
 The protocol is that of reports (`manifold.experiments.evaluation.cross_validation`): fit to N - 1 materials, find the
 latent of the last from its data, compare what it decodes to. Each row changes one thing; `--kernel matern32+linear`
-all rows. Results: docs/design/held-out.md.
+all rows. Results: docs/explanation/gplvm.md.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ _TURNS_DEG = (20.0, 40.0, 60.0, 80.0)  # of incident and outgoing directions awa
 _LEAST_SHARE = 0.95  # of what a normal reflects to the side; GGX metals send more than that back
 _STEEPEST = 2.0**0.5  # factor by which retro-reflection may fall from one node to the next
 SOFT_BEND = 0.3
-"""A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/design/goniometer.md."""
-_WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/design/goniometer.md
+"""A `bend` with which files of neural fits get no valleys over 10 % of their own; docs/explanation/rgl-files.md."""
+_WARP_EXPONENT = 0.5  # of the visible normals in the warp; docs/explanation/rgl-files.md
 _BELOW_HORIZON = 0.1  # weight of normals that mirror light below the horizon, where cells hold zeros
 _FADE = 0.5  # sine of the angle below the horizon at which their weight would be 0
 
@@ -42,7 +42,7 @@ _FADE = 0.5  # sine of the angle below the horizon at which their weight would b
 def default_theta_i(n: int) -> Array:
     """Incident elevations in radians, shape (n,), placed where they lower the error most.
 
-    Source: docs/design/goniometer.md.
+    Source: docs/explanation/rgl-files.md.
 
     >>> np.rad2deg(default_theta_i(4)).round(1)
     array([ 0. , 40.9, 66.3, 90. ])
@@ -206,7 +206,7 @@ def measure(
         n_theta_i: incident elevations T where none are given.
         n_phi_i: incident azimuths P, over half a turn; default 1 for an isotropic BRDF and 17 otherwise.
         compensate: move the node values so that linear interpolation errs least *between* the nodes; without
-            it the file is exact at the nodes and about twice as far off elsewhere (docs/design/goniometer.md).
+            it the file is exact at the nodes and about twice as far off elsewhere (docs/explanation/rgl-files.md).
         warp_exponent: the power; 1 is the instrument's own grid, with few nodes beside a sharp highlight, and as many
             below the horizon as above.
         steepest: factor by which the normal distribution may fall from one of its nodes to the next.

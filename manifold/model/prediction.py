@@ -42,7 +42,7 @@ class PredictedBRDF(NotebookPicture):
         bands: the spectral axis.
         is_isotropic: whether all materials with a weight are.
 
-    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/design/held-out.md.
+    Source: Hikichi & Iwasaki, eq. 13, written as weights of the measured materials; docs/explanation/gplvm.md.
     """
 
     def __init__(self, materials: Sequence[BRDF], combination: Combination, bands: Bands | None = None):

@@ -21,7 +21,7 @@ INCIDENCES_DEG = (20.0, 40.0, 60.0)
 GEOMETRIES_DEG = ((45.0, 0.0), (45.0, -30.0), (45.0, 45.0), (60.0, 75.0))
 """(theta_i, theta_o) of spectra, in the plane of incidence, theta_o positive on the mirror side."""
 
-# Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (docs/design/goniometer.md).
+# Nearer to the horizon f = f_cos / cos of a file is what its cells beyond the horizon say (explanation/rgl-files.md).
 _ELEVATIONS_DEG = np.linspace(-85.0, 85.0, 341)
 _DECADES = 5.0  # that a logarithmic axis shows at most
 _BRIGHTEST = 3.0  # white of a Rusinkiewicz image, in times the median cube root

@@ -60,7 +60,7 @@ def test_files_of_the_brightest_materials_conserve_energy(name):
 @pytest.mark.parametrize("name", ["syn_felt_pink", "syn_gloss_red", "syn_chrome_mint", "syn_flake_graphite"])
 def test_noiseless_files_evaluate_in_mitsuba_as_the_analytic_material(name):
     mean, high = corpus_error(ISOTROPIC[name], 1000)
-    # As GGX of alpha 0.05 over a diffuse base: 3.6 % in the mean (docs/design/goniometer.md); these: 2 to 3 %.
+    # As GGX of alpha 0.05 over a diffuse base: 3.6 % in the mean on the grid of the instrument; these: 2 to 3 %.
     assert mean < 0.04
     assert high < 0.10
 

@@ -119,7 +119,7 @@ def test_a_predicted_file_opens_in_mitsuba_and_is_the_prediction(demo, rng):
     f_cos, _ = measured(demo.predicted.path, wi, wo, file.wavelengths_nm[bands].astype(float))
     expected = np.take_along_axis(brdf.eval_cos(wi, wo), bands, axis=1)
     error = np.abs(f_cos - expected) / np.abs(expected).mean()
-    # 32 x 32 nodes and 8 elevations through noisy interpolants: 1 to 13 % by gloss, see docs/design/goniometer.md.
+    # 32 x 32 nodes and 8 elevations through noisy interpolants: 1 to 13 % by gloss.
     assert np.median(error) < 0.03
     assert error.mean() < 0.05
 

@@ -11,6 +11,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .batch_options import JobsOption, folder_or_default, show_batch
 from .outputs import checked, or_default
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ def complete(
     readings: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="A file of readings; a second instrument's, of the same sample, is corrected by the first.",
+            help="Files of readings, or folders of them. Of a sample that several instruments read under one name, "
+            "the readings are put together.",
             metavar="READINGS",
             show_default=False,
         ),
@@ -41,8 +43,17 @@ def complete(
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     output: Annotated[
         Path | None,
-        options.output_option("The file to write. [default: the sample's name, .bsdf]"),
+        options.output_option(
+            "The file to write, or the folder. [default: the sample's name, .bsdf; or completions]"
+        ),
     ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option("--into", help="Also import the completed samples into this library.", metavar="FOLDER"),
+    ] = None,
+    merge: Annotated[
+        bool, typer.Option("--merge", help="All files are of one sample, whatever its names.")
+    ] = False,
     sample: options.SampleOption = None,
     correction: options.CorrectionOption = None,
     gloss: Annotated[
@@ -76,16 +87,19 @@ def complete(
     force: options.ForceOption = False,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
+    jobs: JobsOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Complete readings of one material to a full BRDF, with a library of materials as prior.
+    """Complete readings of a material to a full BRDF, with a library of materials as prior.
 
-    Reports the expected error, the residual of the readings, and the mixtures of materials that explain them.
+    Reports the expected error, the residual of the readings, and the mixtures of materials that explain them. Several
+    samples are completed into a folder, with a table and a sheet of balls; what an earlier run has done is kept.
     """
     from manifold.model.output_file import OutputOptions
-    from manifold.workflows import completions
+    from manifold.workflows import completions, inputs
 
     results = terminal.Results(json)
+    written = OutputOptions(physical, force, resolution, incidences)
     if readings and lab is not None:
         raise UsageError("found --lab and a file of readings, expected one of them")
     if not readings and lab is None:
@@ -100,17 +114,43 @@ def complete(
     if instrument is not None and not suggest:
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     units = completions.parse_gloss(gloss or [])
+    if readings and sample is None and not merge:
+        with terminal.progress("Reading files") as step:
+            samples = inputs.find_samples(readings, step)
+        if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
+            if units or picture:
+                raise UsageError(
+                    f"--gloss and --picture go with one sample, found {len(samples)}; leave them out"
+                )
+            from manifold.workflows import many_files
+
+            batch = many_files.completions_in(folder_or_default(output, "completions"))
+            inputs.require_apart(readings, batch.folder)
+            outcomes = many_files.complete_all(
+                samples, library, batch, correction=correction, count=suggest, instrument=instrument,
+                options=written, jobs=jobs, stage=terminal.progress,
+            )  # fmt: skip
+            if into is not None:
+                many_files.import_all(outcomes, into)
+            show_batch(results, batch, outcomes)
+            return
+    if into is not None:
+        raise UsageError("--into goes with the samples of files; leave --sample, --merge and --lab out")
     if lab is not None:
         taken, learned = completions.readings_of_lab(lab, units, library), None
         target = or_default(output, "completed.bsdf")
     else:
-        taken, learned = completions.read(readings or [], sample, correction, units)
+        taken, learned = (
+            completions.read(readings or [], sample, correction, units)
+            if merge or sample is not None
+            else completions.read_sample(samples[0], correction, units)
+        )
         target = or_default(output, completions.file_name(taken))
     ball = checked(target.with_suffix(".png"), "picture") if picture else None
     with terminal.progress("Completing") as step:
         made = completions.complete_readings(
             taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
-            options=OutputOptions(physical, force, resolution, incidences), on_progress=step,
+            options=written, on_progress=step,
         )  # fmt: skip
     found, expected = made.completion, made.expected
     results.rows(
@@ -120,7 +160,7 @@ def complete(
             f"{found.readings.bands}",
             "expected error": f"ball CIEDE2000 {expected['ball']:.1f}, cube root {100 * expected['cube_root']:.0f} %, "
             f"linear {100 * expected['linear']:.0f} %",
-            "residual of readings": f"{100 * float((found.misfits**2).mean() ** 0.5):.1f} % in cube roots, "
+            "residual of readings": f"{100 * made.residual:.1f} % in cube roots, "
             f"at most {100 * found.misfits.max():.1f} %",
             **(
                 {

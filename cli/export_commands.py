@@ -12,11 +12,11 @@ from manifold.system import atomic
 
 from . import options, terminal
 from .application import app
+from .batch_options import count_words, raise_failed
 from .outputs import or_default
-from .point_options import count_words, raise_failed
 
 if TYPE_CHECKING:
-    from manifold.workflows.output_index import Outcome
+    from manifold.workflows.batch import Outcome
 
 
 TargetName = Literal[

@@ -10,6 +10,7 @@ import typer
 
 from . import options, terminal
 from .application import app
+from .batch_options import JobsOption, folder_or_default, inputs_of, is_many, show_batch
 
 
 @app.command(
@@ -22,7 +23,7 @@ def convert(
         list[str],
         typer.Argument(
             help="A file; the files of one sample, one per incidence; a material of the library; or a place on the "
-            "map.",
+            "map. Into a folder: several of these, folders, patterns, libraries.",
             metavar="IN",
         ),
     ],
@@ -30,7 +31,7 @@ def convert(
         Path,
         options.output_option(
             "What to write: .bsdf (RGL), .binary (MERL), .bin (UTIA), .brdf or .anisotropicbsdf (Speos), .xompt "
-            "(OpenMATERIAL 3D), .astm, or .csv.",
+            "(OpenMATERIAL 3D), .astm, or .csv; or a folder.",
             "OUT",
         ),
     ],
@@ -41,7 +42,7 @@ def convert(
             "-f",
             metavar="FORMAT",
             help="rgl, merl, utia, lighttools, zemax, fred, speos, speos-anisotropic, openmaterial, astm or csv, where "
-            "the suffix of OUT is ambiguous.",
+            "the suffix of OUT is ambiguous. [default for folders: rgl]",
         ),
     ] = None,
     sample: options.SampleOption = None,
@@ -63,20 +64,38 @@ def convert(
     ] = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
+    merge: Annotated[
+        bool, typer.Option("--merge", help="Several files are of one sample, whatever its names.")
+    ] = False,
+    jobs: JobsOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
 
     Reads RGL, MERL and UTIA files, LightTools, Zemax, FRED and Speos text, OpenMATERIAL 3D, ASTM tables (Mini-Diff),
     pab-opto text, workbooks of MA-T12 and RT-300S, CSV and CxF3, recognised by their content. The result is read back
-    and compared at the file's own nodes.
+    and compared at the file's own nodes. Several are written into a folder, with a table and a sheet of balls.
     """
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options
+    from manifold.workflows.inputs import is_readings, is_rgl
     from manifold.workflows.sources import source_file
 
     results = terminal.Results(json)
-    sources = [options.material_source(text, model, library) for text in inputs]
+    sources = options.several_materials(inputs, model, library)
+    found = None
+    if sample is None and not merge and (not output.suffix or is_many(sources, output)):
+        found = inputs_of(sources, output, lambda path: is_rgl(path) or is_readings(path), samples=True)
+    if found is not None:
+        from manifold.workflows import many_files
+
+        batch = many_files.conversions_in(folder_or_default(output, "conversions"))
+        all_made = many_files.convert_all(
+            found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
+            jobs=jobs, stage=terminal.progress,
+        )  # fmt: skip
+        show_batch(results, batch, all_made)
+        return
     with terminal.progress("Converting") as step, ExitStack() as files:
         made = conversion.convert(
             [files.enter_context(source_file(source, step)) for source in sources],
@@ -85,6 +104,7 @@ def convert(
             sample=sample,
             correction=correction,
             options=Options(resolution, incidences),
+            merge=merge,
         )
     error = made.error
     rows: dict[str, object] = {

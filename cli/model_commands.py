@@ -11,8 +11,8 @@ from manifold.errors import ManifoldError, UsageError
 
 from . import options, terminal
 from .application import app
+from .batch_options import JobsOption, PointsOption, folder_or_default, inputs_of, show_batch, show_points
 from .outputs import or_default
-from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
     from manifold.model.diagnostics import Prediction
@@ -25,10 +25,11 @@ AUTO = "auto"
 Kind = Literal["blend", "monochrome", "material"]
 Optimizer = Literal["dls", "l-bfgs", "multistart"]
 Criterion = Literal["decoded", "cube-root", "mapped", "likelihood"]
-MaterialArgument = Annotated[
-    str,
+MaterialsArgument = Annotated[
+    list[str],
     typer.Argument(
-        help="A .bsdf file, a material of the library, or a place on the map.", metavar=options.MATERIAL
+        help="A .bsdf file, a material of the library, or a place on the map; or several, folders, or libraries.",
+        metavar=options.MATERIAL,
     ),
 ]
 WithoutOption = Annotated[
@@ -230,6 +231,7 @@ def predict(
     ] = None,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
+    jobs: JobsOption = 1,
     json: options.JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
@@ -264,7 +266,7 @@ def predict(
 
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
-            model, table, folder, library=library, options=written, stage=terminal.progress,
+            model, table, folder, library=library, options=written, jobs=jobs, stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
@@ -306,29 +308,45 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     epilog="Example: manifold locate my_paint_spec.bsdf",
 )
 def locate(
-    material: MaterialArgument,
+    materials: MaterialsArgument,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: Annotated[
         Path | None,
         options.output_option(
-            "Also write the reconstruction: the prediction at the latent, in the colours of the file."
+            "Also write the reconstruction: the prediction at the latent, in the colours of the file. Of several "
+            "materials, the folder. [default for several: locations]"
         ),
     ] = None,
     physical: options.PhysicalOption = False,
     force: options.ForceOption = False,
+    jobs: JobsOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON."""
+    """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON.
+
+    The predictions of several are written into a folder, with a table and a sheet of balls.
+    """
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
     from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
-    source = options.material_source(material, model, library)
+    written = OutputOptions(physical, force)
+    sources = options.several_materials(materials, model, library)
+    if (several := inputs_of(sources, output)) is not None:
+        from manifold.workflows import many_files
+
+        batch = many_files.locations_in(folder_or_default(output, "locations"))
+        located = many_files.locate_all(
+            several, model, batch, library=library, options=written, jobs=jobs, stage=terminal.progress
+        )
+        show_batch(results, batch, located)
+        return
+    source = sources[0]
     with terminal.progress("Reading materials") as step:
         found = reconstruction.locate(
-            model, source, output, library=library, options=OutputOptions(physical, force), on_progress=step
+            model, source, output, library=library, options=written, on_progress=step
         )
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
@@ -344,7 +362,7 @@ def locate(
     epilog="Example: manifold reconstruct my_paint_spec.bsdf -o nearest_spec.bsdf",
 )
 def reconstruct(
-    material: MaterialArgument,
+    materials: MaterialsArgument,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.LibraryOption = options.DEFAULT_LIBRARY,
     without: WithoutOption = None,
@@ -358,27 +376,42 @@ def reconstruct(
     ] = None,
     output: Annotated[
         Path | None,
-        options.output_option("The file to write. [default: reconstructed.bsdf]"),
+        options.output_option(
+            "The file to write, or the folder. [default: reconstructed.bsdf, or reconstructions]"
+        ),
     ] = None,
     physical: options.PhysicalOption = False,
     force: options.ForceOption = False,
+    jobs: JobsOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
 
     The most accurate description of a new material by measured ones: single bands of all materials, and analytic
-    lobes, with weights that are never negative. It needs no model, and has no latent.
+    lobes, with weights that are never negative. It needs no model, and has no latent. Several are written into a
+    folder, with a table and a sheet of balls.
     """
     from manifold.model.output_file import OutputOptions
     from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
-    target = or_default(output, "reconstructed.bsdf")
-    source = options.material_source(material, model, library)
+    written = OutputOptions(physical, force)
+    sources = options.several_materials(materials, model, library)
+    if (several := inputs_of(sources, output)) is not None:
+        from manifold.workflows import many_files
+
+        batch = many_files.reconstructions_in(folder_or_default(output, "reconstructions"))
+        all_made = many_files.reconstruct_all(
+            several, library, batch, without=without or (), numbers=numbers, options=written, jobs=jobs,
+            stage=terminal.progress,
+        )  # fmt: skip
+        show_batch(results, batch, all_made)
+        return
+    source, target = sources[0], or_default(output, "reconstructed.bsdf")
     with terminal.progress("Reading materials") as step:
         made = reconstruction.reconstruct(
             library, source, target, without=without or (), numbers=numbers,
-            options=OutputOptions(physical, force), on_progress=step,
+            options=written, on_progress=step,
         )  # fmt: skip
     rows: dict[str, object] = {
         "combination of": f"{made.materials} materials, and analytic lobes",

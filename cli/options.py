@@ -114,6 +114,17 @@ def material_source(text: str, model: Path, library: Path | None) -> MaterialSou
     return parse_source(text, model, library or (None if model.exists() else DEFAULT_LIBRARY))
 
 
+def several_materials(texts: Sequence[str], model: Path, library: Path | None) -> list[MaterialSource]:
+    """What arguments mean that stand for materials; patterns such as `*.bsdf` mean what they match.
+
+    Raises:
+        UsageError: one is no file, no material of the library, and no place.
+    """
+    from manifold.workflows.sources import matching
+
+    return [material_source(each, model, library) for text in texts for each in matching(text)]
+
+
 def material_sources(
     texts: Sequence[str], latents: Sequence[str], model: Path, library: Path | None, *,
     like: str | None, reflectance: Path | None, srgb: str | None,
@@ -125,7 +136,7 @@ def material_sources(
     """
     from manifold.workflows.sources import PlaceSource
 
-    found: list[MaterialSource] = [material_source(text, model, library) for text in texts]
+    found = several_materials(texts, model, library)
     found += [PlaceSource(model, latent.strip(), library) for latent in latents]
     are_measured = not any(isinstance(source, PlaceSource) for source in found)
     refused = "predictions; files and materials have their own colours" if are_measured else None

@@ -11,8 +11,8 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .batch_options import JobsOption, PointsOption, folder_or_default, inputs_of, show_batch, show_points
 from .outputs import or_default
-from .point_options import PointsOption, folder_or_default, show_points
 
 if TYPE_CHECKING:
     from manifold.rendering.image_metrics import Summary
@@ -42,10 +42,11 @@ SeedOption = Annotated[
     epilog="Example: manifold render satin_gold_spec.bsdf --illuminant F11 -o gold.png",
 )
 def render(
-    material: Annotated[
-        str | None,
+    materials: Annotated[
+        list[str] | None,
         typer.Argument(
-            help="A .bsdf file, the JSON of a fit, a material of the library, or a place on the map.",
+            help="A .bsdf file, the JSON of a fit, a material of the library, or a place on the map; or several, "
+            "folders, or libraries.",
             metavar=options.MATERIAL,
             show_default=False,
         ),
@@ -72,6 +73,7 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
+    jobs: JobsOption = 1,
     json: options.JsonOption = None,
 ) -> None:
     """Render a ball of a file, of a material of the library, or of a prediction, under an environment light.
@@ -86,23 +88,40 @@ def render(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if points is not None:
-        if (material, latent, like, reflectance, srgb) != (None,) * 5:
+        if materials or (latent, like, reflectance, srgb) != (None,) * 4:
             raise UsageError("found --from and a material or colour; write these into columns of the table")
         from manifold.workflows import many_points, point_table
 
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
-            model, table, folder, settings, library=library, direct=direct,
+            model, table, folder, settings, library=library, direct=direct, jobs=jobs,
             stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
-    source = options.one_material(
-        material, latent, model, library, like=like, reflectance=reflectance, srgb=srgb
-    )
+    from manifold.workflows.inputs import is_rendered
+
+    sources = options.material_sources(
+        materials or [], [] if latent is None else [latent], model, library,
+        like=like, reflectance=reflectance, srgb=srgb,
+    )  # fmt: skip
+    if not sources or (materials and latent is not None):
+        found = "nothing" if not sources else f"{', '.join(materials or ())} and --latent {latent}"
+        raise UsageError(
+            f"found {found}, expected one material: a file, a name, or a place like -0.3,1.2 or FROM:TO:T; or several"
+        )
+    if (several := inputs_of(sources, output, is_rendered)) is not None:
+        if direct:
+            raise UsageError("--direct goes with one place, or with --from")
+        from manifold.workflows import many_files
+
+        batch = many_files.renders_in(folder_or_default(output, "renders"))
+        all_made = many_files.render_all(several, settings, batch, jobs=jobs, stage=terminal.progress)
+        show_batch(results, batch, all_made)
+        return
     with terminal.progress("Rendering") as step:
         made = renders.render(
-            source, or_default(output, "render.png"), settings, direct=direct, on_progress=step
+            sources[0], or_default(output, "render.png"), settings, direct=direct, on_progress=step
         )
     _show(results, made)
 

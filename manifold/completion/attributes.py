@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import EvaluableBRDF, MeasuredBRDF
 from manifold.colour.conversion import luminance, to_xyz, xyz_weights
 from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.colour.reflectances import srgb_spectra
@@ -228,7 +228,7 @@ def readings_of_colour(lab: Array, gloss: Mapping[float, float], bands: Bands) -
     return Readings(name, "45/0", _LIGHT[None], _NORMAL[None], wavelengths, values, gloss=gloss)
 
 
-def lab_of(brdf: BRDF) -> Array:
+def lab_of(brdf: EvaluableBRDF) -> Array:
     """CIELAB (3,) of a BRDF under D65, lit at 45 degrees and seen along the normal."""
     return _lab_of_factor(_factor(brdf), brdf.bands)
 
@@ -359,7 +359,7 @@ def tinted(factor: Array, lab: Array, bands: Bands) -> Array:
     return gained(least_squares(off, np.zeros(3), bounds=(-7.0, 7.0)).x)
 
 
-def _factor(brdf: BRDF) -> Array:
+def _factor(brdf: EvaluableBRDF) -> Array:
     """Reflectance factor (B,) of the geometry 45/0."""
     return np.pi * brdf.eval(_LIGHT, _NORMAL)
 

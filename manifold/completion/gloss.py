@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from manifold.brdf.analytic.fresnel import fresnel_dielectric
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour.conversion import luminance
 from manifold.completion.mixtures import MODEL_ERROR, NOISE
 from manifold.completion.residual import coordinates
@@ -79,7 +79,7 @@ def gloss_meter(angle_deg: float) -> GlossMeter:
     )
 
 
-def gloss_units(brdf: BRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_DEG) -> dict[float, float]:
+def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_DEG) -> dict[float, float]:
     """Gloss units of a BRDF, by its luminance, at some incidences in degrees.
 
     Files hold highlights as wide as the goniometer resolved: the gloss of what is polished comes out too low.

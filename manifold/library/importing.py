@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,26 +96,43 @@ def import_files(
     return report.result()
 
 
-def find_files(sources: Iterable[Path | str]) -> list[Path]:
-    """The files among sources, each once, in order; folders are searched at every depth for `*.bsdf`, and sorted.
+def find_files(
+    sources: Iterable[Path | str],
+    is_wanted: Callable[[Path], bool] = lambda path: path.suffix == ".bsdf",
+    what: str = ".bsdf file",
+) -> list[Path]:
+    """The files among sources, each once, in order; folders are searched at every depth, and sorted.
 
+    Args:
+        sources: files and folders.
+        is_wanted: which files of a folder; libraries and hidden folders in it are left out.
+        what: they are, in words.
     Raises:
         UsageError: a source is missing, or a folder holds none.
     """
     found: dict[Path, None] = {}
     for source in map(Path, sources):
         if source.is_dir():
-            inside = sorted(path for path in source.rglob("*.bsdf") if path.is_file())
+            inside = sorted(path for path in _walk(source) if path.is_file() and is_wanted(path))
             if not inside:
-                raise UsageError(f"{source}: holds no .bsdf file; name a folder that does, or the files")
+                raise UsageError(f"{source}: holds no {what}; name a folder that does, or the files")
             found.update(dict.fromkeys(inside))
         elif source.exists():
             found[source] = None
         else:
-            raise MissingFileError(f"{source}: no such file or folder; name .bsdf files or folders of them")
+            raise MissingFileError(f"{source}: no such file or folder; name {what}s or folders of them")
     if not found:
-        raise UsageError("found no file; name .bsdf files or folders that hold some")
+        raise UsageError(f"found no file; name {what}s or folders that hold some")
     return list(found)
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    for parent, folders, names in os.walk(folder):
+        if "zarr.json" in names:
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(parent, name) for name in names)
 
 
 class _Report:

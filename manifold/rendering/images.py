@@ -54,7 +54,16 @@ def write_image(path: Path, linear: Array) -> None:
     if path.suffix.lower() == ".exr":
         _write(path, np.asarray(linear, dtype=np.float32))
     else:
-        _write(path, np.round(tone_map(linear) * 255.0).astype(np.uint8))
+        write_display(path, tone_map(linear))
+
+
+def write_display(path: Path, values: Array) -> None:
+    """Write display values in [0, 1], (H, W, 3) or with their opacity (H, W, 4), as PNG.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    _write(path, np.round(values * 255.0).astype(np.uint8))
 
 
 def _write(path: Path, values: NDArray[np.float32] | NDArray[np.uint8]) -> None:

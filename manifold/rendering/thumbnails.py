@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 import numpy as np
 
 from manifold.brdf.measured import BRDF
 from manifold.model.manifold import Manifold
 from manifold.records import Array, BsdfFile, Progress
-from manifold.rendering import scenes
-from manifold.rendering.ball import render_material
-from manifold.rendering.images import tone_map
+from manifold.rendering import images, scenes
+from manifold.rendering.ball import read_material, render_material
 from manifold.rendering.render import RenderSettings
 from manifold.system.stages import with_progress
 
@@ -35,10 +35,23 @@ def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[A
 
 def of_material(material: BRDF | BsdfFile) -> Array:
     """A material as a ball under the studio's light, RGBA in [0, 1], (SIZE, SIZE, 4)."""
-    linear = render_material(material, RenderSettings(size=SIZE, samples=SAMPLES))
+    return _cut_out(render_material(material, RenderSettings(size=SIZE, samples=SAMPLES)))
+
+
+def of_file(path: Path) -> Array:
+    """The same of a measured file, or of the JSON of a fit."""
+    return _cut_out(read_material(path).render(RenderSettings(size=SIZE, samples=SAMPLES)))
+
+
+def write(path: Path, image: Array) -> None:
+    """Write a ball (SIZE, SIZE, 4) as PNG, transparent around it."""
+    images.write_display(path, cropped(image))
+
+
+def _cut_out(linear: Array) -> Array:
     fine = scenes.ball_interior(_OUTLINE * SIZE).astype(np.float64)
     alpha = fine.reshape(SIZE, _OUTLINE, SIZE, _OUTLINE).mean(axis=(1, 3))
-    return np.dstack([tone_map(linear), alpha])
+    return np.dstack([images.tone_map(linear), alpha])
 
 
 def cropped(image: Array) -> Array:

@@ -27,7 +27,7 @@ from manifold.records import Progress
 from manifold.rendering import backend, image_metrics, render
 from manifold.system import atomic
 from manifold.workflows import prediction
-from manifold.workflows.output_index import make_folder
+from manifold.workflows.batch import make_folder
 
 
 @dataclass(frozen=True)

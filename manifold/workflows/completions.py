@@ -30,6 +30,7 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.records import Array, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
+from manifold.workflows.inputs import Sample, safe_name
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MOST_READINGS = 2000
@@ -64,6 +65,11 @@ class Completed:
     diagnostics: tuple[str, ...]
     seconds: float
 
+    @property
+    def residual(self) -> float:
+        """Of the readings, in cube roots: root mean square."""
+        return float((self.completion.misfits**2).mean() ** 0.5)
+
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         made = self.completion
@@ -74,6 +80,7 @@ class Completed:
             "instrument": made.readings.instrument,
             "readings": len(made.readings),
             "misfits": made.misfits.tolist(),
+            "residual": self.residual,
             "gloss": {
                 f"{angle:g}": {"read": units, "completed": made.gloss[angle]}
                 for angle, units in made.readings.gloss.items()
@@ -125,7 +132,7 @@ def complete_readings(
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
     stages = Stages(on_progress, shares)
     opened = Library(library)
-    atoms = LibraryAtoms.of_library(opened, stages.begin("reading materials"))
+    atoms = _atoms_of(opened, stages.begin("reading materials"))
     stages.begin("completing")
     made = complete(atoms, readings)
     stages.begin("expected error")
@@ -160,6 +167,17 @@ def complete_readings(
     )  # fmt: skip
 
 
+_kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used last, for the next sample
+
+
+def _atoms_of(library: Library, on_progress: Progress | None) -> LibraryAtoms:
+    key = library.path, library.content_hash
+    if key not in _kept:
+        _kept.clear()
+        _kept[key] = LibraryAtoms.of_library(library, on_progress)
+    return _kept[key]
+
+
 def read(
     paths: Sequence[Path],
     sample: str | None = None,
@@ -187,6 +205,21 @@ def read(
         raise UsageError(
             f"no file holds a sample '{sample}', but {' and '.join(names)}; name another, or none"
         )
+    return _merged(readings, correction, gloss)
+
+
+def read_sample(
+    sample: Sample, correction: Path | None = None, gloss: Mapping[float, float] = MappingProxyType({})
+) -> tuple[Readings, ColourCorrection | None]:
+    """The same of a sample that was found in files, see `inputs.find_samples`."""
+    readings = [registry.read_readings(path, name, _MOST_READINGS) for path, name in sample.parts]
+    merged, learned = _merged(readings, correction, gloss)
+    return merged if sample.note is None else merged.with_note(sample.note), learned
+
+
+def _merged(
+    readings: list[Readings], correction: Path | None, gloss: Mapping[float, float]
+) -> tuple[Readings, ColourCorrection | None]:
     if correction is not None:
         known = read_correction(correction)
         readings = [correct_colours(r, known) if r.bands.count == 3 else r for r in readings]
@@ -313,5 +346,4 @@ def _describe(made: Completion) -> str:
 
 def file_name(readings: Readings) -> str:
     """The default name of a completed material's file: that of the sample."""
-    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in readings.name).strip(".")
-    return f"{name or 'completed'}.bsdf"
+    return f"{safe_name(readings.name)}.bsdf"

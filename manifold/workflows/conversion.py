@@ -92,6 +92,7 @@ def convert(
     sample: str | None = None,
     correction: Path | None = None,
     options: Options | None = None,
+    merge: bool = False,
 ) -> Conversion:
     """Convert a file of a BRDF or of readings into another format.
 
@@ -102,8 +103,10 @@ def convert(
         sample: which of a file's samples.
         correction: of colours, a file of `manifold calibrate`, applied to readings in three bands.
         options: of RGL files.
+        merge: whether several files are of one sample although they name it differently.
     Raises:
-        UsageError: the format is unknown, the output cannot be written, or readings do not make a BRDF.
+        UsageError: the format is unknown, the output cannot be written, readings do not make a BRDF, or files are of
+            different samples.
         FileFormatError: a file is not what it should be.
         BandMismatchError: the correction was learned in other bands.
     """
@@ -112,7 +115,7 @@ def convert(
     if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
-    source, notes = open_source(paths, sample, learned), list[str]()
+    source, notes = open_source(paths, sample, learned, merge=merge), list[str]()
     is_single, is_rgb = source.nodes.bands.count == 1, source.nodes.bands.is_rgb
     if target.holds == "wavelengths" and is_rgb:
         raise UsageError(
@@ -121,10 +124,12 @@ def convert(
     if target.holds.startswith("RGB") and not is_rgb and not (target.holds == "RGB or one" and is_single):
         if is_single:
             notes.append(f"{source.nodes.bands} is written to all three channels")
-        source = open_source(paths, sample, learned, rgb=True)
+        source = open_source(paths, sample, learned, rgb=True, merge=merge)
     elif target.holds == "one" and not is_single:
         notes.append(f"luminance (CIE Y under D65) is written: {target.title} holds one band")
-        source = in_luminance(source if is_rgb else open_source(paths, sample, learned, rgb=True))
+        source = in_luminance(
+            source if is_rgb else open_source(paths, sample, learned, rgb=True, merge=merge)
+        )
     elif target is TARGETS["rgl"]:
         source = with_estimated_spectra(source)
     notes += target.write(output, source, options or Options())

@@ -24,6 +24,7 @@ from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
+from manifold.system.names import first_few
 from manifold.system.reading import begins_with
 
 MOST_NODES = 100_000
@@ -104,6 +105,7 @@ def open_source(
     correction: ColourCorrection | None = None,
     *,
     rgb: bool = False,
+    merge: bool = False,
 ) -> Source:
     """Read what is to be converted.
 
@@ -112,8 +114,10 @@ def open_source(
         sample: which of a file's samples.
         correction: of colours of readings, before anything else.
         rgb: in linear sRGB; RGL files are then converted before they are interpolated, which is quicker.
+        merge: whether several files are of one sample although they name it differently.
     Raises:
-        UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected.
+        UsageError: a file cannot be read, has no such sample, or is a whole BRDF, which cannot be corrected; or
+            several name different samples.
         FileFormatError: a file is not what it should be.
         BandMismatchError: the correction was learned in other bands.
     """
@@ -122,7 +126,18 @@ def open_source(
         raise UsageError(f"{of_rgl[0]}: an RGL file among {len(paths)} files; convert it alone")
     if of_rgl and sample is not None:
         raise UsageError(f"{paths[0]}: holds one material, expected no name of a sample")
-    record = read_bsdf(paths[0]) if of_rgl else registry.merge([registry.read(p, sample) for p in paths])
+    record: BsdfFile | registry.Record
+    if of_rgl:
+        record = read_bsdf(paths[0])
+    else:
+        parts = [registry.read(path, sample) for path in paths]
+        names = list(dict.fromkeys(part.name for part in parts))
+        if len(names) > 1 and not merge:
+            raise UsageError(
+                f"{len(paths)} files of different samples, {first_few(names)}; convert them into a folder, or merge "
+                "them if they are one sample's"
+            )
+        record = registry.merge(parts)
     if correction is not None and not isinstance(record, Readings):
         raise UsageError(f"{paths[0]}: a table of a BRDF, expected an instrument's readings to correct")
     if isinstance(record, BsdfFile):

@@ -150,8 +150,8 @@ def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> l
             pictures.append(folder / "walk.png")
             ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
             ball_pictures.walk(model, ends[0], ends[1], pictures[-1], on_progress=step)
-    with stage("Fitting game parameters to the prediction") as step:
-        fits.fit_files([predicted], folder / FIT, FitSettings(), on_progress=step)
+    with stage("Fitting game parameters to the prediction"):
+        fits.fit_file(predicted, folder / FIT, FitSettings())
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(folder / FIT, predicted, pictures[-1])
     with stage("Budgeting three scenes"):

@@ -12,15 +12,15 @@ from manifold.errors import UsageError
 from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
-from manifold.library.identity import file_sha256, require_material_name
+from manifold.library.identity import file_sha256
 from manifold.records import Progress
+from manifold.workflows.batch import Batch, Outcome, Task
 from manifold.workflows.exports import (
     Subject,
     export,
     subject_in_library,
     subject_of,
 )
-from manifold.workflows.output_index import Outcome, OutputIndex, make_missing
 
 
 class _Source(NamedTuple):
@@ -45,7 +45,7 @@ def export_all(
     Args:
         source: the library or the folder; of the folder, at every depth.
         target: for all.
-        folder: where to; made if missing. Its `exports.json` names what is done.
+        folder: where to; made if missing. Its `exports.jsonl` names what is done.
         on_progress: called after each material.
         is_mapped: as in `exports.export`.
         with_pictures: whether to draw each material beside the target's model, into NAME.png.
@@ -65,14 +65,16 @@ def export_all(
     def made_of(source: _Source) -> dict[str, Any]:
         return {"material": source.identity, "target": target.name, "mapped": is_mapped}
 
-    def make(source: _Source, path: Path) -> dict[str, Any]:
-        require_material_name(source.name)
-        picture = path.with_suffix(".png") if with_pictures else None
-        return export(source.read(), target, path, is_mapped=is_mapped, picture=picture).content or {}
+    make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures)
+    todo = [Task(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
+    return Batch(folder, "exports").run(todo, make, made_of, stage=lambda _: nullcontext(on_progress))
 
-    with OutputIndex(folder, "exports") as index:
-        tasks = [(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
-        return make_missing(index, tasks, made_of, make, stage=lambda _: nullcontext(on_progress))
+
+def _export(
+    source: _Source, path: Path, *, target: Target, is_mapped: bool, with_pictures: bool
+) -> dict[str, Any]:
+    picture = path.with_suffix(".png") if with_pictures else None
+    return export(source.read(), target, path, is_mapped=is_mapped, picture=picture).content or {}
 
 
 def _subjects(source: Path) -> Iterator[_Source]:

@@ -28,7 +28,7 @@ from manifold.records import BsdfFile, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
 from manifold.workflows import fit_pictures
-from manifold.workflows.output_index import Outcome
+from manifold.workflows.batch import Outcome
 from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource
 
 

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import signal
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from manifold.brdf.measured import BRDF
 from manifold.colour.narrow_bands import with_spectra
-from manifold.errors import ManifoldError, RendererError, UsageError
+from manifold.errors import ManifoldError, UsageError
 from manifold.fitting import fit_check, fit_json, fit_samples
 from manifold.fitting.bsdf_parameters import BsdfFamily, default_principled, diffuse
 from manifold.fitting.fit_json import Source
 from manifold.fitting.fit_samples import FitSamples
+from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import METHODS, fit_bsdf
 from manifold.formats import registry
-from manifold.io_rgl import material_name, read_bsdf
+from manifold.io_rgl import read_bsdf
 from manifold.library.identity import file_sha256, require_material_name
-from manifold.library.importing import find_files
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.diagnostics import Prediction
@@ -33,11 +29,13 @@ from manifold.records import BsdfFile, Progress
 from manifold.rendering import backend
 from manifold.system import atomic, reading
 from manifold.system.names import printable
-from manifold.system.stages import Stages
-from manifold.workflows.output_index import Outcome, make_folder
-from manifold.workflows.sources import LibrarySource, PlaceSource, read_source
+from manifold.system.stages import Stage, Stages, no_stage
+from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearance
+from manifold.workflows.fit_pictures import picture_of_fit
+from manifold.workflows.inputs import FIT, Input, is_rgl
+from manifold.workflows.sources import FileSource, LibrarySource, PlaceSource, read_source, source_file
 
-Measured = Path | LibrarySource
+Measured = FileSource | LibrarySource
 """A file, or a material of a library."""
 
 
@@ -59,9 +57,11 @@ class FitSettings:
 
     def name_of(self, source: Measured) -> str:
         """Of the material that is fitted."""
-        if isinstance(source, LibrarySource):
-            return source.name
-        return self.sample or material_name(source)
+        return self.sample or source.name
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, on which a fit depends beside its material."""
+        return vars(self) | {"family": None if self.family is None else self.family.to_json()}
 
     def fit(
         self,
@@ -101,64 +101,73 @@ def read_family(path: Path) -> BsdfFamily:
     return fit_check.family_of(reading.read_json(path, "a JSON description of a BSDF"), str(path))
 
 
-def fit_files(
-    sources: Sequence[Path | LibrarySource], output: Path | None, settings: FitSettings, *,
-    jobs: int | None = None, on_progress: Progress | None = None,
-) -> list[Outcome[Measured]]:  # fmt: skip
-    """Fit files, one JSON each, several at once; fits that an earlier run made alike are kept.
+def fit_file(source: Path | Measured, target: Path, settings: FitSettings) -> Outcome[Measured]:
+    """Fit a file or a material of a library and write the JSON, unless an earlier run has.
 
-    Every JSON is written as soon as its fit is done.
+    Returns:
+        The fit, or why there is none.
+    Raises:
+        UsageError: the JSON cannot be written.
+        RendererError: Mitsuba is missing.
+    """
+    backend.imported()
+    atomic.require_writable(target)
+    measured = FileSource(source) if isinstance(source, Path) else source
+    name = settings.name_of(measured)
+    try:
+        require_material_name(name)
+        content, was_there = _fitted(name, measured, target, settings)
+        return Outcome(name, target, measured, content, was_there)
+    except ManifoldError as error:
+        return Outcome(printable(name), target, measured, failure=str(error))
+    except OSError as error:
+        failure = f"{measured} cannot be read ({error.strerror})"
+        return Outcome(printable(name), target, measured, failure=failure)
+
+
+def fits_in(folder: Path) -> Batch:
+    """Fits of many materials."""
+    columns: dict[str, Callable[[dict[str, Any]], Any]] = {
+        "BSDF": lambda content: content["bsdf"]["type"],
+        **APPEARANCE,
+        "CIEDE2000": lambda content: None if content["ball"] is None else content["ball"]["unseen_light"],
+        "residual": lambda content: content["residuals"][content["metric"]],
+        "diffuse": lambda content: content["diffuse_residual"],
+        "minima": lambda content: len(content["minima"]),
+    }
+    return Batch(folder, "fits", columns, "CIEDE2000", has_balls=True)
+
+
+def fit_all(
+    sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
+    jobs: int | None = None, stage: Stage = no_stage,
+) -> list[Outcome[Input]]:  # fmt: skip
+    """Fit many materials, one JSON each; up-to-date fits are kept.
 
     Args:
-        sources: .bsdf files, folders searched at every depth for them, or materials of libraries.
-        output: the JSON of a single file, or the folder for several; the working folder if None.
+        sources: see `inputs.find_inputs`.
+        batch: see `fits_in`.
         settings: how.
+        with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
         jobs: processes; one per core if None.
-        on_progress: called after each material.
+        stage: opens the progress of a part of the work.
     Returns:
-        One outcome per file, in order; a file that cannot be fitted does not stop the others.
+        One outcome per source, in order; one that cannot be fitted does not stop the others.
     Raises:
-        UsageError: a source or the output cannot be used.
-        RendererError: Mitsuba is missing, or a process was killed.
+        RendererError: Mitsuba is missing.
+        UsageError, FileFormatError, ManifoldError: as `Batch.run`.
     """
-    paths: list[Measured] = []
-    for source in sources:
-        paths += [source] if isinstance(source, LibrarySource) else find_files([source])
-    paths = list(dict.fromkeys(paths))
-    if settings.sample is not None and len(paths) > 1:
-        raise UsageError(f"sample {settings.sample} of {len(paths)} files, expected one file; name one")
-    tasks, outcomes = _plan(paths, output, settings)
     backend.imported()
-
-    def done(outcome: Outcome[Measured], path: Measured) -> None:
-        outcomes[path] = outcome
-        if on_progress is not None:
-            on_progress(len(outcomes), len(paths), outcome.name)
-
-    n = min(jobs or os.cpu_count() or 1, len(tasks))
-    if n <= 1:
-        for path, target in tasks.items():
-            done(_fit_file(path, target, settings), path)
-        return [outcomes[path] for path in paths]
-    # Spawned, not forked: Dr.Jit's threads do not survive a fork.
-    with ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), _begin_process) as pool:
-        try:
-            fitted = {pool.submit(_fit_file, path, target, settings): path for path, target in tasks.items()}
-            for future in as_completed(fitted):
-                done(future.result(), fitted[future])
-        except BrokenProcessPool:
-            raise RendererError(
-                "a process was killed (out of memory?); use fewer, and run again: finished fits are kept"
-            ) from None
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return [outcomes[path] for path in paths]
+    how = settings.to_json() | {"pictures": with_pictures}
+    todo = [Task(one.name, batch.folder / f"{one.name}{FIT}", one) for one in sources]
+    make = partial(_fit_input, settings=settings, with_pictures=with_pictures)
+    return batch.run(todo, make, lambda one: how | one.made_of(), jobs=jobs, stage=stage)
 
 
 def fit_prediction(
     place: PlaceSource, output: Path | None, settings: FitSettings, on_progress: Progress | None = None
 ) -> Outcome[Prediction]:
-    """Fit the material that a model predicts at a place; arguments as in `fit_files`.
+    """Fit the material that a model predicts at a place; arguments as in `fit_file`.
 
     Raises:
         UsageError, LatentError, ModelError: the model, the latent or the output cannot be used.
@@ -181,63 +190,39 @@ def fit_prediction(
     return Outcome(source.name, path, predicted, content)
 
 
-def _plan(
-    paths: Sequence[Measured], output: Path | None, settings: FitSettings
-) -> tuple[dict[Measured, Path], dict[Measured, Outcome[Measured]]]:
-    """The JSON of every file, and the outcomes of those that cannot have one."""
-    folder = Path() if output is None else output
-    is_single = output is not None and len(paths) == 1 and not output.is_dir()
-    if is_single:
-        atomic.require_writable(folder)
+def _fit_input(source: Input, target: Path, *, settings: FitSettings, with_pictures: bool) -> dict[str, Any]:
+    if isinstance(source.source, PlaceSource):
+        content = fit_prediction(source.source, target, settings).content or {}
     else:
-        make_folder(folder, f"{len(paths)} fits")
-    targets: dict[Measured, Path] = {}
-    refused: dict[Measured, Outcome[Measured]] = {}
-    taken: dict[Path, Measured] = {}
-    for path in paths:
-        name = settings.name_of(path)
-        target = folder if is_single else folder / f"{name}.fit.json"
-        try:
-            require_material_name(name)
-            if taken.setdefault(target, path) != path:
-                raise UsageError(f"{path} and {taken[target]} have the same name; fit them into two folders")
-            targets[path] = target
-        except UsageError as error:
-            refused[path] = Outcome(printable(path.name), target, path, failure=str(error))
-    return targets, refused
+        settings = replace(settings, sample=source.sample)
+        content, _ = _fitted(source.name, source.source, target, settings)
+    if with_pictures:
+        with source_file(source.source) as file:
+            if is_rgl(file):
+                picture_of_fit(target, file, target.with_suffix(".png"))
+    return content | appearance(target, FittedBRDF(content))
 
 
-def _begin_process() -> None:
-    """Leave Ctrl-C to the parent, and the other cores to the other processes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    backend.drjit().set_thread_count(0)
+def _fitted(name: str, source: Measured, target: Path, settings: FitSettings) -> tuple[dict[str, Any], bool]:
+    """The content of the JSON of a fit, which is written, and whether an earlier run had."""
+    if isinstance(source, LibrarySource):
+        info = Library(source.library).attributes(source.name)
+        origin = Source(name=name, file=info.source_file, sha256=info.sha256)
+    else:
+        origin = Source(name=name, file=source.path.name, sha256=file_sha256(source.path))
+    there = _earlier(target, origin, settings)
+    if there is not None:
+        return there, True
+    content = _fit(source, origin, settings)
+    fit_json.write_document(target, content)
+    return content, False
 
 
-def _fit_file(path: Measured, target: Path, settings: FitSettings) -> Outcome[Measured]:
-    """Fit a material and write the JSON, unless an earlier run has."""
-    name = settings.name_of(path)
-    try:
-        if isinstance(path, LibrarySource):
-            info = Library(path.library).attributes(name)
-            source = Source(name=name, file=info.source_file, sha256=info.sha256)
-        else:
-            source = Source(name=name, file=path.name, sha256=file_sha256(path))
-        there = _earlier(target, source, settings)
-        if there is not None:
-            return Outcome(name, target, path, there, was_there=True)
-        content = _fit(path, source, settings)
-        fit_json.write_document(target, content)
-        return Outcome(name, target, path, content)
-    except ManifoldError as error:
-        return Outcome(name, target, path, failure=str(error))
-    except OSError as error:
-        return Outcome(name, target, path, failure=f"{path} cannot be read ({error.strerror})")
-
-
-def _fit(path: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
+def _fit(measured: Measured, source: Source, settings: FitSettings) -> dict[str, Any]:
     """The content of the fit of a material, or of an instrument's file with what was ambiguous or left out as notes."""
-    if isinstance(path, LibrarySource):
-        return settings.fit(read_source(path), source)
+    if isinstance(measured, LibrarySource):
+        return settings.fit(read_source(measured), source)
+    path = measured.path
     known = registry.identify(path)
     if known is None:
         if settings.sample is not None:

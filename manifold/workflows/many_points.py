@@ -4,88 +4,87 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from manifold.errors import MissingFileError
-from manifold.library.identity import file_sha256, hash_arrays
+from manifold.library.identity import file_sha256
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
-from manifold.rendering import backend, images
+from manifold.rendering import images
+from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.system.stages import Stage, no_stage
 from manifold.workflows import prediction, renders
-from manifold.workflows.output_index import Outcome, OutputIndex, make_missing
+from manifold.workflows.batch import Batch, Outcome, Task
 from manifold.workflows.point_table import Point, PointTable
 from manifold.workflows.sources import PlaceSource
 
 
 def predict_all(
     model: Path, table: PointTable, folder: Path, *, library: Path | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS, stage: Stage = no_stage,
+    options: OutputOptions = DEFAULT_OPTIONS, jobs: int | None = 1, stage: Stage = no_stage,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
 
     Args:
         model, library, options: as of `prediction.predict`.
         table: the rows.
-        folder: where to; made if missing. Its `predictions.json` says what each file was made of.
+        folder: where to; made if missing. Its `predictions.jsonl` says what each file was made of.
+        jobs: processes; one per core if None.
         stage: opens the progress of a part of the work.
     Returns:
         One outcome per row; one that fails does not stop the others.
     Raises:
         UsageError, ModelError, LibraryError: the model or the folder cannot be used.
     """
-    loaded = Manifold.load(model, library)
+    loaded = load_model(model, library)
     how = {"physical": options.physical, "resolution": options.resolution, "incidences": options.incidences}
-
-    def make(point: Point, path: Path) -> dict[str, Any]:
-        return prediction.predict(loaded, point.place, path, colour=point.colour, options=options).to_json()
-
     ending = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
-    tasks = [(p.name, _path(folder, p, ending), p) for p in table.points]
-    with OutputIndex(folder, "predictions") as index:
-        made_of = _made_of(model, loaded, how)
-        return make_missing(index, tasks, made_of, make, prepare=loaded.prepare, stage=stage)
+    todo = [Task(p.name, _path(folder, p, ending), p) for p in table.points]
+    make = partial(_predict, model=model, library=library, options=options)
+    made_of = _made_of(model, loaded, how)
+    return Batch(folder, "predictions").run(
+        todo, make, made_of, jobs=jobs, prepare=loaded.prepare, stage=stage
+    )
+
+
+def _predict(
+    point: Point, path: Path, *, model: Path, library: Path | None, options: OutputOptions
+) -> dict[str, Any]:
+    loaded = load_model(model, library)
+    return prediction.predict(loaded, point.place, path, colour=point.colour, options=options).to_json()
 
 
 def render_all(
     model: Path, table: PointTable, folder: Path, settings: RenderSettings, *, library: Path | None = None,
-    direct: bool = False, stage: Stage = no_stage,
+    direct: bool = False, jobs: int | None = 1, stage: Stage = no_stage,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Render the ball of every row into a folder; what an earlier run made of the same row is kept.
 
     Args:
-        model, table, library, stage: as of `predict_all`.
-        folder: where to; made if missing. Its `renders.json` says what each picture was made of.
+        model, table, library, jobs, stage: as of `predict_all`.
+        folder: where to; made if missing. Its `renders.jsonl` says what each picture was made of.
         settings: of all pictures.
         direct: evaluate the measured materials while rendering.
     Returns, raises: as `predict_all`.
     """
-    from manifold.rendering.plugin.bsdf import load_model
-
     loaded = load_model(model, library)  # which every render finds again
     if loaded.bands.is_rgb:
         require_d65(settings.illuminant)
-    light = settings.illuminant
-    arrays = {"wavelengths_nm": np.array(light.wavelengths_nm), "power": np.array(light.power)}
-    if settings.environment is not None:
-        arrays["environment"] = settings.environment
-    how = {
-        "size": settings.size, "samples": settings.samples, "seed": settings.seed, "direct": direct,
-        "backend": backend.choose().kind, "light": hash_arrays(arrays),
-    }  # fmt: skip
+    how = renders.settings_key(settings) | {"direct": direct}
+    todo = [Task(p.name, _path(folder, p, ".png", images.SUFFIXES), p) for p in table.points]
+    make = partial(_render, model=model, library=library, settings=settings, direct=direct)
+    made_of = _made_of(model, loaded, how)
+    return Batch(folder, "renders").run(todo, make, made_of, jobs=jobs, prepare=loaded.prepare, stage=stage)
 
-    def make(point: Point, path: Path) -> dict[str, Any]:
-        source = PlaceSource(model, point.place, library, point.colour)
-        return renders.render(source, path, settings, direct=direct).to_json()
 
-    tasks = [(p.name, _path(folder, p, ".png", images.SUFFIXES), p) for p in table.points]
-    with OutputIndex(folder, "renders") as index:
-        made_of = _made_of(model, loaded, how)
-        return make_missing(index, tasks, made_of, make, prepare=loaded.prepare, stage=stage)
+def _render(
+    point: Point, path: Path, *, model: Path, library: Path | None, settings: RenderSettings, direct: bool
+) -> dict[str, Any]:
+    source = PlaceSource(model, point.place, library, point.colour)
+    return renders.render(source, path, settings, direct=direct).to_json()
 
 
 def _made_of(model: Path, loaded: Manifold, how: dict[str, Any]) -> Callable[[Point], dict[str, Any]]:

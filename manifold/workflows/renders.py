@@ -10,9 +10,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from manifold import __version__
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
+from manifold.library.identity import hash_arrays
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import PlaceLike
 from manifold.records import Progress
@@ -68,6 +71,18 @@ class Rendered:
             "seconds": self.seconds,
             "prediction": None if self.prediction is None else self.prediction.to_json(),
         }
+
+
+def settings_key(settings: RenderSettings) -> dict[str, Any]:
+    """What a picture depends on beside its material, plain values."""
+    light = settings.illuminant
+    arrays = {"wavelengths_nm": np.array(light.wavelengths_nm), "power": np.array(light.power)}
+    if settings.environment is not None:
+        arrays["environment"] = settings.environment
+    return {
+        "size": settings.size, "samples": settings.samples, "seed": settings.seed, "backend": backend.choose().kind,
+        "light": hash_arrays(arrays),
+    }  # fmt: skip
 
 
 def render(

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from glob import glob, has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -128,6 +129,12 @@ def parse_source(
     raise UnknownNameError(
         f"{text}: no file, {unknown}, and no place on a map; places are X,Y or FROM:TO:T between two materials"
     )
+
+
+def matching(text: str) -> list[str]:
+    """The paths that a pattern such as `*.bsdf` matches, sorted; the text itself where there are none."""
+    found = [] if os.path.exists(text) or not has_magic(text) else sorted(glob(text, recursive=True))
+    return found or [text]
 
 
 def read_source(source: MaterialSource, on_progress: Progress | None = None) -> BsdfFile:

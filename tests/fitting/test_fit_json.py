@@ -26,10 +26,12 @@ from manifold.fitting.fit_samples import FitSamples, from_brdf
 from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.principled import fit_bsdf
 from manifold.io_rgl import write_bsdf
+from manifold.library.importing import find_files
 from manifold.records import Bands
 from manifold.rendering import backend
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
+from manifold.workflows.inputs import find_inputs
 
 SETTINGS = FitSettings(principled(["base_color", "roughness", "metallic"]))
 
@@ -44,7 +46,7 @@ def satin(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def fitted(satin, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("fits") / "satin.fit.json"
-    fits.fit_files([satin], path, SETTINGS)
+    fits.fit_file(satin, path, SETTINGS)
     return path
 
 
@@ -86,7 +88,7 @@ def test_a_second_run_keeps_a_fit_unless_file_settings_or_program_changed(satin,
     def kept(settings=SETTINGS, **changes):
         content = json.loads(fitted.read_text(encoding="utf-8")) | changes
         target.write_text(json.dumps(content), encoding="utf-8")
-        return fits.fit_files([satin], target, settings)[0].was_there
+        return fits.fit_file(satin, target, settings).was_there
 
     assert kept()
     assert not kept(FitSettings(SETTINGS.family, metric="log"))
@@ -142,10 +144,10 @@ def test_a_white_standard_becomes_diffuse_and_is_kept_by_the_next_run(tmp_path):
     path = tmp_path / "white.bsdf"
     write_bsdf(path, goniometer.measure(Lambert(np.full(3, 0.9), Bands(None)), "white", resolution=32))
     target = tmp_path / "white.fit.json"
-    (made,) = fits.fit_files([path], target, FitSettings())
+    made = fits.fit_file(path, target, FitSettings())
     assert made.content is not None
     assert made.content["mitsuba"]["type"] == "diffuse"
-    assert fits.fit_files([path], target, FitSettings())[0].was_there
+    assert fits.fit_file(path, target, FitSettings()).was_there
     wi = np.array([[0.0, 0.6, 0.8]])
     assert FittedBRDF.read(target).eval(wi, wi) == pytest.approx(0.9 / np.pi, rel=0.01)
 
@@ -167,10 +169,10 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     for name in ("syn_satin_gold", "syn_felt_green"):
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
-    outcomes = fits.fit_files([folder], tmp_path / "fits", SETTINGS, jobs=2)
+    outcomes = fits.fit_all(find_inputs([folder]), fits.fits_in(tmp_path / "fits"), SETTINGS, jobs=2)
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]
-    assert sorted(p.name for p in (tmp_path / "fits").iterdir()) == [
+    assert sorted(p.name for p in (tmp_path / "fits").glob("*.fit.json")) == [
         "syn_felt_green.fit.json", "syn_satin_gold.fit.json",
     ]  # fmt: skip
 
@@ -180,7 +182,7 @@ def test_folders_are_searched_at_every_depth_and_only_for_files(satin, tmp_path)
     shutil.copy(satin, tmp_path / "a" / "deep" / "satin_rgb.bsdf")
     (tmp_path / "folder_rgb.bsdf").mkdir()
     (tmp_path / "dangling_rgb.bsdf").symlink_to(tmp_path / "nowhere")
-    assert fits.find_files([tmp_path]) == [tmp_path / "a" / "deep" / "satin_rgb.bsdf"]
+    assert find_files([tmp_path]) == [tmp_path / "a" / "deep" / "satin_rgb.bsdf"]
 
 
 def test_a_black_file_an_unusable_name_and_a_name_taken_fail_alone(satin, tmp_path):
@@ -192,7 +194,7 @@ def test_a_black_file_an_unusable_name_and_a_name_taken_fail_alone(satin, tmp_pa
         shutil.copy(satin, folder / name)
     words = ["fit", str(folder), "-o", str(tmp_path / "fits"), "--free", "base_color", "-j", "1"]
     result = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "all.json")])
-    assert [path.name for path in (tmp_path / "fits").iterdir()] == ["satin.fit.json"]
+    assert [path.name for path in (tmp_path / "fits").glob("*.fit.json")] == ["satin.fit.json"]
     failed = json.loads((tmp_path / "all.json").read_text())["failed"]
     assert len(failed) == 4
     for words in ("'' cannot be the name", "cannot be the name", "nothing to fit", "have the same name"):
@@ -301,7 +303,7 @@ def test_what_is_no_json_is_one_clear_error_and_no_fit_to_keep(satin, tmp_path, 
     with pytest.raises(FileFormatError, match=r"bad\.json"):
         fits.read_family(path)
     plain = FitSettings(principled(["base_color"]))
-    assert fits.fit_files([satin], path, plain)[0].failure is None
+    assert fits.fit_file(satin, path, plain).failure is None
     assert fit_json.read(path)["source"]["name"] == "satin"
 
 

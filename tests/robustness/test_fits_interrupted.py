@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,10 +12,11 @@ import time
 import pytest
 from helpers.small_library import measured
 
-from manifold.errors import RendererError
+from manifold.errors import ManifoldError
 from manifold.io_rgl import write_bsdf
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
+from manifold.workflows.inputs import find_inputs
 
 pytestmark = pytest.mark.slow
 
@@ -41,15 +43,16 @@ def test_ctrl_c_ends_all_processes_and_keeps_finished_fits(folder):
     _, complained = program.communicate(timeout=120)
     assert program.returncode == 130
     assert "Traceback" not in complained
-    assert all(path.name.endswith(".fit.json") for path in out.iterdir())
+    noted = [json.loads(line)["file"] for line in (out / "fits.jsonl").read_text().splitlines()]
+    assert {path.name for path in out.glob("*.fit.json")} == set(noted)
 
 
-def killed(path, target, settings):
+def killed(source, target, *, settings, with_pictures):
     """A fit whose process is killed, as where memory is short."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_killed_process_is_one_error(folder, monkeypatch):
-    monkeypatch.setattr(fits, "_fit_file", killed)
-    with pytest.raises(RendererError, match=r"a process was killed .*finished fits are kept"):
-        fits.fit_files([folder / "files"], folder / "out", FitSettings(), jobs=2)
+    monkeypatch.setattr(fits, "_fit_input", killed)
+    with pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"):
+        fits.fit_all(find_inputs([folder / "files"]), fits.fits_in(folder / "out"), FitSettings(), jobs=2)

@@ -142,7 +142,7 @@ def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
-        [*(f"{name}.glb" for name in NAMES), "exports.json"]
+        [*(f"{name}.glb" for name in NAMES), "exports.csv", "exports.json", "exports.jsonl"]
     )
     report = json.loads((tmp_path / "r.json").read_text())
     assert [made["material"] for made in report["exports"]] == sorted(NAMES)
@@ -158,7 +158,7 @@ def test_a_name_that_is_no_file_s_on_every_system_fails_alone(folder, tmp_path):
     result = run("export", source, "-o", out)
     assert "'CON' cannot be the name of a material on every system" in str(result.exception)
     assert "\n" not in str(result.exception)
-    assert sorted(path.name for path in out.iterdir()) == ["copper.glb", "exports.json"]
+    assert [path.name for path in out.glob("*.glb")] == ["copper.glb"]
 
 
 def test_two_files_of_one_name_are_refused(folder, tmp_path):
@@ -199,6 +199,6 @@ def test_an_empty_folder_is_one_clear_error(tmp_path):
 
 
 def test_a_folder_with_another_index_is_refused(folder, tmp_path):
-    (tmp_path / "exports.json").write_text("[]")
+    (tmp_path / "exports.jsonl").write_text("[]")
     with pytest.raises(ManifoldError, match="not an index of exports"):
         export_folders.export_all(folder, TARGETS["gltf"], tmp_path)

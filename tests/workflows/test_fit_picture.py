@@ -17,7 +17,7 @@ from manifold.plots.plot_slices import angle_slices
 from manifold.rendering.ball import read_material
 from manifold.rendering.render import RenderSettings
 from manifold.workflows.fit_pictures import picture_of_fit
-from manifold.workflows.fits import FitSettings, fit_files, fit_prediction
+from manifold.workflows.fits import FitSettings, fit_file, fit_prediction
 from manifold.workflows.pictures import sources
 from manifold.workflows.renders import compare
 from manifold.workflows.sources import FileSource, PlaceSource, source_file
@@ -32,7 +32,7 @@ def fitted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
     material = folder / "satin_rgb.bsdf"
     write_bsdf(material, measured("syn_satin_gold"))
-    (outcome,) = fit_files([material], folder / "satin.fit.json", FIT, jobs=1)
+    outcome = fit_file(material, folder / "satin.fit.json", FIT)
     return material, outcome.path
 
 

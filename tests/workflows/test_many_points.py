@@ -21,7 +21,7 @@ from manifold.model.colours import ColourChoice
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.workflows import many_points, prediction
-from manifold.workflows.output_index import OutputIndex
+from manifold.workflows.batch import OutputIndex
 from manifold.workflows.point_table import read_points
 
 
@@ -164,17 +164,20 @@ def test_pictures_are_rendered_and_kept(model, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "felt.exr",
         "point-0002.png",
+        "renders.csv",
         "renders.json",
+        "renders.jsonl",
     ]
     assert "2 renders in" in run(*words).stdout
     assert "2 of them kept" in run(*words).stdout
     assert "kept" not in run(*words, "--seed", "1").stdout
 
 
-def test_an_index_of_other_content_is_refused(tmp_path):
+@pytest.mark.parametrize("content", ["{}", "[]\n", '{"file": 1\n'], ids=str)
+def test_an_index_of_other_content_is_refused(tmp_path, content):
     folder = tmp_path / "out"
     folder.mkdir()
-    (folder / "predictions.json").write_text("{}")
+    (folder / "predictions.jsonl").write_text(content)
     with pytest.raises(FileFormatError, match="not an index of predictions"):
         OutputIndex(folder, "predictions")
 
@@ -202,21 +205,30 @@ def test_an_interrupted_run_keeps_what_it_made(model, tmp_path):
     _, complained = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "interrupted; finished outputs are kept" in complained
-    noted = json.loads((out / "predictions.json").read_text())["predictions"]
+    noted = [json.loads(line)["file"] for line in (out / "predictions.jsonl").read_text().splitlines()]
     assert len(noted) >= 1
     assert all(read_bsdf(out / name).name for name in noted)
-    assert {path.name for path in out.iterdir()} - {"predictions.json"} <= {
-        f"point-{k:04d}_rgb.bsdf" for k in range(401)
-    }
+    assert {path.name for path in out.glob("*.bsdf")} <= {f"point-{k:04d}_rgb.bsdf" for k in range(401)}
 
 
 def test_an_index_knows_what_unchanged_files_were_made_of(tmp_path):
     path = tmp_path / "a.glb"
     path.write_bytes(b"made")
-    with OutputIndex(tmp_path, "exports") as index:
-        index.add(path, {"of": 1}, {"lost": 0.5})
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5})
     index = OutputIndex(tmp_path, "exports")
     assert index.result(path, {"of": 1}) == {"lost": 0.5}
     assert index.result(path, {"of": 2}) is None
     path.write_bytes(b"changed")
     assert index.result(path, {"of": 1}) is None
+
+
+def test_a_line_that_a_killed_run_left_half_is_dropped(tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"made")
+    OutputIndex(tmp_path, "exports").add(path, {"of": 1}, {"lost": 0.5})
+    with (tmp_path / "exports.jsonl").open("a") as file:
+        file.write('{"file": "b.glb", "made')
+    index = OutputIndex(tmp_path, "exports")
+    assert index.result(path, {"of": 1}) == {"lost": 0.5}
+    index.add(path, {"of": 2}, {})
+    assert OutputIndex(tmp_path, "exports").result(path, {"of": 2}) == {}

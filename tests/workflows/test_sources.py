@@ -129,7 +129,10 @@ def test_several_kinds_are_fitted_into_one_folder(run, folder):
     pytest.importorskip("mitsuba")
     status, _, err = run("fit", OTHER, "0.1,0.2", "-o", "fits", "--json", "fits.json", cwd=folder)
     assert (status, err) == (0, "")
-    assert {path.name for path in (folder / "fits").iterdir()} == {f"{OTHER}.fit.json", "0.1,0.2.fit.json"}
+    assert {path.name for path in (folder / "fits").glob("*.fit.json")} == {
+        f"{OTHER}.fit.json",
+        "0.1,0.2.fit.json",
+    }
     sources = [made["source"] for made in json.loads((folder / "fits.json").read_text())["fits"]]
     info = Library(folder / "library.zarr").attributes(OTHER)
     assert (sources[0]["file"], sources[0]["sha256"]) == (info.source_file, info.sha256)

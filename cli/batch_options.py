@@ -1,9 +1,10 @@
-"""Shared by `predict --from` and `render --from`: the option, and the report on the rows."""
+"""Shared by commands that make many files: options, and the report on them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,8 +14,10 @@ from . import terminal
 from .outputs import or_default
 
 if TYPE_CHECKING:
-    from manifold.workflows.output_index import Outcome
+    from manifold.workflows.batch import Batch, Outcome
+    from manifold.workflows.inputs import Input
     from manifold.workflows.point_table import Point
+    from manifold.workflows.sources import MaterialSource
 
 _MOST_WARNED = 5
 _FILES = (".bsdf", ".png", ".exr", ".csv", ".json")
@@ -28,6 +31,55 @@ PointsOption = Annotated[
         metavar="CSV",
     ),
 ]  # fmt: skip
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        "-j",
+        help="Processes for several materials; one per core if not given.",
+        metavar="N",
+        min=1,
+    ),
+]
+
+
+def is_many(sources: Sequence[MaterialSource], output: Path | None) -> bool:
+    """Whether sources are for a folder: several, a folder or a library, or where the output is a folder."""
+    from manifold.workflows import inputs
+
+    return inputs.is_many(sources) or (output is not None and output.is_dir())
+
+
+def inputs_of(
+    sources: Sequence[MaterialSource],
+    output: Path | None,
+    is_wanted: Callable[[Path], bool] | None = None,
+    *,
+    samples: bool = False,
+) -> list[Input] | None:
+    """The materials of several sources, of a folder, a library or a file of several samples; None for one.
+
+    Args:
+        sources: as they were given.
+        output: likewise; a folder that is there is for several.
+        is_wanted: which files of folders; RGL files if None.
+        samples: whether a file of several samples is several materials.
+    Raises:
+        UsageError: a source is missing, or a folder is read and written.
+    """
+    from manifold.workflows import inputs
+    from manifold.workflows.sources import FileSource
+
+    many = is_many(sources, output)
+    files = [source.path for source in sources if isinstance(source, FileSource)]
+    if not many and not (samples and files and (output is None or not output.suffix)):
+        return None
+    found = inputs.find_inputs(sources, is_wanted or inputs.is_rgl, samples=samples)
+    if not many and len(found) == 1:
+        return None
+    if output is not None:
+        inputs.require_apart(files, output)
+    return found
 
 
 def folder_or_default(output: Path | None, default: str) -> Path:
@@ -39,6 +91,26 @@ def folder_or_default(output: Path | None, default: str) -> Path:
     if output is not None and output.suffix.lower() in _FILES and not output.is_dir():
         raise UsageError(f"{output}: named like a file, expected a folder for many files; name another")
     return or_default(output, default)
+
+
+def show_batch(results: terminal.Results, batch: Batch, outcomes: Sequence[Outcome[Any]]) -> None:
+    """Print a line per file, and raise FileFormatError where some failed."""
+    from manifold.workflows.batch import cell, notes_of
+
+    known = [outcome for outcome in outcomes if outcome.content is not None]
+    rows = [
+        batch.row(o) | {"notes": len(notes_of(o)) or "", "": "refused" if o.failure else "kept" * o.was_there}
+        for o in known
+    ]
+    if rows:
+        results.table([*rows[0]], [[cell(value) for value in row.values()] for row in rows])
+    made = [outcome for outcome in known if outcome.failure is None]
+    results.text(count_words(len(made), batch.what, batch.folder, sum(o.was_there for o in made)) + "\n")
+    listed = [path.name for path in (batch.sheet, *batch.tables) if path.is_file()]
+    results.text(f"there: {', '.join(listed)}\n")
+    document = batch.document(outcomes)
+    results.document(document)
+    raise_failed(document["failed"])
 
 
 def show_points(

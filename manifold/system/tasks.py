@@ -1,0 +1,108 @@
+"""Many tasks, one after the other or in several processes: the only place where a pool of processes is opened.
+
+A task is a function of paths and small values that can be pickled. It writes a file by renaming and may run again.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.connection import wait
+from typing import Generic, NamedTuple, TypeVar
+
+from manifold.errors import ManifoldError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Finished(NamedTuple, Generic[R]):
+    """A task that ended.
+
+    Attributes:
+        task: its index.
+        value: what its function returned; None where it failed.
+        failure: why it did, else None.
+    """
+
+    task: int
+    value: R | None
+    failure: str | None = None
+
+
+def run(
+    function: Callable[[T], R], tasks: Sequence[T], jobs: int | None = None, begin: Callable[[], object] | None = None
+) -> Iterator[Finished[R]]:  # fmt: skip
+    """Run tasks, and give each as soon as it ends; one that fails does not stop the others.
+
+    With one process the tasks run in this one, in order. An interruption waits for those that are running.
+
+    Args:
+        function: of a task; what it raises of `ManifoldError` and `OSError` is a failure of its task alone.
+        tasks: what it is called with.
+        jobs: processes; one per core if None, and never more than tasks.
+        begin: called first in every new process.
+    Raises:
+        ManifoldError: a process was killed.
+    """
+    attempt = partial(_attempt, function)
+    n = min(jobs or os.cpu_count() or 1, len(tasks))
+    if n <= 1:
+        yield from map(attempt, range(len(tasks)), tasks)
+        return
+    # Spawned, not forked: threads of compiled code do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    threads = max((os.cpu_count() or 1) // n, 1)
+    with ProcessPoolExecutor(n, context, _begin, (threads, pickle.dumps(begin))) as pool:
+        waiting: set[Future[Finished[R]]] = {pool.submit(attempt, k, task) for k, task in enumerate(tasks)}
+        try:
+            for future in as_completed(set(waiting)):
+                waiting.remove(future)  # results are not collected here
+                yield future.result()
+        except BrokenProcessPool:
+            raise ManifoldError(
+                "a process was killed (out of memory?); use fewer, and run again: finished files are kept"
+            ) from None
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            yield from (future.result() for future in waiting if not future.cancelled())
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _attempt(function: Callable[[T], R], index: int, task: T) -> Finished[R]:
+    try:
+        return Finished(index, function(task))
+    except ManifoldError as error:
+        return Finished(index, None, str(error))
+    except OSError as error:
+        return Finished(
+            index, None, f"{error.filename or 'a file'}: {error.strerror or error}; check the path"
+        )
+
+
+def _begin(threads: int, pickled: bytes) -> None:
+    """Leave Ctrl-C and the other cores to the other processes, and end with the one that started this."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    for variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(variable, str(threads))  # read when NumPy and Numba are loaded
+    begin = pickle.loads(pickled)  # which may load them
+    if begin is not None:
+        begin()
+
+
+def _end_with_parent() -> None:
+    """A pool's processes would wait for ever for tasks of one that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

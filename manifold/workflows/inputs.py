@@ -1,0 +1,201 @@
+"""What commands for many materials begin with: files, folders, patterns such as `*.xlsx`, and libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from manifold.errors import ManifoldError, UsageError
+from manifold.formats import registry
+from manifold.formats.tensor_file import MAGIC
+from manifold.io_rgl import material_name
+from manifold.library.identity import alike, file_sha256
+from manifold.library.importing import find_files
+from manifold.library.store import Library
+from manifold.records import Progress
+from manifold.rendering.plugin.bsdf import load_model
+from manifold.system.reading import begins_with
+from manifold.system.stages import with_progress
+from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource, PlaceSource, matching
+
+FIT = ".fit.json"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A material, or one of the samples of a file.
+
+    Attributes:
+        name: of what is made of it.
+        source: where it is.
+        sample: which, in a file of several.
+    """
+
+    name: str
+    source: MaterialSource
+    sample: str | None = None
+
+    def __str__(self) -> str:
+        return str(self.source) if self.sample is None else f"{self.source}: {self.sample}"
+
+    def made_of(self) -> dict[str, Any]:
+        """What its content depends on, plain values."""
+        source = self.source
+        if isinstance(source, FileSource):
+            return {"file": file_sha256(source.path), "sample": self.sample}
+        if isinstance(source, LibrarySource):
+            return {"material": Library(source.library).attributes(source.name).content_sha256}
+        loaded = load_model(source.model, source.library)
+        place, colour = loaded.place(source.place), {k: str(v) for k, v in vars(source.colour).items()}
+        hashes = {"model": file_sha256(source.model), "library": loaded.library.content_hash}
+        return hashes | {"latent": place.latent.tolist(), "path": place.path, "colour": colour}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample, which one or several instruments have read.
+
+    Attributes:
+        name: of what is made of it.
+        parts: files, and the name that it has in each; None in a file that holds no other.
+        note: why its readings are put together, or are not; None where there was nothing to decide.
+    """
+
+    name: str
+    parts: tuple[tuple[Path, str | None], ...]
+    note: str | None = None
+
+    def __str__(self) -> str:
+        return " and ".join(str(path) for path, _ in self.parts)
+
+
+def is_rgl(path: Path) -> bool:
+    """Whether a file is named as one of the RGL database, or begins like one."""
+    return path.suffix == ".bsdf" or begins_with(path, MAGIC)
+
+
+def is_rendered(path: Path) -> bool:
+    """Whether a file is named as an RGL file or a fit."""
+    return path.suffix == ".bsdf" or path.name.endswith(FIT)
+
+
+def is_readings(path: Path) -> bool:
+    """Whether a file's content is an instrument's; what describes files beside them may look like it."""
+    return path.suffix not in (".md", ".json") and registry.identify(path) is not None
+
+
+def is_many(sources: Sequence[MaterialSource]) -> bool:
+    """Whether sources are several, or a folder or library, which stands for several."""
+    return len(sources) > 1 or any(isinstance(one, FileSource) and one.path.is_dir() for one in sources)
+
+
+def find_inputs(
+    sources: Iterable[MaterialSource], is_wanted: Callable[[Path], bool] = is_rgl, *, samples: bool = False
+) -> list[Input]:
+    """The materials of sources, none read yet.
+
+    Args:
+        sources: files, folders, which are searched at every depth, libraries, materials of these, and places.
+        is_wanted: which files of folders.
+        samples: whether every sample of an instrument's file is a material.
+    Raises:
+        UsageError: a source is missing, or a folder holds none.
+        LibraryError: a library is damaged.
+    """
+    found: list[Input] = []
+    for source in sources:
+        if isinstance(source, PlaceSource):
+            found.append(Input(str(source).replace(":", "_"), source))
+        elif isinstance(source, LibrarySource):
+            found.append(Input(source.name, source))
+        elif (source.path / "zarr.json").is_file():
+            names = Library(source.path).names
+            found += [Input(name, LibrarySource(source.path, name)) for name in names]
+        else:
+            for path in find_files([source.path], is_wanted, "suitable file"):
+                found += _samples_of(path) if samples and not is_rendered(path) else [_of_file(path)]
+    return list(dict.fromkeys(found))
+
+
+def _of_file(path: Path) -> Input:
+    is_known = is_rendered(path)
+    name = material_name(Path(path.name.removesuffix(FIT))) if is_known else safe_name(path.stem)
+    return Input(name, FileSource(path))
+
+
+def safe_name(name: str) -> str:
+    """The name of a file for that of a sample."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).strip(".") or "sample"
+
+
+def _samples_of(path: Path) -> list[Input]:
+    try:
+        names = [record.name for record in registry.read_all(path)]
+    except ManifoldError:  # which whatever reads its values is told again
+        names = []
+    several = [Input(safe_name(name), FileSource(path), name) for name in names]
+    return several if len(several) > 1 else [_of_file(path)]
+
+
+def find_samples(sources: Iterable[Path], on_progress: Progress | None = None) -> list[Sample]:
+    """The samples that instruments' files hold; readings of one by several instruments are put together.
+
+    Files are of one sample where it has one name in them and instruments differ. Where one instrument has read a name
+    twice, they may be two samples, and stay apart, named by their files.
+
+    Args:
+        sources: files, patterns, and folders, which are searched for files of readings.
+        on_progress: called with (done, total, what) while files are read.
+    Raises:
+        UsageError: a source is missing, or a folder holds no readings.
+    """
+    groups: dict[str, list[_Part]] = {}
+    given = [path for source in sources for path in matching(str(source))]
+    paths = find_files(given, is_readings, "file of readings")
+    for path in with_progress(paths, on_progress, str):
+        try:
+            records = registry.read_all(path)
+        except ManifoldError:  # which whatever completes it is told again
+            groups[str(path)] = [_Part(path, None, path.stem, "", 0)]
+            continue
+        for one in records:
+            sample = one.name if len(records) > 1 else None
+            part = _Part(path, sample, one.name.strip(), one.instrument, one.bands.count)
+            groups.setdefault(alike(part.name), []).append(part)
+    return [sample for parts in groups.values() for sample in _in_samples(parts)]
+
+
+class _Part(NamedTuple):
+    """What one file says of a sample; `sample` is its name where the file has several."""
+
+    path: Path
+    sample: str | None
+    name: str
+    instrument: str
+    bands: int
+
+
+def _in_samples(parts: list[_Part]) -> list[Sample]:
+    """The samples of files in which the names agree."""
+    name = parts[0].name
+    if len(parts) == 1:
+        return [Sample(safe_name(name), (parts[0][:2],))]
+    files = ", ".join(part.path.name for part in parts)
+    if len({part.instrument for part in parts}) == len(parts):
+        spectral_first = sorted(parts, key=lambda part: -part.bands)  # others are corrected by it
+        note = f"put together from {files}, in which the sample is named {name}"
+        return [Sample(safe_name(name), tuple(part[:2] for part in spectral_first), note)]
+    note = f"{files} hold readings of {name} by one instrument: completed apart; merge them if they are of one sample"
+    return [
+        Sample(safe_name("_".join(filter(None, (part.path.stem, part.sample)))), (part[:2],), note)
+        for part in parts
+    ]
+
+
+def require_apart(sources: Iterable[Path], folder: Path) -> None:
+    """Raise UsageError where a folder to be written to is one that is searched."""
+    for source in sources:
+        if source.is_dir() and folder.exists() and source.samefile(folder):
+            raise UsageError(f"{folder}: is the folder of what is read; name another one for what is written")

@@ -244,7 +244,5 @@ def _earlier(target: Path, source: Source, settings: FitSettings) -> dict[str, A
     except ManifoldError:
         return None  # not a fit, or of another version: it is written anew
     known = content["source"]
-    is_same = known["sha256"] == source.sha256 and settings.matches(content)
-    if settings.sample is not None:
-        is_same &= known["name"] == source.name
+    is_same = (known["name"], known["sha256"]) == (source.name, source.sha256) and settings.matches(content)
     return content if is_same and fit_json.is_untouched(content) else None

@@ -32,6 +32,7 @@ from manifold.rendering import backend
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.inputs import find_inputs
+from manifold.workflows.sources import FileSource
 
 SETTINGS = FitSettings(principled(["base_color", "roughness", "metallic"]))
 
@@ -169,7 +170,9 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
     for name in ("syn_satin_gold", "syn_felt_green"):
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
-    outcomes = fits.fit_all(find_inputs([folder]), fits.fits_in(tmp_path / "fits"), SETTINGS, jobs=2)
+    outcomes = fits.fit_all(
+        find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, jobs=2
+    )
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]
     assert sorted(p.name for p in (tmp_path / "fits").glob("*.fit.json")) == [

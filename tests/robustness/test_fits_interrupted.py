@@ -17,6 +17,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.inputs import find_inputs
+from manifold.workflows.sources import FileSource
 
 pytestmark = pytest.mark.slow
 
@@ -55,4 +56,6 @@ def killed(source, target, *, settings, with_pictures):
 def test_a_killed_process_is_one_error(folder, monkeypatch):
     monkeypatch.setattr(fits, "_fit_input", killed)
     with pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"):
-        fits.fit_all(find_inputs([folder / "files"]), fits.fits_in(folder / "out"), FitSettings(), jobs=2)
+        fits.fit_all(
+            find_inputs([FileSource(folder / "files")]), fits.fits_in(folder / "out"), FitSettings(), jobs=2
+        )

@@ -1,0 +1,90 @@
+"""Many files of one command: what is kept, what fails alone, and which files are of one sample."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from manifold.brdf.analytic.base import Lambert
+from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.errors import ManifoldError
+from manifold.workflows.batch import Batch, Task
+from manifold.workflows.inputs import find_inputs, find_samples
+from manifold.workflows.sources import FileSource
+
+COLUMNS = {"letters": lambda content: content["letters"]}
+
+
+def run(folder, names, make):
+    batch = Batch(folder, "words", COLUMNS)
+    todo = [Task(name, folder / f"{name}.txt", name) for name in names]
+    return batch.run(todo, make, lambda name: {"name": name})
+
+
+def written(name, path):
+    path.write_text(name)
+    return {"letters": len(name)}
+
+
+@pytest.mark.parametrize("moment", range(5))
+def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment):
+    names, made = [f"word{k}" for k in range(5)], []
+
+    def make(name, path):
+        if len(made) == moment:
+            raise KeyboardInterrupt
+        made.append(name)
+        return written(name, path)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, names, make)
+    again = []
+    outcomes = run(tmp_path, names, lambda name, path: again.append(name) or written(name, path))
+    assert made + again == names
+    assert [o.was_there for o in outcomes] == [name in made for name in names]
+
+
+def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):
+    def make(name, path):
+        if name == "bad":
+            raise ManifoldError("bad: not a word")
+        return written(name, path) | ({"refusal": "too bright"} if name == "refused" else {})
+
+    outcomes = run(tmp_path, ["a", "bad", "refused", "b"], make)
+    assert [o.failure for o in outcomes] == [None, "bad: not a word", "too bright", None]
+    with (tmp_path / "words.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["letters"] for row in rows] == ["1", "", "7", "1"]
+    assert [row["failed"] for row in rows] == ["", "bad: not a word", "too bright", ""]
+    assert len(json.loads((tmp_path / "words.json").read_text())["failed"]) == 2
+    outcomes = run(tmp_path, ["a", "refused"], written)
+    assert [o.was_there for o in outcomes] == [True, False]
+
+
+def workbook(path, name, rng):
+    write_ma_t12(path, Lambert(np.full(MA_T12_BANDS.count, 0.5), MA_T12_BANDS), name, rng)
+
+
+def test_files_of_different_samples_are_not_merged(tmp_path, rng):
+    for name in ("red", "blue"):
+        workbook(tmp_path / f"{name}.xlsx", name, rng)
+    samples = find_samples([tmp_path / "*.xlsx"])
+    assert [(s.name, len(s.parts), s.note) for s in samples] == [("blue", 1, None), ("red", 1, None)]
+
+
+def test_two_files_of_one_name_and_instrument_stay_apart_and_say_so(tmp_path, rng):
+    for file in ("first", "second"):
+        workbook(tmp_path / f"{file}.xlsx", "red", rng)
+    samples = find_samples([tmp_path])
+    assert [s.name for s in samples] == ["first", "second"]
+    assert all("by one instrument" in s.note for s in samples)
+
+
+def test_every_file_of_a_folder_is_a_material(tmp_path, rng):
+    for name in ("red", "blue"):
+        workbook(tmp_path / f"{name}.xlsx", name, rng)
+    found = find_inputs([FileSource(tmp_path)], lambda path: path.suffix == ".xlsx", samples=True)
+    assert [one.name for one in found] == ["blue", "red"]

@@ -206,7 +206,7 @@ def calibrate(
         list[Path],
         typer.Argument(
             help="For every sample the reference's file, then the other's; of files with several samples, those with "
-            "the same names are used.",
+            "the same names are used. Or a folder of the reference's, and one of the other's.",
             metavar="REF OTHER ...",
         ),
     ],

@@ -24,13 +24,14 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import registry
 from manifold.formats.readings import Readings, gloss_fault
+from manifold.library.identity import alike
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.records import Array, Progress
 from manifold.system import atomic
 from manifold.system.stages import Stages
-from manifold.workflows.inputs import Sample, safe_name
+from manifold.workflows.inputs import Sample, find_samples, safe_name
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MOST_READINGS = 2000
@@ -276,7 +277,8 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
     """Learn an instrument's colour correction from files of samples that two instruments read, and write it.
 
     Args:
-        paths: of every sample, or several of the same names, the reference's file, then the other's.
+        paths: of every sample, or several of the same names, the reference's file, then the other's; or a folder of
+            each instrument's, in which samples of the same names are used.
         output: a JSON file.
     Returns:
         The correction, and from how many samples it was learned.
@@ -284,19 +286,33 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
         UsageError: the number of files is odd, no names are the same, or too few directions are shared.
         BandMismatchError: bands differ between samples, or the other instrument has not three.
     """
+    atomic.require_writable(output)
+    is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
     if len(paths) % 2 or not paths:
         raise UsageError(
             f"{len(paths)} files, expected pairs: of every sample the reference's, then the other's"
         )
-    atomic.require_writable(output)
-    pairs = [
-        pair
-        for reference, other in zip(paths[::2], paths[1::2], strict=True)
-        for pair in registry.read_pairs(reference, other, _MOST_READINGS)
-    ]
+    pairs = (
+        _pairs_of_folders(paths[0], paths[1])
+        if is_folders
+        else [
+            pair
+            for reference, other in zip(paths[::2], paths[1::2], strict=True)
+            for pair in registry.read_pairs(reference, other, _MOST_READINGS)
+        ]
+    )
     learned = learn_across(pairs)
     write_correction(output, learned)
     return learned, len(pairs)
+
+
+def _pairs_of_folders(reference: Path, other: Path) -> list[tuple[Readings, Readings]]:
+    """Readings of the samples that have the same name in two folders."""
+    first, second = ({alike(one.name): one for one in find_samples([path])} for path in (reference, other))
+    shared = [(first[name], second[name]) for name in first if name in second]
+    if not shared:
+        raise UsageError(f"{reference} and {other}: no sample has the same name in both; name pairs of files")
+    return [(read_sample(one)[0], read_sample(two)[0]) for one, two in shared]
 
 
 def calibration_notes(learned: ColourCorrection, n_samples: int) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import ManifoldError
 from manifold.workflows.batch import Batch, Task
+from manifold.workflows.completions import calibrate_instrument
 from manifold.workflows.inputs import find_inputs, find_samples
 from manifold.workflows.sources import FileSource
 
@@ -88,3 +89,25 @@ def test_every_file_of_a_folder_is_a_material(tmp_path, rng):
         workbook(tmp_path / f"{name}.xlsx", name, rng)
     found = find_inputs([FileSource(tmp_path)], lambda path: path.suffix == ".xlsx", samples=True)
     assert [one.name for one in found] == ["blue", "red"]
+
+
+def test_two_folders_calibrate_by_the_names_of_their_samples(tmp_path, rng):
+    pairs = []
+    for name, shade in (("red", 0.2), ("blue", 0.4), ("white", 0.8)):
+        for folder, bands in (("reference", "400,450,500,550,600,650,700"), ("other", "465,525,630")):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            pairs.append(tmp_path / folder / f"{name}.csv")
+            count = bands.count(",") + 1
+            angles = [(i, o, p) for i in (10, 30, 50) for o in (5, 25, 45, 65) for p in (0, 90, 180)]
+            values = (
+                shade * np.linspace(0.5, 1.0, count) * rng.uniform(0.9, 1.0, (len(angles), count)) / np.pi
+            )
+            rows = [
+                f"{name},{i},0,{o},{p}," + ",".join(map(str, row))
+                for (i, o, p), row in zip(angles, values, strict=True)
+            ]
+            pairs[-1].write_text(f"name,theta_i,phi_i,theta_o,phi_o,{bands}\n" + "\n".join(rows) + "\n")
+    by_folders, n = calibrate_instrument([tmp_path / "reference", tmp_path / "other"], tmp_path / "a.json")
+    by_pairs, _ = calibrate_instrument(pairs, tmp_path / "b.json")
+    assert (n, by_folders.form) == (3, by_pairs.form)
+    assert by_folders.uncorrected == pytest.approx(by_pairs.uncorrected)

@@ -5,7 +5,7 @@
 
 Every material is held out once, with others of its fold: the rest is embedded and calibrated without it, it is located
 there from its data, predicted, and compared with its file. With --materials, random sets of so many are embedded
-instead, and at most M of the others are held out. Figures of docs/design/expected-error.md.
+instead, and at most M of the others are held out. Figures of docs/explanation/expected-errors.md.
 """
 
 from __future__ import annotations

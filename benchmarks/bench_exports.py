@@ -1,4 +1,4 @@
-"""What every target of exports loses: the table of docs/how-to/export.md, CIEDE2000 on the ball, --mapped / default.
+"""What every target of exports loses: the table of docs/explanation/fits.md, CIEDE2000 on the ball, --mapped / default.
 
     python benchmarks/bench_exports.py --files FOLDER [--targets gltf,openpbr] [--work FOLDER] [--json FILE]
 

@@ -2,7 +2,7 @@
 
     python benchmarks/bench_readings.py library.zarr
 
-Results: docs/design/completion.md.
+Results: docs/explanation/completion.md.
 """
 
 from __future__ import annotations

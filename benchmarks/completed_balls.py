@@ -2,7 +2,7 @@
 
     python benchmarks/completed_balls.py library.zarr balls.png NAME ...
 
-Each material is completed from the others of the library. Shown in docs/design/completion.md.
+Each material is completed from the others of the library. Shown in docs/explanation/completion.md.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Bands, Indices, Progress, evenly_spaced
 from manifold.system.names import counted
 
-ATOM_BANDS = 5  # of a spectral material; more gain nothing (docs/design/completion.md)
+ATOM_BANDS = 5  # of a spectral material; more gain nothing
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials
 COAT_INDICES = (1.42, 1.58)
 _COAT_BASE = 0.9  # largest reflectance of what is below a coat

@@ -230,7 +230,7 @@ _PRINCIPLED = (
 PRINCIPLED_DEFAULT = (
     "base_color", "metallic", "roughness", "specular", "clearcoat", "clearcoat_gloss", "sheen",
 )  # fmt: skip
-"""Parameters that are free by default; see docs/design/principled.md."""
+"""Parameters that are free by default; see docs/explanation/fits.md."""
 
 
 def principled(names: Iterable[str] = PRINCIPLED_DEFAULT, *, wide_colours: bool = False) -> BsdfFamily:

@@ -36,7 +36,7 @@ METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions,
 """The methods by name, with the class of their hyperparameters."""
 
 _POOR_FIT = (
-    0.12  # relative residual: beyond it balls of measured materials look wrong, docs/design/principled.md
+    0.12  # relative residual: beyond it balls of measured materials look wrong, docs/explanation/fits.md
 )
 
 _LEAST_ANISOTROPY = 0.01  # alphas that differ by half a per cent

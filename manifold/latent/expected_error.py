@@ -19,7 +19,7 @@ BELOW_TWICE = 0.9
 COARSE_BELOW = 8
 """Number of materials below which expected errors are uncertain by a factor of three, and vary little with place."""
 
-_LIKE = 2.0  # number of materials at which the power a is one half (docs/design/expected-error.md)
+_LIKE = 2.0  # number of materials at which the power a is one half (docs/explanation/expected-errors.md)
 _LEAST_RESIDUAL = 1e-4
 _RESIDUAL = 0.75  # power of a material's own residual, where it is known; the rest is that of its place
 _FAR = 0.25  # power with which errors grow with the distance to the nearest material, in length scales

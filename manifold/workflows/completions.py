@@ -35,7 +35,7 @@ from manifold.workflows.inputs import Sample, find_samples, safe_name
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MOST_READINGS = 2000
-_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/design/completion.md
+_ENOUGH_SAMPLES = 6  # of a colour correction; see docs/explanation/completion.md
 _PROFILE_INCIDENCES_DEG = (20.0, 40.0, 60.0)
 _PROFILE_ELEVATIONS_DEG = np.arange(-80.0, 81.0, 5.0)
 

@@ -47,7 +47,6 @@ nitpicky = False
 
 html_theme = "pydata_sphinx_theme"
 html_title = "manifold"
-html_static_path = ["_static"]
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,

@@ -5,7 +5,7 @@
 
 `--numbers 8 12 16 24 40` adds the curve of error against numbers. Encoded at every sixth direction pair of the default
 grid, evaluated at all of them, and by the ball in the standard light and in that turned by half a circle. Of the two,
-non-negative least squares sees the second. Results: docs/design/nonnegative.md.
+non-negative least squares sees the second. Results: docs/explanation/reconstruction.md.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def reconstruction_weights(atoms: Array, material: Array, n_pixels: int) -> Arra
         n_pixels: how many of the R are pixels, where display white is 1.
     Returns:
         Shape (B, n), mostly zeros.
-    Source: docs/design/nonnegative.md.
+    Source: docs/explanation/reconstruction.md.
     """
     material = np.maximum(material, 0.0)
     weights: Array = np.zeros((len(material), len(atoms)))

@@ -11,7 +11,7 @@
         tables                everything else as bytes, as the attribute `tables` says
       cache/KEY/              arrays that can be computed again
 
-`docs/design/library.md` says why the chunks are what they are, with the figures.
+`docs/explanation/storage-and-rendering.md` says why the chunks are what they are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SCHEMA_VERSION = 2
 READABLE_VERSIONS = (1, 2)
 VISIBLE_NORMALS, VNDF_DIFFERENCE = "visible_normals", "vndf_difference"
 COEFFICIENTS, TABLES = "coefficients", "tables"
-MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; measured in docs/design/library.md
+MAX_CHUNK_BANDS = 65  # 195 bands in three chunks of 266 kB per direction; fewer cost more than they save
 
 # Field of BsdfFile, in the order in which they are hashed -> (array name and dimension names in the store, units).
 FIELDS: dict[str, tuple[str, tuple[str, ...], str | None]] = {

@@ -250,7 +250,7 @@ class Manifold(LatentMap):
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
         """Non-negative least squares of a material over all samples and analytic lobes, in every band.
 
-        It has no latent; see docs/design/nonnegative.md.
+        It has no latent; see docs/explanation/reconstruction.md.
 
         Args:
             brdf: the material, in the bands of the model.

@@ -9,7 +9,10 @@ import pytest
 import typer
 from helpers.paths import REPOSITORY
 
-DOCUMENTS = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+DOCUMENTS = [
+    *(REPOSITORY / name for name in ("README.md", "ARCHITECTURE.md")),
+    *sorted((REPOSITORY / "docs").rglob("*.md")),
+]
 FOLDERS = ("manifold", "cli", "tests", "benchmarks", "tools", "docs")
 
 

@@ -260,7 +260,7 @@ def test_an_unknown_setting_is_one_clear_error():
 
 
 def test_the_document_lists_every_key():
-    text = (Path(__file__).parents[2] / "docs/design/chart.md").read_text()
+    text = (Path(__file__).parents[2] / "docs/explanation/accuracy.md").read_text()
     listed = re.findall(
         r"`([^`]+)`", text.partition("**Keys** for `--only`:")[2].partition(". Libraries in RGB")[0]
     )

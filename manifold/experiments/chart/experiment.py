@@ -130,7 +130,9 @@ def make_chart(
     unknown = [key for key in only if key not in known]
     if unknown:
         near = names_like(known, unknown[0], "there are")
-        raise UsageError(f"no setting is called {unknown[0]!r}; {near} (docs/design/chart.md lists all)")
+        raise UsageError(
+            f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
+        )
     chosen = [known[key] for key in only or known]
     held_out = [s for s in chosen if isinstance(s, Method)]
     names, machine = [file.name for file in files], platform.node()

@@ -1,4 +1,4 @@
-"""Combinations of samples and analytic lobes with weights >= 0, as methods; see docs/design/nonnegative.md."""
+"""Combinations of samples and analytic lobes with weights >= 0, as methods; see docs/explanation/reconstruction.md."""
 
 from __future__ import annotations
 

@@ -106,6 +106,15 @@ def embed(
             "support cube-root only."
         ),
     ] = "cube-root",
+    landmarks: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of materials of a blend map that are laid out; the others are located among them. "
+            "[default: all of at most 300 materials, 150 of more]",
+            metavar="M",
+            min=3,
+        ),
+    ] = None,
     without: WithoutOption = None,
     json: options.JsonOption = None,
 ) -> None:
@@ -114,7 +123,13 @@ def embed(
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
-    given = {"optimizer": optimizer, "mu": mu, "kernel": kernel, "criterion": criterion}
+    given = {
+        "optimizer": optimizer,
+        "mu": mu,
+        "kernel": kernel,
+        "criterion": criterion,
+        "landmarks": landmarks,
+    }
     chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     auto_mapping, auto_dim = mapping == AUTO, latent_dim == AUTO
     if not auto_mapping:
@@ -147,7 +162,7 @@ def embed(
     results.rows(
         f"Model {output}",
         {
-            "materials": len(fitted.names),
+            "materials": fitted.space.materials_in_words,
             "kind": kind,
             "latent dimensions": f"{settings.latent_dim}"
             + ", and a colour per band" * (kind == "monochrome"),
@@ -155,7 +170,7 @@ def embed(
             "kernel": settings.kernel,
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
-            "condition of K": f"{fitted.gp.condition:.3g}",
+            **({} if kind == "blend" else {"condition of K": f"{fitted.gp.condition:.3g}"}),
         },
     )
     results.document(

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numba as nb
 import numpy as np
+from scipy.sparse import csr_array
 
 from manifold.directions import from_spherical
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
@@ -69,13 +70,40 @@ def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Ar
     Returns:
         Shape (K,), and its gradient by u, (K, N).
     """
-    N, n_incidences, D, B = profiles.shape
-    roots = (u @ profiles.reshape(N, -1)).reshape(len(u), n_incidences, D, B)
+    flat = profiles.reshape(len(profiles), -1)
+    roots = (u @ flat).reshape(len(u), *profiles.shape[1:])
+    value, k, by_roots, by_allowed = _squared(roots, u @ limits)
+    gradient = np.zeros_like(u)
+    gradient[k] = by_roots @ flat.T + by_allowed[:, None] * limits
+    return value, gradient
+
+
+def squared_valleys_of_some(
+    u: Array, materials: Indices, profiles: Array, limits: Array
+) -> tuple[Array, Array]:
+    """`squared_valleys` of blends u (K, n) of some of the materials, (K, n) indices; the gradient is (K, n), too."""
+    flat = profiles.reshape(len(profiles), -1)
+    starts = np.arange(0, u.size + 1, u.shape[1])
+    blends = csr_array((u.ravel(), materials.ravel(), starts), (len(u), len(flat)))
+    roots = (blends @ flat).reshape(len(u), *profiles.shape[1:])
+    value, k, by_roots, by_allowed = _squared(roots, np.sum(u * limits[materials], axis=1))
+    gradient = np.zeros_like(u)
+    for row, slope, by_limit in zip(k, by_roots, by_allowed, strict=True):
+        some = materials[row]
+        gradient[row] = flat[some] @ slope + by_limit * limits[some]
+    return value, gradient
+
+
+def _squared(roots: Array, allowed: Array) -> tuple[Array, Indices, Array, Array]:
+    """Of blends with cube roots (K, I, D, B) and depths allowed (K,): `squared_valleys`, (K,).
+
+    And which blends have any, (k,); the gradients of these by their roots, (k, I D B), and by what is allowed, (k,).
+    """
+    K, *of_profile, B = roots.shape
     cubes = roots**3
     f = sum(cubes[..., b] for b in range(B)) / B  # [K, I, D]; the mean is slow along a short axis
-    allowed = u @ limits
     k = np.flatnonzero(valley_depth(f).max(axis=1) > allowed)  # weighted means are no larger than maxima
-    value, gradient = np.zeros(len(u)), np.zeros_like(u)
+    value = np.zeros(K)
     roots, f = roots[k], f[k]
     top = np.maximum(f.max(axis=2, keepdims=True), _DARK)
     less = (f / top) ** (_SHARPNESS - 1)
@@ -94,9 +122,7 @@ def squared_valleys(u: Array, profiles: Array, limits: Array) -> tuple[Array, Ar
     ):
         by_f += (_SHARPNESS + 1) * power * back(slope) - _SHARPNESS * less / top * back(slope * means)
     by_roots = (3.0 / B) * by_f[..., None] * roots**2
-    gradient[k] = by_roots.reshape(len(k), n_incidences * D * B) @ profiles.reshape(N, -1).T
-    gradient[k] -= 2.0 * depth.sum(axis=(1, 2))[:, None] * limits
-    return value, gradient
+    return value, k, by_roots.reshape(len(k), np.prod([*of_profile, B])), -2.0 * depth.sum(axis=(1, 2))
 
 
 def _sums_to(f: Array) -> Array:

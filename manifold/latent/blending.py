@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, Delaunay, QhullError
+from scipy.spatial import ConvexHull, Delaunay, KDTree, QhullError
 from scipy.spatial.distance import cdist
 
 from manifold.errors import ShapeError
 from manifold.latent.objective import fix_gauge
-from manifold.records import Array
+from manifold.records import Array, Indices
+
+NEIGHBOURS = 128
+"""Number of nearest samples among which a blend finds its weights."""
 
 _NEGLIGIBLE = 1e-6  # relative to the largest weight: smaller ones are invisible, and cost a look-up each
 _FLATTENING = 10.0 ** np.arange(
@@ -25,13 +28,14 @@ _FLATTENING = 10.0 ** np.arange(
 )  # rising weights of the extent along a dimension beyond the map's
 _PLACES, _PLACES_OF_EACH = 1500, 75  # number of blends evaluated: at most, and per sample
 _MOST_BLENDED = 4  # samples of a convex combination
-_RISING = 10.0 ** np.linspace(-2.0, 0.0, 8)  # weights of the cost, each at new places inside the hull
-_DAMPING = 20.0  # of these steps
+RISING = 10.0 ** np.linspace(-2.0, 0.0, 8)  # weights of the cost, each at new places inside the hull
+DAMPING = 20.0  # of these steps
 _STRENGTH = 3.0  # weight of implausible blends against stress
 _SEPARATION = 10.0  # weight of the least distances against stress
 _RADIUS = 0.9  # of the kernel, in sides of a sample's share of the convex hull
 _NEAREST = 2.5  # length scales between neighbours, at most, in the median: in many dimensions the hull is all but flat
 _TIGHT = {"maxiter": 2000, "maxfun": 10000, "ftol": 1e-13, "gtol": 1e-7, "maxcor": 20}  # of L-BFGS
+_LEAST_SHARE_OF_UNIT = 1e-2  # of the typical distance: smaller target distances count as this
 
 Cost = Callable[[Array], tuple[Array, Array]]
 """From weights u (K, N) of blends to their cost (K,) and its gradient by u (K, N)."""
@@ -45,10 +49,12 @@ class Layout:
 
     Attributes:
         X: shape (N, Q).
+        unit: length scale in the unit of the target distances.
         objective_start, objective: objective at the principal coordinates and at the end.
     """
 
     X: Array
+    unit: float
     objective_start: float
     objective: float
 
@@ -57,6 +63,7 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
     """Weights u of the samples at places x, never negative and of sum 1, shape (M, N).
 
     `u_i ~ exp(-d_i^2 / (2 l^2)) / d_i^2`: a unit vector at a sample, continuous, with a slope of 0 at the samples.
+    Of more than `NEIGHBOURS` samples only the nearest have a weight, less that of the next one.
 
     Args:
         x: places, shape (M, Q).
@@ -64,13 +71,26 @@ def blend_weights(x: Array, X: Array, length_scale: float = 1.0) -> Array:
         length_scale: l.
     Source: Shepard 1968, with the squared exponential in place of his cut-off.
     """
-    squared = cdist(x, X, "sqeuclidean") / length_scale**2
+    if len(X) <= NEIGHBOURS:
+        return _weights(cdist(x, X, "sqeuclidean") / length_scale**2)
+    distances, nearest = KDTree(X).query(x, NEIGHBOURS + 1)
+    u = np.zeros((len(x), len(X)))
+    shares = _weights((distances / length_scale) ** 2, is_cut=True)
+    np.put_along_axis(u, nearest[:, :-1], shares, axis=1)
+    return u
+
+
+def _weights(squared: Array, *, is_cut: bool = False) -> Array:
+    """Weights (M, N) by squared distances in length scales (M, N), or (M, N + 1), where the last one has none."""
     with np.errstate(divide="ignore"):
         log = -0.5 * squared - np.log(squared)
     is_sample = np.isposinf(log)
     log = np.where(is_sample.any(axis=1, keepdims=True), np.where(is_sample, 0.0, -np.inf), log)
     u = np.exp(log - log.max(axis=1, keepdims=True))
-    u = np.maximum(u - _NEGLIGIBLE, 0.0)  # continuous where a weight vanishes
+    none: Array | float = _NEGLIGIBLE
+    if is_cut:
+        u, none = u[:, :-1], np.maximum(u[:, -1:], _NEGLIGIBLE)
+    u = np.maximum(u - none, 0.0)  # continuous where a weight vanishes
     return u / u.sum(axis=1, keepdims=True)
 
 
@@ -81,9 +101,7 @@ def widest_gap(X: Array) -> float:
 
 def _gaps(X: Array) -> Array:
     """The distance of every sample of X (N, Q) from its nearest other one, shape (N,)."""
-    apart = cdist(X, X)
-    np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart.min(axis=1))
+    return np.asarray(KDTree(X).query(X, 2)[0][:, 1])
 
 
 def blend_layout(
@@ -113,18 +131,17 @@ def blend_layout(
     N = len(distance)
     if not np.any(distance > 0.0):
         raise ShapeError(f"all {N} samples are identical, expected at least two different ones")
-    objective, rng = _LayoutObjective(distance, separation, implausible), np.random.default_rng(0)
+    pairs = np.triu_indices(N, 1)
+    objective, rng = LayoutObjective(pairs, distance[pairs], separation[pairs]), np.random.default_rng(0)
     start = fix_gauge(_principal_coordinates(distance, n_components + 1))
     X, few = objective.unfold(start, rng), _convex_combinations(N, rng)
-    blends = objective.blends(few, _kernel_radius(X))
+    blends = _blends(few, kernel_radius(X), implausible)
     X = objective.minimise(X, blends)
-    for weight in _RISING if cost is not None else ():
-        shares = np.vstack([_inside_hull(X, rng), few[::2]])
-        blends = objective.blends(shares, _kernel_radius(X), cost, weight)
-        X = objective.minimise(X, blends, _DAMPING)
-    first, value = (objective.value(places, blends)[0] for places in (start[:, :n_components], X))
-    axes = np.linalg.svd(X - X.mean(axis=0), full_matrices=False)[2]
-    return Layout(fix_gauge(X @ axes.T) / _kernel_radius(X), first, value)
+    for weight in RISING if cost is not None else ():
+        shares = np.vstack([inside_hull(X, _places(N), rng), few[::2]])
+        blends = _blends(shares, kernel_radius(X), implausible, cost, weight)
+        X = objective.minimise(X, blends, DAMPING)
+    return objective.result(start[:, :n_components], X, blends)
 
 
 def _typical(distances: Array) -> float:
@@ -132,23 +149,37 @@ def _typical(distances: Array) -> float:
     return float(np.median(distances[distances > 0.0]))
 
 
-class _LayoutObjective:
-    """Stress and separation, with other terms, and their gradients."""
+class LayoutObjective:
+    """Stress and separation of pairs of samples, with other terms, and their gradients.
 
-    def __init__(self, distance: Array, separation: Array, implausible: Array) -> None:
-        self._pairs = np.triu_indices(len(distance), 1)
-        self._unit = _typical(distance[self._pairs])
-        self._wanted = np.maximum(distance[self._pairs], 1e-2 * self._unit)
-        self._least, self._implausible = separation[self._pairs], implausible
-        weight = 1.0 / self._wanted
-        self._stress, self._hinge = weight / weight.sum(), _SEPARATION / len(weight)
+    Args:
+        pairs: indices i and j, shape (R,) each.
+        distance, separation: target and least distances of the pairs, shape (R,).
+        stands_for: how many pairs of samples each one stands for, shape (R,); 1 where all are given.
+    """
+
+    def __init__(
+        self,
+        pairs: tuple[Indices, Indices],
+        distance: Array,
+        separation: Array,
+        stands_for: Array | None = None,
+    ) -> None:
+        self._pairs, self._least = pairs, separation
+        self._unit = _typical(distance)
+        self._wanted = np.maximum(distance, _LEAST_SHARE_OF_UNIT * self._unit)
+        count = np.ones(len(distance)) if stands_for is None else stands_for
+        weight = count / self._wanted
+        self._stress, self._hinge = weight / weight.sum(), _SEPARATION * count / count.sum()
 
     def value(self, X: Array, more: Term) -> tuple[float, Array]:
         """The objective at places X (N, Q) with another term, and its gradient."""
         (value, gradient), (added, slope) = self._apart(X), more(X)
         return value + added, gradient + slope
 
-    def minimise(self, start: Array, more: Term, damping: float = 0.0) -> Array:
+    def minimise(
+        self, start: Array, more: Term, damping: float = 0.0, limits: dict[str, float] = _TIGHT
+    ) -> Array:
         """Places (N, Q) at the nearest minimum, with the mean squared distance from the start times a damping added."""
         held = damping / len(start)
 
@@ -158,7 +189,7 @@ class _LayoutObjective:
             moved = X - start
             return value + held * float(np.sum(moved * moved)), (gradient + 2.0 * held * moved).ravel()
 
-        found = minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options=_TIGHT)
+        found = minimize(flat, start.ravel(), jac=True, method="L-BFGS-B", options=limits)
         return np.asarray(found.x).reshape(start.shape)
 
     def unfold(self, start: Array, rng: np.random.Generator) -> Array:
@@ -179,33 +210,55 @@ class _LayoutObjective:
         D = X[i] - X[j]
         d = np.sqrt(np.sum(D * D, axis=1) + 1e-12)
         off, near = d - self._wanted, np.maximum(self._least - d, 0.0)
-        value = np.sum(self._stress * off**2) + self._hinge * np.sum(near**2)
+        value = np.sum(self._stress * off**2 + self._hinge * near**2)
         pull = (2.0 * (self._stress * off - self._hinge * near) / d)[:, None] * D
-        gradient = np.zeros_like(X)
-        np.add.at(gradient, i, pull)
-        np.add.at(gradient, j, -pull)
-        return float(value), gradient
+        return float(value), add_rows(i, pull, len(X)) - add_rows(j, pull, len(X))
 
-    def blends(self, shares: Array, radius: float, cost: Cost | None = None, weight: float = 0.0) -> Term:
-        """Mean over the places `shares @ X`, shares (K, N), of u^T V u, and of the cost times a weight."""
+    def result(self, start: Array, X: Array, more: Term) -> Layout:
+        """The layout of places X (N, Q) that were found from a start (N, Q)."""
+        first, value = (self.value(places, more)[0] for places in (start, X))
+        axes, unit = np.linalg.svd(X - X.mean(axis=0), full_matrices=False)[2], kernel_radius(X)
+        return Layout(fix_gauge(X @ axes.T) / unit, unit, first, value)
 
-        def term(X: Array) -> tuple[float, Array]:
-            places, at = (np.ascontiguousarray(points.T) for points in (shares @ X, X))
-            D = places[:, :, None] - at[:, None]  # [Q, K, N]: numpy is slow along a short last axis
-            squared = np.sum(D * D, axis=0) + 1e-6 * radius**2
-            log = -0.5 * squared / radius**2 - np.log(squared)
-            u = np.exp(log - log.max(axis=1, keepdims=True))
-            u /= u.sum(axis=1, keepdims=True)
-            Vu = _STRENGTH * u @ self._implausible
-            value, slope = np.sum(u * Vu, axis=1), 2.0 * Vu
-            if cost is not None:
-                more, steeper = cost(u)
-                value, slope = value + weight * more, slope + weight * steeper
-            d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True)) / len(shares)
-            d_D = -d_log * (1.0 / radius**2 + 2.0 / squared) * D
-            return float(value.mean()), shares.T @ d_D.sum(axis=2).T - d_D.sum(axis=1).T
 
-        return term
+def add_rows(index: Indices, rows: Array, count: int) -> Array:
+    """Rows (R, Q) summed by their index (R,), shape (count, Q)."""
+    return np.stack([np.bincount(index, column, count) for column in rows.T], axis=1)
+
+
+def _blends(
+    shares: Array, radius: float, implausible: Array, cost: Cost | None = None, weight: float = 0.0
+) -> Term:
+    """Mean over the places `shares @ X`, shares (K, N), of u^T implausible u, and of the cost times a weight."""
+
+    def term(X: Array) -> tuple[float, Array]:
+        places, at = (np.ascontiguousarray(points.T) for points in (shares @ X, X))
+        D = places[:, :, None] - at[:, None]  # [Q, K, N]: numpy is slow along a short last axis
+        u, squared = soft_weights(D, radius)
+        Vu = _STRENGTH * u @ implausible
+        value, slope = np.sum(u * Vu, axis=1), 2.0 * Vu
+        if cost is not None:
+            more, steeper = cost(u)
+            value, slope = value + weight * more, slope + weight * steeper
+        d_D = pulled_back(D, u, squared, slope / len(shares), radius)
+        return float(value.mean()), shares.T @ d_D.sum(axis=2).T - d_D.sum(axis=1).T
+
+    return term
+
+
+def soft_weights(D: Array, radius: float) -> tuple[Array, Array]:
+    """Weights u (K, N) of blends by differences of places D (Q, K, N), smooth at the samples too; and |D|^2."""
+    squared = np.sum(D * D, axis=0) + 1e-6 * radius**2
+    log = -0.5 * squared / radius**2 - np.log(squared)
+    u = np.exp(log - log.max(axis=1, keepdims=True))
+    u /= u.sum(axis=1, keepdims=True)
+    return u, squared
+
+
+def pulled_back(D: Array, u: Array, squared: Array, slope: Array, radius: float) -> Array:
+    """Gradient by D (Q, K, N) of a function of `soft_weights(D, radius)` whose gradient by u is `slope` (K, N)."""
+    d_log = u * (slope - np.sum(u * slope, axis=1, keepdims=True))
+    return np.asarray(-d_log * (1.0 / radius**2 + 2.0 / squared) * D)
 
 
 def _principal_coordinates(distance: Array, n_components: int) -> Array:
@@ -228,8 +281,11 @@ def _convex_combinations(N: int, rng: np.random.Generator) -> Array:
     return shares
 
 
-def _inside_hull(X: Array, rng: np.random.Generator) -> Array:
-    """Shares (K, N) of the samples around places drawn uniformly from the hull of X (N, Q); none where it is flat."""
+def inside_hull(X: Array, count: int, rng: np.random.Generator) -> Array:
+    """Shares (K, N) of the samples around `count` places drawn uniformly from the hull of X (N, Q).
+
+    None where it is flat.
+    """
     N, Q = X.shape
     try:
         simplices = np.sort(Delaunay(X).simplices, axis=1)  # [S, Q + 1]
@@ -237,10 +293,9 @@ def _inside_hull(X: Array, rng: np.random.Generator) -> Array:
         return np.zeros((0, N))
     simplices = simplices[np.lexsort(simplices.T)]  # in an order that does not depend on rounding
     volume = np.abs(np.linalg.det(X[simplices[:, 1:]] - X[simplices[:, :1]]))
-    places = _places(N)
-    around = simplices[rng.choice(len(simplices), places, p=volume / volume.sum())]
-    shares = np.zeros((places, N))
-    np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), places), axis=1)
+    around = simplices[rng.choice(len(simplices), count, p=volume / volume.sum())]
+    shares = np.zeros((count, N))
+    np.put_along_axis(shares, around, rng.dirichlet(np.ones(Q + 1), count), axis=1)
     return shares
 
 
@@ -248,7 +303,7 @@ def _places(N: int) -> int:
     return min(_PLACES, _PLACES_OF_EACH * N)
 
 
-def _kernel_radius(X: Array) -> float:
+def kernel_radius(X: Array) -> float:
     """Length scale of the kernel: about the side of a sample's share of the convex hull's volume.
 
     No less than what reaches neighbours: else blends would be copies of the nearest sample.

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
+from scipy.sparse import csr_array
 
-from manifold.records import Array
+from manifold.latent.nonnegative import nonnegative_weights
+from manifold.records import Array, Indices
 
 WHITE = 0.9
 """Reflectance at which paths end, unless their albedo would exceed 1."""
@@ -34,40 +34,52 @@ class ColourPaths:
     """Paths of N materials over n samples.
 
     Attributes:
-        dark, bright: weights of the vertices below the darkest and above the brightest band, shape (N, n).
+        dark, bright: weights of the vertices below the darkest and above the brightest band, sparse, shape (N, n).
         dark_coordinate, bright_coordinate: cube roots of their reflectance, (N,); 0 where there is no such vertex.
         reflectances: of the samples, (n,), material by material.
 
     The coordinate of a path is the cube root of its reflectance.
     """
 
-    dark: Array
-    bright: Array
+    dark: csr_array
+    bright: csr_array
     dark_coordinate: Array
     bright_coordinate: Array
     reflectances: Array
 
     @cached_property
-    def vertices(self) -> list[tuple[Array, Array]]:
-        """Coordinates (V,) and weights (V, n) of every path, black first."""
-        n_bands = len(self.reflectances) // len(self.dark)
-        return [self._path(i, n_bands) for i in range(len(self.dark))]
+    def vertices(self) -> list[tuple[Array, Indices, Array]]:
+        """Of every path: coordinates (V,), black first, the samples it is made of, (c,), and their weights (V, c)."""
+        N = len(self.dark_coordinate)
+        return [self._path(i, len(self.reflectances) // N) for i in range(N)]
 
-    @property
+    @cached_property
     def last(self) -> float:
         """The largest coordinate of any path."""
-        return max(float(coordinate[-1]) for coordinate, _ in self.vertices)
+        return max(float(coordinates[-1]) for coordinates, _, _ in self.vertices)
 
     def weights(self, u: Array, coordinates: Array) -> Array:
         """Weights of the samples where materials are blended by u (N,), at coordinates (B,), shape (B, n)."""
         total = np.zeros((len(coordinates), len(self.reflectances)))
-        for share, (vertices, W) in zip(u, self.vertices, strict=True):
-            if share > 0.0:
-                at = np.clip(coordinates, vertices[0], vertices[-1])
-                k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
-                t = ((at - vertices[k]) / (vertices[k + 1] - vertices[k]))[:, None]
-                total += share * ((1.0 - t) * W[k] + t * W[k + 1])
+        for i in np.flatnonzero(u).tolist():
+            _, samples, W = self.vertices[i]
+            total[:, samples] += u[i] * self.along(i, coordinates, W)
         return total
+
+    def along(self, i: int, coordinates: Array, at_vertices: Array) -> Array:
+        """What is known at the vertices of material i, (V, ...), at coordinates (B,) of its path, (B, ...)."""
+        vertices = self.vertices[i][0]
+        at = np.clip(coordinates, vertices[0], vertices[-1])
+        k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
+        t = ((at - vertices[k]) / (vertices[k + 1] - vertices[k]))[:, None].astype(at_vertices.dtype)
+        return np.asarray((1.0 - t) * at_vertices[k] + t * at_vertices[k + 1])
+
+    def subset(self, materials: Indices) -> ColourPaths:
+        """The paths of some materials (N',), which are made of samples of these alone."""
+        samples = sample_rows(materials, len(self.reflectances) // len(self.dark_coordinate))
+        dark, bright = (rows[materials][:, samples] for rows in (self.dark, self.bright))
+        ends = (self.dark_coordinate[materials], self.bright_coordinate[materials])
+        return ColourPaths(dark, bright, *ends, self.reflectances[samples])
 
     def coordinates_of(
         self, u: Array, reflectance: Array, samples: Array, measure: Array
@@ -96,28 +108,35 @@ class ColourPaths:
             at = np.clip(at + np.clip(step, -_LARGEST_STEP, _LARGEST_STEP), 0.0, grid[-1])
         return at, reached(at)
 
-    def _path(self, i: int, n_bands: int) -> tuple[Array, Array]:
-        """Coordinates (V,) and weights (V, n) of the vertices of material i, black first."""
+    def _path(self, i: int, n_bands: int) -> tuple[Array, Indices, Array]:
         own = i * n_bands + np.argsort(self.reflectances[i * n_bands : (i + 1) * n_bands], kind="stable")
         roots = np.cbrt(np.maximum(self.reflectances[own], 0.0))
-        coordinates, weights = [0.0], [np.zeros(len(self.reflectances))]
-        unit = np.eye(len(self.reflectances))
-        first = float(roots[0])
+        ends = [(rows, slice(*rows.indptr[i : i + 2])) for rows in (self.dark, self.bright)]
+        samples = np.unique(np.concatenate([own, *(rows.indices[here] for rows, here in ends)]))
+        (dark, bright), unit = np.zeros((2, len(samples))), np.eye(len(samples))
+        for end, (rows, here) in zip((dark, bright), ends, strict=True):
+            end[np.searchsorted(samples, rows.indices[here])] = rows.data[here]
+        coordinates, weights = [0.0], [np.zeros(len(samples))]
+        first, at_own = float(roots[0]), unit[np.searchsorted(samples, own)]
         if _LEAST_STEP < self.dark_coordinate[i] < first - _LEAST_STEP:
             coordinates.append(float(self.dark_coordinate[i]))
-            weights.append(self.dark[i])
+            weights.append(dark)
         elif _NO_BODY * first > _LEAST_STEP:
             coordinates.append(_NO_BODY * first)
-            weights.append(_NO_BODY * unit[own[0]])
-        ends = [*zip(roots, unit[own], strict=True), (float(self.bright_coordinate[i]), self.bright[i])]
-        for root, w in ends:
+            weights.append(_NO_BODY * at_own[0])
+        for root, w in [*zip(roots, at_own, strict=True), (float(self.bright_coordinate[i]), bright)]:
             if root > coordinates[-1] + _LEAST_STEP:
                 coordinates.append(float(root))
                 weights.append(w)
         if len(coordinates) == 1:  # black in every band
             coordinates.append(1.0)
-            weights.append(np.zeros(len(self.reflectances)))
-        return np.array(coordinates), np.array(weights)
+            weights.append(np.zeros(len(samples)))
+        return np.array(coordinates), samples, np.array(weights)
+
+
+def sample_rows(materials: Indices, n_bands: int) -> Indices:
+    """Indices of the samples of materials (N,), shape (N n_bands,)."""
+    return (materials[:, None] * n_bands + np.arange(n_bands)).reshape(-1)
 
 
 def fit_paths(
@@ -126,6 +145,7 @@ def fit_paths(
     n_bands: int,
     sphere: tuple[Array, Array],
     albedo: Sequence[tuple[Array, Array]],
+    landmarks: Indices | None = None,
 ) -> ColourPaths:
     """Paths from samples that are ordered material by material.
 
@@ -135,33 +155,55 @@ def fit_paths(
         n_bands: samples per material.
         sphere: samples (n, P') inside an integrating sphere, and its measure (P',).
         albedo: the same at several incidences; no path ends above an albedo of 1.
+        landmarks: materials whose samples all paths may be made of, beside a material's own; by default all.
     """
     reflectances = sphere[0] ** 3 @ sphere[1]
-    n = len(samples)
-    weighted = samples * cosines
-    gram = weighted @ weighted.T
-    L = cholesky(gram + 1e-9 * np.trace(gram) / n * np.eye(n), lower=True)
+    N = len(samples) // n_bands
+    shared = sample_rows(np.arange(N) if landmarks is None else landmarks, n_bands)
+    atoms = samples[shared] * cosines
+    gram = atoms @ atoms.T
+    is_shared = np.zeros(N, dtype=bool)
+    is_shared[shared // n_bands] = True
 
-    def approximate(f: Array) -> Array:
-        target = weighted @ (np.cbrt(np.maximum(f, 0.0)) * cosines)
-        return nnls(L.T, solve_triangular(L, target, lower=True), maxiter=20 * n)[0]
-
-    N = n // n_bands
-    dark, bright = np.zeros((N, n)), np.zeros((N, n))
-    for i in range(N):
+    def targets(i: int) -> Array:
+        """The vertices of material i below its darkest and above its brightest band, (2, P); 0 where it has none."""
         own = np.arange(i * n_bands, (i + 1) * n_bands)
         low, high = own[np.argmin(reflectances[own])], own[np.argmax(reflectances[own])]
-        f = samples[low] ** 3
-        dark[i] = approximate(f - _body(f, cosines))
-        f, r = samples[high] ** 3, reflectances[high]
+        f = samples[low].astype(np.float64) ** 3
+        ends = [f - _body(f, cosines), np.zeros_like(f)]
+        f, r = samples[high].astype(np.float64) ** 3, reflectances[high]
         if r < WHITE:
             body_share = min(np.pi * _body(f, cosines) / max(r, 1e-9), 1.0)
             gain = 1.0 + (1.0 - body_share) * (WHITE - r) / max(r, 1e-9)
-            w = approximate(gain * f + body_share * (WHITE - r) / np.pi)
-            most = max(float((w @ values) ** 3 @ measure) for values, measure in albedo)
-            bright[i] = w * min(1.0, np.cbrt(1.0 / max(most, 1e-9)))
-    ends = [np.cbrt(np.maximum((w @ sphere[0]) ** 3 @ sphere[1], 0.0)) for w in (dark, bright)]
+            ends[1] = gain * f + body_share * (WHITE - r) / np.pi
+        return np.cbrt(np.maximum(ends, 0.0)) * cosines
+
+    found: list[tuple[Indices, Array]] = [(shared, np.zeros((2, len(shared))))] * N
+    of_shared, rest = np.flatnonzero(is_shared).tolist(), np.flatnonzero(~is_shared).tolist()
+    solved = nonnegative_weights(gram, np.concatenate([targets(i) @ atoms.T for i in of_shared]))
+    for i, w in zip(of_shared, solved.reshape(len(of_shared), 2, -1), strict=True):
+        found[i] = shared, w
+    for i in rest:
+        own = np.arange(i * n_bands, (i + 1) * n_bands)
+        mine = samples[own] * cosines
+        cross, target = atoms @ mine.T, targets(i)
+        with_own = np.block([[gram, cross], [cross.T, mine @ mine.T]])
+        products = np.hstack([target @ atoms.T, target @ mine.T])
+        found[i] = np.append(shared, own), nonnegative_weights(with_own, products)
+    for columns, (_, w) in found:
+        most = max(float((w @ values[columns]) ** 3 @ measure) for values, measure in albedo)
+        w *= min(1.0, np.cbrt(1.0 / max(most, 1e-9)))
+    dark, bright = (_rows([(columns, w[end]) for columns, w in found], len(samples)) for end in (0, 1))
+    ends = [np.cbrt(np.maximum((rows @ sphere[0]) ** 3 @ sphere[1], 0.0)) for rows in (dark, bright)]
     return ColourPaths(dark, bright, ends[0], ends[1], reflectances)
+
+
+def _rows(rows: Sequence[tuple[Indices, Array]], count: int) -> csr_array:
+    """A sparse matrix (N, count) of rows of columns and values."""
+    kept = [(columns[values > 0.0], values[values > 0.0]) for columns, values in rows]
+    starts = np.cumsum([0, *(len(columns) for columns, _ in kept)])
+    columns, values = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+    return csr_array((values, columns, starts), (len(rows), count))
 
 
 def _body(f: Array, cosines: Array) -> float:

@@ -29,7 +29,7 @@ from manifold.library.location import require_outside_libraries
 from manifold.library.reading import read_material
 from manifold.library.schema import READABLE_VERSIONS, SCHEMA
 from manifold.library.writing import make_store
-from manifold.library.zarr_arrays import open_group, read_array
+from manifold.library.zarr_arrays import open_group, read_array, read_attributes
 from manifold.records import Array, Bands, BsdfFile, Progress
 from manifold.system.stages import with_progress
 
@@ -175,8 +175,8 @@ class Library:
             UsageError: no such material.
             LibraryError: the material is damaged.
         """
-        with self._material(name) as group:
-            return info_of(name, group.attrs)
+        with self._named(name) as folder:
+            return info_of(name, read_attributes(folder))
 
     @property
     def disk_bytes(self) -> int:
@@ -217,13 +217,19 @@ class Library:
 
     @contextmanager
     def _material(self, name: str) -> Iterator[zarr.Group]:
-        """The material's group; whatever goes wrong with it becomes one LibraryError that names it."""
+        """The material's group, likewise."""
+        with self._named(name) as folder:
+            yield open_group(folder)
+
+    @contextmanager
+    def _named(self, name: str) -> Iterator[Path]:
+        """The material's folder; whatever goes wrong with it becomes one LibraryError that names it."""
         if name not in self:
             raise UnknownNameError(
                 f"{name}: no such material in {self.path.name}, which holds {len(self)} materials"
             )
         try:
-            yield open_group(self.path / "materials" / name)
+            yield self.path / "materials" / name
         except ManifoldError:
             raise
         except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors

@@ -5,6 +5,7 @@ What zarr would trust in the files of others is checked first: sizes and codecs,
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -62,6 +63,13 @@ def open_group(folder: Path) -> zarr.Group:
     """The group in a folder; zarr raises many kinds of errors: OSError, ValueError, KeyError, JSON errors."""
     _require_metadata(folder, "it lacks its zarr.json")
     return zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+
+
+def read_attributes(folder: Path) -> dict[str, Any]:
+    """The attributes of the group in a folder, without zarr, which takes thirty times as long."""
+    _require_metadata(folder, "it lacks its zarr.json")
+    found: dict[str, Any] = json.loads((folder / "zarr.json").read_bytes())["attributes"]
+    return found
 
 
 def read_array(

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.valleys import profile_pairs, squared_valleys, valley_depth
+from manifold.brdf.valleys import profile_pairs, squared_valleys, squared_valleys_of_some, valley_depth
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.colour.difference import delta_e_2000
+from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.latent.blending import Layout, blend_layout
-from manifold.latent.colour_paths import fit_paths
+from manifold.latent.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.latent.decoder import EncodingPairs
 from manifold.latent.kernels import Kernel
+from manifold.latent.landmark_layout import Comparison, farthest_samples, landmark_layout
 from manifold.model.appearance import AppearancePairs, appearance_pairs, roots_at
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import integrating_sphere
+from manifold.model.landmark_search import SIGNATURE, signatures
 from manifold.records import Array, Indices, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
@@ -35,6 +38,71 @@ _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 _SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that are evaluated
 
 
+Floats = NDArray[np.float32]  # of thousands of materials
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What N materials are compared by.
+
+    Attributes:
+        lab: CIELAB of the pixels of their balls, shape (N, K, 3).
+        logs: logarithms of their values, weighted, shape (N, D).
+        profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D', B).
+        allowed: depth of minima of these profiles that blends with a material may have, shape (N,).
+    """
+
+    lab: Array
+    logs: Floats
+    profiles: Array
+    allowed: Array
+
+    def __len__(self) -> int:
+        return len(self.lab)
+
+    def subset(self, materials: Indices) -> Appearance:
+        """That of some of the materials."""
+        return Appearance(*(values[materials] for values in vars(self).values()))
+
+    @property
+    def coarse_profiles(self) -> Array:
+        """Profiles in every other direction and few bands, for blends of several, shape (N, I, D'', B')."""
+        some = evenly_spaced(self.profiles.shape[3], _PROFILE_BANDS)
+        return np.ascontiguousarray(self.profiles[:, :, ::_PROFILE_STRIDE][..., some])
+
+    def compare(self, i: int, others: Indices) -> Array:
+        """Material i beside others (n,), shape (3, n).
+
+        Mean CIEDE2000 between their balls, the distance of their logarithms, and the depth, beyond what is allowed, of
+        the deepest valley in blends of the two.
+        """
+        ball = delta_e_2000_lab(self.lab[others], self.lab[i]).mean(axis=1)
+        apart = self.logs[others].astype(np.float64) - self.logs[i]
+        valley = np.zeros(len(others))
+        for t in _SHARES:
+            f = (((1.0 - t) * self.profiles[i] + t * self.profiles[others]) ** 3).mean(axis=3)  # [n, I, D']
+            excess = valley_depth(f).max(axis=1) - (1.0 - t) * self.allowed[i] - t * self.allowed[others]
+            valley = np.maximum(valley, excess)
+        return np.stack([ball, np.sqrt(np.einsum("nd,nd->n", apart, apart)), valley])
+
+    def distances(self) -> AppearanceDistances:
+        """Those of all pairs."""
+        N = len(self)
+        found = np.zeros((3, N, N))
+        for i in range(1, N):
+            found[:, i, :i] = self.compare(i, np.arange(i))
+        ball, shape, valley = found + found.transpose(0, 2, 1)
+        upper = np.triu_indices(N, 1)
+        median = np.median(shape[upper])
+        scale = float(np.median(ball[upper]) / median) if median > 0.0 else 1.0
+        return AppearanceDistances(ball, scale * shape, valley, self.allowed, self.coarse_profiles, scale)
+
+
+def _targets(ball: Array, shape: Array, valley: Array) -> tuple[Array, Array]:
+    """Target and least distances on a map."""
+    return np.hypot(0.5 * (ball + shape), _VALLEY_APART * valley) / _UNIT, ball / _UNIT
+
+
 @dataclass(frozen=True, eq=False)
 class AppearanceDistances:
     """Appearance distances between N materials.
@@ -45,6 +113,7 @@ class AppearanceDistances:
         valley: depth of in-plane minima near the mirror direction in blends of two, beyond `allowed`, shape (N, N).
         allowed: depth of such minima that blends with a material may have, shape (N,).
         profiles: cube roots in the plane of incidence near the mirror direction, shape (N, I, D, B).
+        scale: of `shape`: what distances of logarithms were multiplied by.
     """
 
     ball: Array
@@ -52,134 +121,173 @@ class AppearanceDistances:
     valley: Array
     allowed: Array
     profiles: Array
+    scale: float
 
     def subset(self, materials: Indices) -> AppearanceDistances:
         """The distances between some of the materials."""
         rows = np.ix_(materials, materials)
         return AppearanceDistances(
             self.ball[rows], self.shape[rows], self.valley[rows], self.allowed[materials],
-            self.profiles[materials],
+            self.profiles[materials], self.scale,
         )  # fmt: skip
 
     def layout(self, latent_dim: int) -> Layout:
         """Places of the materials in Q dimensions, in units of the kernel's length scale."""
-        distance = np.hypot(0.5 * (self.ball + self.shape), _VALLEY_APART * self.valley) / _UNIT
 
         def cost(u: Array) -> tuple[Array, Array]:
             squared, slope = squared_valleys(u, self.profiles, self.allowed)
             return _SQUARED_VALLEY_COST * squared, _SQUARED_VALLEY_COST * slope
 
-        return blend_layout(distance, self.ball / _UNIT, _VALLEY_COST * self.valley, latent_dim, cost)
-
-
-def appearance_distances(
-    materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None
-) -> AppearanceDistances:
-    """Compare materials by their balls, by their logarithms, and by the profiles of their blends in cube roots."""
-    bands = evenly_spaced(materials[0].bands.count, _BANDS).tolist()
-    ball, pairs = ball_colours.ball(), EncodingPairs.default(all_isotropic(materials))
-    wi, wo = profile_pairs()
-    colours, logs, profiles = [], [], []
-    for material in with_progress(materials, on_progress, "appearance"):
-        brdf = material.select_bands(bands)
-        colours.append(ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands))
-        f = np.maximum(brdf.eval(pairs.wi, pairs.wo), 0.0)
-        logs.append((np.log(f + _FLOOR) * np.sqrt(pairs.cosines)[:, None]).ravel())
-        profiles.append(np.cbrt(np.maximum(brdf.eval(wi, wo), 0.0)))  # [incidences, directions, B]
-    xyz = np.stack(colours)
-    white = srgb_to_xyz(np.ones(3))
-    difference = np.stack([delta_e_2000(xyz, one[None], white).mean(axis=1) for one in xyz])
-    shape = _distances(np.stack(logs))
-    upper = np.triu_indices(len(xyz), 1)
-    median = np.median(shape[upper])
-    if median > 0.0:
-        shape *= np.median(difference[upper]) / median
-    stacked = np.stack(profiles)
-    some = evenly_spaced(stacked.shape[3], _PROFILE_BANDS)
-    allowed = np.maximum(valley_depth((stacked**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
-    return AppearanceDistances(
-        0.5 * (difference + difference.T), shape, _valleys(stacked, allowed), allowed,
-        np.ascontiguousarray(stacked[:, :, ::_PROFILE_STRIDE][..., some]),
-    )  # fmt: skip
-
-
-def _valleys(profiles: Array, allowed: Array) -> Array:
-    """Depth beyond `allowed` of valleys in blends of every two materials, cube roots (N, I, D, B): shape (N, N)."""
-    N = len(profiles)
-    deepest = np.zeros((N, N))
-    for i in range(1, N):
-        for t in _SHARES:
-            f = (((1.0 - t) * profiles[i] + t * profiles[:i]) ** 3).mean(axis=3)  # [i, I, D]
-            excess = valley_depth(f).max(axis=1) - (1.0 - t) * allowed[i] - t * allowed[:i]
-            deepest[i, :i] = np.maximum(deepest[i, :i], excess)
-    return np.maximum(deepest, deepest.T)
-
-
-def _distances(rows: Array) -> Array:
-    """Euclidean distances between rows (N, D), shape (N, N)."""
-    inner = rows @ rows.T
-    squared = np.diag(inner)[:, None] + np.diag(inner)[None] - 2.0 * inner
-    return np.sqrt(np.maximum(squared, 0.0))
+        distance, separation = _targets(self.ball, self.shape, self.valley)
+        return blend_layout(distance, separation, _VALLEY_COST * self.valley, latent_dim, cost)
 
 
 @dataclass(frozen=True, eq=False)
-class BlendTables:
-    """Values of N materials, to some or all of which maps of blends are fitted.
+class BlendSamples:
+    """Values of N materials in the bands that colour paths are made of.
 
     Attributes:
-        distances: between the materials.
         bands: which bands are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
-        appearance: these pairs.
+        pairs: these pairs.
         sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
         reflectances: of the materials in all bands, shape (N, B).
     """
 
-    distances: AppearanceDistances
     bands: Indices
-    roots: Array
-    appearance: AppearancePairs
-    sphere: tuple[Array, Array]
-    albedo: list[tuple[Array, Array]]
+    roots: Floats
+    pairs: AppearancePairs
+    sphere: tuple[Floats, Array]
+    albedo: list[tuple[Floats, Array]]
     reflectances: Array
+
+    def rows(self, materials: Indices) -> Indices:
+        """Indices of the samples of materials (n,), shape (n B_s,)."""
+        return sample_rows(materials, len(self.bands))
+
+    def subset(self, materials: Indices) -> BlendSamples:
+        """Those of some of the materials, (n,) indices."""
+        rows, (inside, measure) = self.rows(materials), self.sphere
+        albedo = [(values[rows], measure) for values, measure in self.albedo]
+        return BlendSamples(
+            self.bands,
+            self.roots[rows],
+            self.pairs,
+            (inside[rows], measure),
+            albedo,
+            self.reflectances[materials],
+        )
+
+    def paths(self, landmarks: Indices | None = None) -> ColourPaths:
+        """Colour paths, made of a material's own samples and those of landmarks, by default of all."""
+        grid = slice(None, self.pairs.n_grid)
+        cosines = self.pairs.pairs.cosines[grid]
+        return fit_paths(self.roots[:, grid], cosines, len(self.bands), self.sphere, self.albedo, landmarks)
+
+
+def evaluate(
+    materials: Iterable[MeasuredBRDF], bands: Indices, is_isotropic: bool
+) -> tuple[Appearance, BlendSamples]:
+    """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
+    ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), EncodingPairs.default(is_isotropic)
+    appearance, wi_wo = appearance_pairs(is_isotropic), profile_pairs()
+    spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
+    amplitude = np.sqrt(grid.cosines)[:, None]
+    looks: list[tuple[Array, Floats, Array]] = []
+    reflectances, rows = [], [[] for _ in range(1 + len(spheres))]  # type: ignore[var-annotated]
+    for material in materials:
+        brdf = material.select_bands(evenly_spaced(material.bands.count, _BANDS).tolist())
+        xyz = ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands)
+        f = np.maximum(brdf.eval(grid.wi, grid.wo), 0.0)
+        profile = np.cbrt(np.maximum(brdf.eval(*wi_wo), 0.0))  # [I, D', B]
+        looks.append(
+            (to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32), profile)
+        )
+        sample = material.select_bands(bands.tolist())
+        for kept, pairs in zip(rows, [appearance.pairs, *(at for at, _ in spheres)], strict=True):
+            kept.append(roots_at([sample], pairs).astype(np.float32))
+        (at, measure), *_ = spheres
+        reflectances.append(measure @ material.eval(at.wi, at.wo))
+    lab, logs, profiles = (np.stack(each) for each in zip(*looks, strict=True))
+    allowed = np.maximum(valley_depth((profiles**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
+    roots, *inside = (np.concatenate(each) for each in rows)
+    sphere, *albedo = [(values, measure) for values, (_, measure) in zip(inside, spheres, strict=True)]
+    samples = BlendSamples(bands, roots, appearance, sphere, albedo, np.stack(reflectances))
+    return Appearance(lab, logs, profiles, allowed), samples
+
+
+@dataclass(frozen=True, eq=False)
+class BlendTables:
+    """Distances and samples of N materials, to some or all of which maps of blends are fitted."""
+
+    distances: AppearanceDistances
+    samples: BlendSamples
 
     @classmethod
     def of(
         cls, materials: Sequence[MeasuredBRDF], bands: Indices, on_progress: Progress | None = None
     ) -> BlendTables:
         """Evaluate materials; `bands` (B_s,) become samples."""
-        distances = appearance_distances(materials, on_progress)
-        samples = [material.select_bands(bands.tolist()) for material in materials]
-        appearance = appearance_pairs(all_isotropic(samples))
-        pairs, measure = integrating_sphere()
-        spheres = [integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG]
-        return cls(
-            distances, bands, roots_at(samples, appearance.pairs), appearance, (roots_at(samples, pairs), measure),
-            [(roots_at(samples, at), measure) for at, measure in spheres],
-            np.stack([measure @ material.eval(pairs.wi, pairs.wo) for material in materials]),
-        )  # fmt: skip
-
-    def rows(self, materials: Indices) -> Indices:
-        """Indices of the samples of materials (n,), shape (n B_s,)."""
-        return (materials[:, None] * len(self.bands) + np.arange(len(self.bands))).reshape(-1)
+        read = with_progress(materials, on_progress, "appearance")
+        appearance, samples = evaluate(read, bands, all_isotropic(materials))
+        return cls(appearance.distances(), samples)
 
     def subset(self, materials: Indices) -> BlendTables:
         """The tables of some of the materials, (n,) indices."""
-        rows, (inside, measure) = self.rows(materials), self.sphere
-        return BlendTables(
-            self.distances.subset(materials), self.bands, self.roots[rows], self.appearance, (inside[rows], measure),
-            [(values[rows], measure) for values, measure in self.albedo], self.reflectances[materials],
-        )  # fmt: skip
+        return BlendTables(self.distances.subset(materials), self.samples.subset(materials))
 
     def fit(self, latent_dim: int, kernel: Kernel) -> tuple[BlendSpace, Layout]:
         """The map of the materials, and its layout."""
-        grid = slice(None, self.appearance.n_grid)
-        paths = fit_paths(
-            self.roots[:, grid],
-            self.appearance.pairs.cosines[grid],
-            len(self.bands),
-            self.sphere,
-            self.albedo,
-        )
-        layout = self.distances.layout(latent_dim)
-        return BlendSpace(layout.X, paths, self.bands, self.reflectances, kernel), layout
+        layout, s = self.distances.layout(latent_dim), self.samples
+        return BlendSpace(layout.X, s.paths(), s.bands, s.reflectances, kernel), layout
+
+
+def fit_landmarks(
+    appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
+    on_progress: Progress | None = None,
+) -> tuple[BlendSpace, Layout]:  # fmt: skip
+    """The map of N materials by landmarks, `count` of them, and its layout: at a cost linear in N."""
+    N, everything = len(appearance), np.arange(len(appearance))
+    compared = {}
+    scale = appearance.subset(evenly_spaced(N, count)).distances().scale
+
+    def distances_to(landmark: int) -> Array:
+        ball, shape, valley = appearance.compare(landmark, everything)
+        compared[landmark] = _targets(ball, scale * shape, valley)
+        if on_progress is not None:
+            on_progress(len(compared), count, "landmarks")
+        return compared[landmark][0]
+
+    landmarks = farthest_samples(count, distances_to)
+    distance, separation = (
+        np.stack(each, axis=1) for each in zip(*(compared[k] for k in landmarks), strict=True)
+    )
+    of_landmarks = appearance.subset(landmarks).distances().layout(latent_dim)
+    profiles = appearance.coarse_profiles
+
+    def compare(others: Indices) -> Comparison:
+        rows = []
+        for i, row in with_progress(enumerate(others), on_progress, "neighbours"):
+            ball, shape, valley = appearance.compare(i, row)
+            rows.append(_targets(ball, scale * shape, valley))
+        return Comparison(others, *(np.stack(each) for each in zip(*rows, strict=True)))
+
+    def cost(u: Array, materials: Indices) -> tuple[Array, Array]:
+        squared, slope = squared_valleys_of_some(u, materials, profiles, appearance.allowed)
+        return _SQUARED_VALLEY_COST * squared, _SQUARED_VALLEY_COST * slope
+
+    to_landmarks = Comparison(np.broadcast_to(landmarks, distance.shape), distance, separation)
+    layout = landmark_layout(landmarks, of_landmarks, to_landmarks, compare, cost)
+    s = samples
+    space = BlendSpace(
+        layout.X, s.paths(landmarks), s.bands, s.reflectances, kernel, landmarks, _signatures(s, landmarks)
+    )
+    return space, layout
+
+
+def _signatures(samples: BlendSamples, landmarks: Indices) -> Array:
+    """Coordinates (N, r) of the materials in the span of a few landmarks: distances of cube roots, approximately."""
+    weight = samples.pairs.weight(samples.roots[samples.rows(landmarks)]).astype(np.float32)
+    rows = (samples.roots * weight).reshape(len(samples.reflectances), -1)
+    some = rows[landmarks[:SIGNATURE]]
+    return signatures(some @ some.T, rows @ some.T)

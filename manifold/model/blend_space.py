@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as Fields
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
-from manifold.latent.blending import blend_weights, widest_gap
+from manifold.latent.blending import NEIGHBOURS, blend_weights, widest_gap
 from manifold.latent.colour_paths import ColourPaths
 from manifold.latent.decoder import Decoder, EncodingPairs
+from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, first_equal_row
 from manifold.mapping import CubeRoot, Mapping
 from manifold.metrics import relative_error
@@ -31,6 +33,7 @@ _EVALUATIONS = 150  # of each refinement
 _COORDINATES = 33  # of a path, tried in that search
 _FIRST_COORDINATE = 0.05
 _LEAST_NORM = 1e-12
+_ENDS, _SPARSE = ("dark", "bright"), ("_data", "_indices", "_indptr")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +46,8 @@ class BlendSpace(LatentSpace):
         bands: which bands are the samples of the paths, increasing, shape (B_s,).
         reflectances: of the materials at 8 degrees, specular included, shape (N, B).
         kernel: covariance function; tells how far the data reach.
+        landmarks: on whose map all others were located, increasing or not, shape (M,); None where all were laid out.
+        signatures: coordinates by which materials like another one are found, shape (N, r); None without landmarks.
     """
 
     X: Array
@@ -50,6 +55,8 @@ class BlendSpace(LatentSpace):
     bands: Indices
     reflectances: Array
     kernel: Kernel
+    landmarks: Indices | None = None
+    signatures: Array | None = None
     sample_bands: None = None
     kind: ClassVar[str] = "blend"
     takes_colours: ClassVar[bool] = True
@@ -60,11 +67,17 @@ class BlendSpace(LatentSpace):
     def arrays(self) -> dict[str, AnyArray]:
         """The arrays that a file stores, by name."""
         p = self.paths
-        return {
-            "X": self.X, "bands": self.bands, "reflectances": self.reflectances, "dark": p.dark, "bright": p.bright,
+        arrays = {
+            "X": self.X, "bands": self.bands, "reflectances": self.reflectances,
             "dark_coordinate": p.dark_coordinate, "bright_coordinate": p.bright_coordinate,
             "sample_reflectances": p.reflectances,
         }  # fmt: skip
+        for end in _ENDS:
+            rows = getattr(p, end)
+            arrays |= {end + part: getattr(rows, part[1:]) for part in _SPARSE}
+        if self.landmarks is not None and self.signatures is not None:
+            arrays |= {"landmarks": self.landmarks, "signatures": self.signatures}
+        return arrays
 
     @classmethod
     def from_arrays(cls, stored: Fields[str, Array], kernel: Kernel, n_bands: int) -> BlendSpace:
@@ -72,11 +85,53 @@ class BlendSpace(LatentSpace):
         X, bands = stored["X"], require_bands(stored, "bands", n_bands)
         N, n = len(X), len(X) * len(bands)
         shapes = {
-            "reflectances": (N, n_bands), "dark": (N, n), "bright": (N, n), "dark_coordinate": (N,),
-            "bright_coordinate": (N,), "sample_reflectances": (n,),
+            "reflectances": (N, n_bands), "dark_coordinate": (N,), "bright_coordinate": (N,),
+            "sample_reflectances": (n,),
         }  # fmt: skip
         reflectances, *of_paths = require_shapes(stored, shapes)
-        return cls(X, ColourPaths(*of_paths), bands, reflectances, kernel)
+        ends = []
+        for end in _ENDS:
+            data, *where = (stored[end + part] for part in _SPARSE)
+            rows = csr_array((data, *(part.astype(np.int64) for part in where)), (N, n))
+            rows.check_format(full_check=True)
+            ends.append(rows)
+        paths = ColourPaths(*ends, *of_paths)
+        if "landmarks" not in stored:
+            return cls(X, paths, bands, reflectances, kernel)
+        landmarks, signatures = stored["landmarks"].astype(np.int64), stored["signatures"]
+        if len(set(landmarks.tolist())) < len(landmarks) or not set(landmarks.tolist()) <= set(range(N)):
+            raise ValueError("dataset 'landmarks' holds no indices of different materials")
+        require_shapes(stored, {"signatures": (N, signatures.shape[-1])})
+        return cls(X, paths, bands, reflectances, kernel, landmarks, signatures)
+
+    def subset(self, materials: Indices, length_scale: float = 1.0) -> BlendSpace:
+        """The map of some of its materials, (n,) indices, all of them laid out, in units of another length scale."""
+        kernel = replace(self.kernel, length_scale=self.kernel.length_scale * length_scale)
+        paths, reflectances = self.paths.subset(materials), self.reflectances[materials]
+        return BlendSpace(self.X[materials], paths, self.bands, reflectances, kernel)
+
+    @cached_property
+    def of_landmarks(self) -> BlendSpace:
+        """The map of the landmarks alone, whose blends reach as far as they are apart; or all, where there are none."""
+        if self.landmarks is None:
+            return self
+        return self.subset(self.landmarks, (len(self.X) / len(self.landmarks)) ** (1.0 / self.X.shape[1]))
+
+    @cached_property
+    def gp(self) -> GPWeights:
+        """The process of the materials, or of the landmarks: of thousands of materials it would cost the cube."""
+        return super().gp if self.landmarks is None else self.of_landmarks.gp
+
+    def around(self, x: Array) -> tuple[Indices, BlendSpace] | None:
+        """The neighbours of x (Q,), and the landmarks, of which colour paths are made, and their space."""
+        if self.landmarks is None:
+            return None
+        materials = np.union1d(self.landmarks, self.neighbours(x, NEIGHBOURS + 1))
+        return materials, self.subset(materials)
+
+    def neighbours(self, x: Array, count: int) -> Indices:
+        """The nearest materials to x (Q,), nearest first, shape (count,) or (N,)."""
+        return np.argsort(np.sum((self.X - x) ** 2, axis=1), kind="stable")[:count]
 
     def printed(self, x: Array) -> tuple[str, ...]:
         """Coordinates of a place (Q,): predictions are continuous, so three decimals reproduce them."""
@@ -179,19 +234,26 @@ class PlaceSearch:
         samples: cube roots of its samples, shape (n, P).
         weight: of each direction pair in what is minimised, before squaring, shape (P,).
         target_bands: which bands targets have; by default all of the space.
+        candidates: materials that are blended, shape (N',); by default all.
     """
 
     def __init__(
-        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Indices | None = None
-    ) -> None:
-        self._X, self._l, self._weight = space.X, space.kernel.length_scale, weight
-        self._paths, self._samples = space.paths, samples
-        own = space.own_colours
+        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Indices | None = None,
+        candidates: Indices | None = None,
+    ) -> None:  # fmt: skip
+        self._candidates = np.arange(len(space.X)) if candidates is None else candidates
+        self._X, self._l, self._weight = space.X[self._candidates], space.kernel.length_scale, weight
+        self._paths = space.paths
+        own = space.own_colours[self._candidates]
         self._own_colours = own if target_bands is None else own[:, target_bands]
         self._grid = np.linspace(_FIRST_COORDINATE, space.paths.last, _COORDINATES)
-        vertices = np.stack([space.paths.weights(unit, self._grid) for unit in np.eye(len(space.X))])
-        self._decoded = vertices @ (samples * weight)  # [N, K, P]
-        self._gram = np.einsum("nkp,mkp->knm", self._decoded, self._decoded, optimize=True)
+        weighted = samples * weight.astype(samples.dtype)
+        self._own = weighted.reshape(len(space.X), -1, len(weight))[self._candidates]
+        paths = [space.paths.vertices[k] for k in self._candidates.tolist()]
+        self._at_vertices = [W.astype(samples.dtype) @ weighted[made_of] for _, made_of, W in paths]
+        self._decoded = np.stack([self._decode(k, self._grid) for k in range(len(self._X))])  # [N', K, P]
+        by_coordinate = np.ascontiguousarray(self._decoded.transpose(1, 0, 2))
+        self._gram = by_coordinate @ by_coordinate.transpose(0, 2, 1)
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
         """Place (Q,), path coordinates and gains of all bands, (2, B), and the relative residual of cube roots.
@@ -199,7 +261,7 @@ class PlaceSearch:
         Args:
             target: cube roots of the material in all bands, shape (B, P).
             bands: of these, those of the samples, which serve to find the place.
-            without: a material of the map that is left out.
+            without: a candidate, by its index among them, that is left out.
         """
         used = np.arange(len(self._X))
         if without is not None:
@@ -218,17 +280,20 @@ class PlaceSearch:
         k, gains = found.coordinates(x)
         return x, np.stack([self._grid[k], gains]), relative
 
+    def _decode(self, k: int, coordinates: Array) -> Array:
+        """Weighted cube roots of candidate k at path coordinates (B,), shape (B, P)."""
+        return self._paths.along(int(self._candidates[k]), coordinates, self._at_vertices[k])
+
     def _own_products(self, weighted: Array, used: Indices) -> tuple[Array, Array]:
         """Products of materials with a target in the bands of the samples, at least 0, and squared norms, (M, B_s)."""
-        own = self._samples.reshape(len(self._X), *weighted.shape)[used] * self._weight
+        own = self._own[used]
         inner = np.maximum(np.einsum("nbp,bp->nb", own, weighted), 0.0)
         return inner, np.maximum(np.einsum("nbp,nbp->nb", own, own), _LEAST_NORM)
 
     def _in_own_colours(self, k: int, weighted: Array) -> Array:
         """Path coordinates of material k in its own colours, and the best gains, (2, B)."""
         coordinates = self._own_colours[k]
-        unit = np.eye(len(self._X))[k]
-        own = (self._paths.weights(unit, coordinates) @ self._samples) * self._weight
+        own = self._decode(k, coordinates)
         inner = np.maximum(np.einsum("bp,bp->b", own, weighted), 0.0)
         return np.stack([coordinates, inner / np.maximum(np.einsum("bp,bp->b", own, own), _LEAST_NORM)])
 

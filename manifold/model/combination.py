@@ -113,6 +113,16 @@ class Combination:
             return material if self.weights[material] == 1.0 else None
         return None
 
+    @property
+    def used(self) -> tuple[Indices, Combination]:
+        """The materials that have a weight, (n,), and the same prediction made of these alone; not of a dictionary."""
+        if self.sample_bands is None:
+            used = np.flatnonzero(self.weights)
+            return used, replace(self, weights=self.weights[used])
+        of_materials = self.weights.reshape(len(self.weights), -1, len(self.sample_bands))
+        used = np.flatnonzero(np.any(of_materials, axis=(0, 2)))
+        return used, replace(self, weights=of_materials[:, used].reshape(len(self.weights), -1))
+
     def in_bands(self, bands: Indices) -> Combination:
         """The same prediction in some bands (B',), to meet values that are measured in these alone.
 

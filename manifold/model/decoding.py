@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from manifold.brdf.pairs import DirectionPairs
@@ -25,13 +27,22 @@ def integrating_sphere(incidence_deg: float = REFLECTANCE_INCIDENCE_DEG) -> tupl
 
 
 def decoder_at(
-    pairs: EncodingPairs, space: LatentSpace, materials: MaterialCache, settings: Settings
+    pairs: EncodingPairs,
+    space: LatentSpace,
+    materials: MaterialCache,
+    settings: Settings,
+    names: Sequence[str] | None = None,
 ) -> Decoder:
-    """The decoder of a space at direction pairs: of all embedding bands, or of one band."""
+    """The decoder of a space at direction pairs: of all embedding bands, or of one band.
+
+    `names` are those of the space's materials; by default all.
+    """
     mapping, cosines = mapping_named(settings.mapping), pairs.cosines
     located = DirectionPairs(pairs.wi, pairs.wo)
     rows = []
-    for brdf in materials.in_bands(space.embedding_bands(materials.library.bands.count).tolist()):
+    for brdf in materials.in_bands(
+        space.embedding_bands(materials.library.bands.count).tolist(), names=names
+    ):
         rows.append(mapping.forward(brdf.eval_at(located), cosines).T)  # [B_e, P]
     mapped, cosines = space.samples(np.stack(rows), cosines)
     return Decoder(space.gp, mapped, mapping, cosines)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.latent.decoder import EncodingPairs
@@ -14,13 +15,13 @@ from manifold.latent.per_band import MonochromeGPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
-from manifold.model.blend_fitting import BlendTables
+from manifold.model.blend_fitting import BlendTables, evaluate, fit_landmarks
 from manifold.model.curve_space import CurveSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
-from manifold.model.settings import Settings
+from manifold.model.settings import MOST_LAID_OUT, Settings
 from manifold.records import Indices, Progress, evenly_spaced
 from manifold.system.names import counted
 from manifold.system.stages import with_progress
@@ -53,7 +54,14 @@ def fit_space(
             f"{settings.latent_dim} latent dimensions for {count} materials, "
             f"expected {'1' if most == 1 else f'1 to {most}'}; choose fewer or import more"
         )
-    _warn_of_bright(materials)
+    if count > MOST_LAID_OUT and settings.kind != "blend":
+        raise UsageError(
+            f"{count} materials for kind {settings.kind}, expected at most {MOST_LAID_OUT}; use kind blend, or leave "
+            "materials out"
+        )
+    if settings.kind != "blend":
+        for material in materials.filled(on_progress=on_progress):
+            _warn_if_bright(material)
     return _FITS[settings.kind](materials, settings, on_progress)
 
 
@@ -61,18 +69,18 @@ class BrightMaterialWarning(UserWarning):
     """The directional albedo of a measured material is far above 1: its unit or its measurement is wrong."""
 
 
-def _warn_of_bright(materials: MaterialCache) -> None:
+def _warn_if_bright(material: MeasuredBRDF) -> MeasuredBRDF:
     wi = from_spherical(np.deg2rad(_LIT_DEG), 0.0)
-    some = evenly_spaced(materials.library.bands.count, 3).tolist()
-    albedo = np.array([material.select_bands(some).albedo(wi).max() for material in materials.filled()])
-    for name, most in zip(materials.names, albedo.tolist(), strict=True):
-        if most > _MOST_ALBEDO:
-            warnings.warn(
-                f"{name} has a directional albedo of {most:.3g}, expected at most 1: check its unit, 1/sr, or "
-                "exclude it; it is fitted unchanged",
-                BrightMaterialWarning,
-                stacklevel=4,
-            )
+    some = evenly_spaced(material.bands.count, 3).tolist()
+    most = float(material.select_bands(some).albedo(wi).max())
+    if most > _MOST_ALBEDO:
+        warnings.warn(
+            f"{material.name} has a directional albedo of {most:.3g}, expected at most 1: check its unit, 1/sr, or "
+            "exclude it; it is fitted unchanged",
+            BrightMaterialWarning,
+            stacklevel=4,
+        )
+    return material
 
 
 def _fit_materials(
@@ -116,9 +124,15 @@ def _fit_curves(
 def _fit_blends(
     materials: MaterialCache, s: Settings, on_progress: Progress | None
 ) -> tuple[LatentSpace, Statistics]:
-    brdfs = materials.filled(on_progress=on_progress)
     bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
-    space, layout = BlendTables.of(brdfs, bands, on_progress).fit(s.latent_dim, s.covariance())
+    count = s.landmarks_of(len(materials.names))
+    if count < len(materials.names):
+        read = map(_warn_if_bright, materials.stream(on_progress))
+        tables = evaluate(read, bands, materials.is_isotropic)
+        space, layout = fit_landmarks(*tables, count, s.latent_dim, s.covariance(), on_progress)
+    else:
+        brdfs = [_warn_if_bright(material) for material in materials.filled(on_progress=on_progress)]
+        space, layout = BlendTables.of(brdfs, bands, on_progress).fit(s.latent_dim, s.covariance())
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}
 
 

@@ -24,7 +24,7 @@ from manifold.model.latents import (
 from manifold.model.left_out import ExpectedErrors, LeftOut
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.records import Array, Mask
+from manifold.records import Array, Indices, Mask
 from manifold.system.names import names_like
 
 S = TypeVar("S", bound=np.generic)
@@ -58,6 +58,11 @@ class LatentMap:
     def X(self) -> Array:
         """Latents of the materials, read-only, shape (N, Q); of a monochrome manifold their structure coordinates."""
         return self.space.X
+
+    @property
+    def landmarks(self) -> Indices:
+        """The materials that pictures show in detail: those that were laid out, by default all, shape (M,)."""
+        return np.arange(len(self.names)) if self.space.landmarks is None else self.space.landmarks
 
     @property
     def gp(self) -> GPWeights:

@@ -62,6 +62,7 @@ class LatentSpace(ABC):
         sample_bands: bands of the materials that predictions combine, shape (B_s,); None is all of them.
         own_colours: colour coordinates of the materials in all bands, shape (N, B), if colours can be chosen.
         reflectances: of the materials at 8 degrees, specular included, shape (N, B), if colours can be chosen.
+        landmarks: materials on whose map all others were located, shape (M,); None where all were laid out.
         kind: its name.
         takes_colours: whether colours can be chosen.
         takes_gains: whether colours can have a gain per band.
@@ -77,6 +78,7 @@ class LatentSpace(ABC):
     X: Array
     kernel: Kernel
     sample_bands: Indices | None
+    landmarks: Indices | None = None
     own_colours: Array
     reflectances: Array
 
@@ -88,6 +90,13 @@ class LatentSpace(ABC):
     def gp(self) -> GPWeights:
         """The Gaussian process of the training samples."""
         return GPWeights(self.latents_of(np.arange(len(self.X))), self.kernel)
+
+    @property
+    def materials_in_words(self) -> str:
+        """How many materials there are, and how many of them are landmarks."""
+        return f"{len(self.X)}" + (
+            "" if self.landmarks is None else f", {len(self.landmarks)} of them landmarks"
+        )
 
     @property
     @abstractmethod
@@ -110,6 +119,10 @@ class LatentSpace(ABC):
     def numbers(self, n_bands: int) -> int:
         """How many numbers describe a material of `n_bands` bands: its latent, and colours and gains."""
         return self.X.shape[1] + n_bands * (self.takes_colours + self.takes_gains)
+
+    def around(self, x: Array) -> tuple[Indices, LatentSpace] | None:
+        """The materials that predictions at x (Q,) depend on, (n,), and the space of these; None where all may."""
+        return None
 
     def sample_rows(self, materials: Indices) -> Indices:
         """Indices of the training samples of some materials; by default a material is one sample."""

@@ -7,19 +7,23 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.distance import cdist
+from scipy.spatial import KDTree
 
 from manifold.latent.blending import widest_gap
 from manifold.latent.expected_error import ExpectedError
+from manifold.latent.landmark_layout import farthest_samples
+from manifold.model.blend_space import BlendSpace
+from manifold.model.landmark_search import landmark_left_out
 from manifold.model.latent_space import LatentSpace, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.records import Array, Mask, Progress, evenly_spaced
+from manifold.records import Array, Indices, Mask, Progress, evenly_spaced
 from manifold.system.stages import with_progress
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
-_PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual")
+_PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual", "materials")
+_SAMPLE = 200  # materials that are left out where not all were laid out: spread evenly over the map
 _MOST_BALL = 10.0  # CIEDE2000: the appearance of another material
 _LEAST_BALL, _LEAST_CUBE_ROOT = 0.05, 1e-3  # errors below cannot be seen
 
@@ -60,14 +64,15 @@ class CalibrationResult:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The place at which each material of a space is found when it is left out, and the errors of its prediction there.
+    """The places at which materials of a space are found when they are left out, and the errors of predictions there.
 
     Attributes:
         space: of N materials.
-        places: shape (N, Q).
-        ball: mean CIEDE2000 of the ball, shape (N,).
-        cube_root: error of cube roots on the encoding grid, relative, shape (N,).
-        residual: of the search, see `Embedded`, shape (N,).
+        places: shape (n, Q).
+        ball: mean CIEDE2000 of the ball, shape (n,).
+        cube_root: error of cube roots on the encoding grid, relative, shape (n,).
+        residual: of the search, see `Embedded`, shape (n,).
+        materials: which they are: all, or some of those of a map by landmarks, shape (n,).
     """
 
     space: LatentSpace
@@ -75,6 +80,7 @@ class LeftOut:
     ball: Array
     cube_root: Array
     residual: Array
+    materials: Indices
 
     @property
     def arrays(self) -> dict[str, Array]:
@@ -90,8 +96,14 @@ class LeftOut:
         """
         if _PREFIX + "residual" not in stored:  # nor those of older files, which do not have it
             return None
-        shapes = {_PREFIX + name: space.X.shape if name == "places" else (len(space.X),) for name in _ARRAYS}
-        return cls(space, *require_shapes(stored, shapes))
+        count = len(stored[_PREFIX + "materials"])
+        shapes = {
+            _PREFIX + name: (count, space.X.shape[1]) if name == "places" else (count,) for name in _ARRAYS
+        }
+        places, ball, cube_root, residual, materials = require_shapes(stored, shapes)
+        if not np.all(np.diff(materials) > 0) or materials.min() < 0 or materials.max() >= len(space.X):
+            raise ValueError("left-out materials are not those of the map")
+        return cls(space, places, ball, cube_root, residual, materials.astype(np.int64))
 
     def expected(self, x: Array, residual: float | None = None) -> ExpectedErrors:
         """Expected errors at latents x (M, Q) or (Q,), of a material of a residual if that is known."""
@@ -106,7 +118,7 @@ class LeftOut:
         materials, or where the nearest material is farther than any material is from its nearest other one.
         """
         X = self.space.X
-        is_far = cdist(x, X).min(axis=1) > widest_gap(X)
+        is_far = KDTree(X).query(x)[0] > widest_gap(X)
         most = max(_MOST_BALL, float(np.quantile(self.ball, 0.9)))
         return is_far | (self.expected(x).ball > most)
 
@@ -120,7 +132,7 @@ class LeftOut:
     def _compare(self, errors: Array, least: float) -> CalibrationResult:
         from scipy.stats import spearmanr  # takes half a second to import, and predictions do without
 
-        X, scale, expected = self.space.X, self.space.kernel.length_scale, np.empty_like(errors)
+        (X, scale), expected = self._calibrated, np.empty_like(errors)
         for i in range(len(X)):
             others = np.delete(np.arange(len(X)), i)
             fitted = ExpectedError.calibrate(X[others], self.places[others], errors[others], scale, least)
@@ -128,6 +140,12 @@ class LeftOut:
         (true, true_90), (median, p90) = np.quantile([errors, expected], (0.5, 0.9), axis=1).T.tolist()
         rank, below = spearmanr(expected, errors)[0], np.mean(errors < 2.0 * expected)
         return CalibrationResult((true, true_90), (median, p90), float(rank), float(below))
+
+    @property
+    def _calibrated(self) -> tuple[Array, float]:
+        """Places of the materials (n, Q), and a length scale that reaches as many of them as the map's of all."""
+        X, n = self.space.X, len(self.materials)
+        return X[self.materials], self.space.kernel.length_scale * (len(X) / n) ** (1.0 / X.shape[1])
 
     @cached_property
     def _of_places(self) -> list[ExpectedError]:
@@ -138,7 +156,7 @@ class LeftOut:
         return self._calibrate(self.residual)
 
     def _calibrate(self, residuals: Array | None) -> list[ExpectedError]:
-        X, scale = self.space.X, self.space.kernel.length_scale
+        X, scale = self._calibrated
         return [
             ExpectedError.calibrate(X, self.places, errors, scale, least, residuals)
             for errors, least in ((self.ball, _LEAST_BALL), (self.cube_root, _LEAST_CUBE_ROOT))
@@ -148,16 +166,24 @@ class LeftOut:
 def leave_out(
     space: LatentSpace, materials: MaterialCache, settings: Settings, on_progress: Progress | None = None
 ) -> LeftOut:
-    """Leave out every material of a space once, find its place from its data, and measure its prediction there.
+    """Leave out materials of a space once, find their places from their data, and measure their predictions there.
 
-    The places of the other materials are kept.
+    The places of the other materials are kept. Every material is left out, or on a map by landmarks a sample.
     """
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
-    table = MaterialTable(materials.with_negative_values(on_progress), bands)
-    find = space.left_out_search(table, materials, settings)
-    places, (ball, cube_root, residual) = np.empty_like(space.X), np.empty((3, len(space.X)))
-    for i in with_progress(range(len(space.X)), on_progress, "left-out materials"):
-        places[i], combination, residual[i] = find(i)
-        ball[i], cube_root[i] = table.errors(i, combination)
-    return LeftOut(space, places, ball, cube_root, residual)
+    chosen = np.arange(len(space.X))
+    if isinstance(space, BlendSpace) and space.landmarks is not None:
+        chosen = np.sort(farthest_samples(_SAMPLE, lambda i: np.linalg.norm(space.X - space.X[i], axis=1)))
+        find, measure = landmark_left_out(space, materials, bands)
+    else:
+        table = MaterialTable(materials.with_negative_values(on_progress), bands)
+        find, measure = space.left_out_search(table, materials, settings), table.errors
+    places, (ball, cube_root, residual) = (
+        np.empty((len(chosen), space.X.shape[1])),
+        np.empty((3, len(chosen))),
+    )
+    for k, i in with_progress(enumerate(chosen.tolist()), on_progress, "left-out materials"):
+        places[k], combination, residual[k] = find(i)
+        ball[k], cube_root[k] = measure(i, combination)
+    return LeftOut(space, places, ball, cube_root, residual, chosen)

@@ -16,9 +16,11 @@ from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.latent.expected_error import LEAST_MATERIALS
 from manifold.library.store import Library
 from manifold.mapping import Mapping, mapping_named
+from manifold.model.blend_space import BlendSpace
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.fitting import fit_space
+from manifold.model.landmark_search import embed_among_landmarks
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import PlaceLike, require_between
@@ -196,13 +198,12 @@ class Manifold(LatentMap):
             return PredictedBRDF(
                 [self.material(self.names[combination.source])], replace(combination, weights=_ONE)
             )
-        if combination.sample_bands is not None:
-            return PredictedBRDF(
-                self.materials.in_bands(combination.sample_bands.tolist()), combination, self.bands
-            )
-        used = np.flatnonzero(combination.weights)
-        materials = self.materials.filled([self.names[k] for k in used], on_progress)
-        return PredictedBRDF(materials, replace(combination, weights=combination.weights[used]))
+        used, combination = combination.used
+        names = [self.names[k] for k in used]
+        if combination.sample_bands is None:
+            return PredictedBRDF(self.materials.filled(names, on_progress), combination)
+        bands = combination.sample_bands.tolist()
+        return PredictedBRDF(self.materials.in_bands(bands, on_progress, names), combination, self.bands)
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
         """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""
@@ -244,8 +245,10 @@ class Manifold(LatentMap):
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
         pairs = self.space.embedding_pairs(self.materials.is_isotropic and brdf.is_isotropic)
         settings = self.settings if criterion is None else replace(self.settings, criterion=criterion)
-        decoder = decoder_at(pairs, self.space, self.materials, self.settings)
-        return self.space.embed(decoder, brdf.eval(pairs.wi, pairs.wo).T, settings)
+        f = brdf.eval(pairs.wi, pairs.wo).T
+        if isinstance(self.space, BlendSpace) and self.space.landmarks is not None:
+            return embed_among_landmarks(self.space, self.materials, pairs, f)
+        return self.space.embed(decoder_at(pairs, self.space, self.materials, self.settings), f, settings)
 
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:
         """Non-negative least squares of a material over all samples and analytic lobes, in every band.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
@@ -16,6 +16,18 @@ from manifold.errors import UnknownNameError
 from manifold.library.store import Library
 from manifold.records import BsdfFile, Progress
 from manifold.system.names import names_like
+
+_MOST_KEPT = 1000  # materials in memory, those read last
+_AT_ONCE = 16  # materials read together where none are kept
+
+
+class _Latest(dict[str, MeasuredBRDF]):
+    """The materials that were put in last."""
+
+    def __setitem__(self, name: str, material: MeasuredBRDF) -> None:
+        super().__setitem__(name, material)
+        while len(self) > _MOST_KEPT:
+            self.pop(next(iter(self)), None)
 
 
 class MaterialCache:
@@ -30,9 +42,9 @@ class MaterialCache:
 
     def __init__(self, library: Library, names: Sequence[str], *, is_nonnegative: bool = False) -> None:
         self.library, self.names, self.is_nonnegative = library, tuple(names), is_nonnegative
-        self._measured: dict[str, MeasuredBRDF] = {}
-        self._filled: dict[str, MeasuredBRDF] = {}
-        self._in_bands: tuple[tuple[int, ...], list[MeasuredBRDF]] | None = None
+        self._measured: dict[str, MeasuredBRDF] = _Latest()
+        self._filled: dict[str, MeasuredBRDF] = _Latest()
+        self._in_bands: tuple[tuple[int, ...], dict[str, MeasuredBRDF]] = (), _Latest()
         self._unmeasured_shares: dict[str, float] = {}
         self._changed: set[str] = set()  # names of materials with cells that were filled or cut
         self._cut: set[str] = set()  # those of which negative values were taken for 0
@@ -74,26 +86,43 @@ class MaterialCache:
         """Materials with their unmeasured cells filled, as predictions combine them; all by default."""
         return self._read(self._fill, self.names if names is None else tuple(names), on_progress)
 
-    def with_negative_values(self, on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All materials, unmeasured cells filled, negative values kept: the reference for errors of predictions."""
-        filled = self.filled(on_progress=on_progress)
+    def with_negative_values(
+        self, on_progress: Progress | None = None, names: Sequence[str] | None = None
+    ) -> list[MeasuredBRDF]:
+        """Materials, by default all, unmeasured cells filled, negative values kept: references for errors."""
+        names = self.names if names is None else names
+        filled = self.filled(names, on_progress)
         return [
             MeasuredBRDF(fill_unmeasured(self.library.read(name))) if name in self._cut else material
-            for name, material in zip(self.names, filled, strict=True)
+            for name, material in zip(names, filled, strict=True)
         ]
 
-    def in_bands(self, bands: Sequence[int], on_progress: Progress | None = None) -> list[MeasuredBRDF]:
-        """All materials, unmeasured cells filled, in some of their bands; the others are not kept."""
+    def in_bands(
+        self, bands: Sequence[int], on_progress: Progress | None = None, names: Iterable[str] | None = None
+    ) -> list[MeasuredBRDF]:
+        """Materials, by default all, unmeasured cells filled, in some of their bands; the others are not kept."""
         key = tuple(int(b) for b in bands)
-        if self._in_bands is None or self._in_bands[0] != key:
+        if self._in_bands[0] != key:
+            self._in_bands = key, _Latest()
+        kept = self._in_bands[1]
 
-            def read(name: str) -> MeasuredBRDF:
+        def read(name: str) -> MeasuredBRDF:
+            found = kept.get(name)
+            if found is None:
                 known = self._filled.get(name)
                 whole = MeasuredBRDF(self.filled_file(name)) if known is None else known
-                return whole.select_bands(list(key))
+                found = kept[name] = whole.select_bands(list(key))
+            return found
 
-            self._in_bands = key, self._read(read, self.names, on_progress)
-        return self._in_bands[1]
+        return self._read(read, self.names if names is None else tuple(names), on_progress)
+
+    def stream(self, on_progress: Progress | None = None) -> Iterator[MeasuredBRDF]:
+        """All materials as `filled` has them, one after another; none are kept."""
+        for first in range(0, len(self.names), _AT_ONCE):
+            some = self.names[first : first + _AT_ONCE]
+            yield from self._read(lambda name: MeasuredBRDF(self.filled_file(name)), some, None)
+            if on_progress is not None:
+                on_progress(first + len(some), len(self.names), some[-1])
 
     def filled_file(self, name: str) -> BsdfFile:
         """A material's file as predictions combine it."""
@@ -115,9 +144,10 @@ class MaterialCache:
         return self._unmeasured_shares[name]
 
     def _fill(self, name: str) -> MeasuredBRDF:
-        if name not in self._filled:
-            self._filled[name] = MeasuredBRDF(self.filled_file(name))
-        return self._filled[name]
+        found = self._filled.get(name)
+        if found is None:
+            found = self._filled[name] = MeasuredBRDF(self.filled_file(name))
+        return found
 
     def _read(
         self,

@@ -26,7 +26,7 @@ from manifold.records import Array
 from manifold.system import atomic, reading
 
 FORMAT = "manifold-model"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 MAGIC = b"manifold model\r\n"
 _HEADER = struct.Struct("<16sI16x")  # magic, version

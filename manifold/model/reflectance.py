@@ -47,8 +47,9 @@ class ReflectanceColours:
 
     def reached(self, x: Array, colours: Array) -> Array:
         """Reflectance of a structure x (Q,) in colours (B,), shape (B,)."""
-        decoder, measure = self._sphere
-        return self._space.reflectance_of(self._latent(x), colours, decoder, measure)
+        x = self._latent(x)
+        space, decoder, measure = self._around(x)
+        return space.reflectance_of(x, colours, decoder, measure)
 
     def like(self, x: Array, name: str) -> Array:
         """Colour coordinates (B,) that give a structure x (Q,) the reflectance of a material.
@@ -77,14 +78,26 @@ class ReflectanceColours:
         reflectance = np.asarray(reflectance, dtype=np.float64)
         if reflectance.shape != expected or not np.all(np.isfinite(reflectance)):
             raise ShapeError(f"reflectance has shape {reflectance.shape}, expected {expected}, finite")
-        decoder, measure = self._sphere
-        return self._space.colours_of(self._latent(x), reflectance, decoder, measure)
+        x = self._latent(x)
+        space, decoder, measure = self._around(x)
+        return space.colours_of(x, reflectance, decoder, measure)
 
     def _latent(self, x: Array) -> Array:
         return require_latent(x, self._space.X.shape[1])
 
+    def _around(self, x: Array) -> tuple[LatentSpace, Decoder, Array]:
+        """The space, or what of it predictions at x (Q,) depend on, its decoder inside an integrating sphere, and what
+        gives the reflectance when multiplied with its values, (P,).
+        """
+        part = self._space.around(x)
+        if part is None:
+            return self._space, *self._sphere
+        materials, space = part
+        pairs, measure = integrating_sphere()
+        names = [self._materials.names[k] for k in materials]
+        return space, decoder_at(pairs, space, self._materials, self._settings, names), measure
+
     @cached_property
     def _sphere(self) -> tuple[Decoder, Array]:
-        """The decoder inside an integrating sphere, and weights (P,) whose product with its values is a reflectance."""
         pairs, measure = integrating_sphere()
         return decoder_at(pairs, self._space, self._materials, self._settings), measure

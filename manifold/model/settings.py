@@ -22,6 +22,10 @@ _KIND_OPTIMIZERS = {"blend": ("l-bfgs",), "monochrome": ("l-bfgs",), "material":
 
 KINDS = tuple(_KIND_DEFAULTS)
 
+MOST_LAID_OUT = 300
+"""Number of materials up to which a map of blends lays out all of them; other kinds take no more."""
+_LANDMARKS = 150
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -39,6 +43,8 @@ class Settings:
         kernel: name of the kernel, see `kernel_named`.
         grid: name of the grid of direction pairs behind the Gram matrix.
         sample_bands: bands per material that are samples of a monochrome manifold, at most.
+        landmarks: number of materials of a map of blends that are laid out, the others being located among them; None
+            is all of at most 300 materials, and 150 of more.
         criterion: by which new materials are found, one of `criteria.CRITERIA`; blends have `cube-root` only.
     """
 
@@ -53,6 +59,7 @@ class Settings:
     grid: str = "default"
     sample_bands: int = 5
     criterion: str = "cube-root"
+    landmarks: int | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -76,11 +83,22 @@ class Settings:
             value = getattr(self, name)
             if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
                 raise UsageError(f"{name} is {value!r}, expected a whole number from {least}")
+        if self.landmarks is not None and (self.kind != "blend" or self.landmarks <= self.latent_dim + 1):
+            raise UsageError(
+                f"landmarks = {self.landmarks} for kind {self.kind} in {self.latent_dim} dimensions, expected kind "
+                f"blend, and at least {self.latent_dim + 2}"
+            )
         RusinkiewiczGrid.named(self.grid)  # checks it
         if not isinstance(self.kernel, str):
             raise UsageError(f"kernel {self.kernel!r}, expected a name, which a model's file can hold")
         require_mu(self.mu)
         self.covariance()  # checks it
+
+    def landmarks_of(self, materials: int) -> int:
+        """How many of a number of materials are laid out."""
+        if self.landmarks is not None:
+            return min(self.landmarks, materials)
+        return materials if materials <= MOST_LAID_OUT else _LANDMARKS
 
     def covariance(self) -> Kernel:
         """The kernel with its parameters."""

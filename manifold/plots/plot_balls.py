@@ -16,6 +16,7 @@ from manifold.plots.figures import in_lines, new_figure
 from manifold.plots.plot_latents import (
     MARK,
     draw_expected_error,
+    draw_points,
     latent_axes,
     material_labels,
     two_dimensions,
@@ -32,20 +33,22 @@ _GAP = 1.06  # of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """The first two latent dimensions: every material as a ball, over the expected error.
+    """The first two latent dimensions: every material as a ball, or the landmarks, over the expected error.
 
-    Balls that would cover each other are moved apart, with a line to where they belong.
+    Balls that would cover each other are moved apart, with a line to where they belong. Materials that are no
+    landmarks are points in their colours.
 
     Args:
         model: a fitted manifold.
-        images: one ball per material, RGBA (H, W, 4), cropped to the ball.
+        images: one ball per landmark, RGBA (H, W, 4), cropped to the ball.
         marked: a latent (Q,) to show as predicted.
         marked_image: the ball of that prediction.
     """
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
-    X = two_dimensions(model.X)
+    X = two_dimensions(model.X[model.landmarks])
     names = [in_lines(name, _LINE) for name in material_labels(model)]
+    draw_points(axes, model)
     shown = list(images)
     if marked is not None and marked_image is not None:
         X = np.vstack([X, two_dimensions(np.asarray(marked, dtype=float)[None])])

@@ -14,9 +14,10 @@ from manifold.directions import from_spherical
 from manifold.library.identity import origins_in_words
 from manifold.model.manifold import Manifold
 from manifold.plots.figures import new_figure, place_names, shortened
-from manifold.records import Array
+from manifold.records import Array, Indices
 
 _DOT_POINTS = 10.5  # diameter of a material
+_POINTS_AREA, _MOST_AREA = 60000.0, 30.0  # of all small points together, and of one, in square points
 MARK = "#d55e00"
 _UNCERTAINTY = LinearSegmentedColormap.from_list("uncertainty", ["#ffffff", "#c6d8e8", "#5b7f9f"])
 _BALL_RANGE, _BALL_TICKS = (
@@ -28,7 +29,7 @@ _MARGIN = 0.18  # of the range of the latents, around them
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
-    """The first two latent dimensions: materials in their own colours over the expected error.
+    """The first two latent dimensions: materials in their own colours over the expected error, landmarks with names.
 
     Args:
         model: a fitted manifold; one dimension is drawn along a line.
@@ -36,10 +37,11 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
-    X = two_dimensions(model.X)
+    X = two_dimensions(model.X[model.landmarks])
     if model.settings.latent_dim == 2:
         draw_expected_error(figure, axes, model)
-    colours = _material_colours(model)
+    draw_points(axes, model)
+    colours = material_colours(model, model.landmarks)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
     names = [shortened(name) for name in material_labels(model)]
     if marked is not None:
@@ -52,9 +54,9 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 
 
 def material_labels(model: Manifold) -> list[str]:
-    """Names of the materials on a map; of those that were not measured also what they are."""
+    """Names of the landmarks of a map; of those that were not measured also what they are."""
     labels = []
-    for name in model.names:
+    for name in (model.names[k] for k in model.landmarks):
         origin = model.library.attributes(name).origin
         what = "" if origin in ("measured", "synthetic", name) else f" ({origin})"
         labels.append(name.removeprefix("syn_").replace("_", " ") + what)
@@ -122,12 +124,23 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
     axes.set_ylim(y[0], y[-1])
 
 
-def _material_colours(model: Manifold) -> Array:
-    """Display colour of each material: its directional albedo at 30 degrees under D65, shape (N, 3)."""
-    wi = from_spherical(np.deg2rad(30.0), 0.0)
-    albedo = np.stack([model.material(name).albedo(wi, resolution=16) for name in model.names])
-    linear = np.clip(to_srgb(albedo, model.bands), 0.0, 1.0)
-    return encode_srgb(linear)
+def draw_points(axes: Axes, model: Manifold) -> None:
+    """The materials that are no landmarks, as small points in their colours."""
+    others = np.delete(np.arange(len(model.names)), model.landmarks)
+    if others.size:
+        X, area = two_dimensions(model.X[others]), _POINTS_AREA / len(others)
+        colours = material_colours(model, others)
+        axes.scatter(X[:, 0], X[:, 1], min(area, _MOST_AREA), colours, linewidths=0.0, zorder=1.5)
+
+
+def material_colours(model: Manifold, materials: Indices) -> Array:
+    """Display colours of materials (n,): their reflectances under D65, or directional albedos at 30 degrees, (n, 3)."""
+    if model.space.takes_colours:
+        reflectances = model.space.reflectances[materials]
+    else:
+        wi = from_spherical(np.deg2rad(30.0), 0.0)
+        reflectances = np.stack([model.material(model.names[k]).albedo(wi, resolution=16) for k in materials])
+    return encode_srgb(np.clip(to_srgb(reflectances, model.bands), 0.0, 1.0))
 
 
 def _label(figure: Figure, axes: Axes, X: Array, names: list[str]) -> None:

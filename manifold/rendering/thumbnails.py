@@ -21,14 +21,15 @@ _VERSION = "thumbnail-1"  # raise where scene, size or tone mapping change
 
 
 def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[Array]:
-    """Every measured material of a model as a ball, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
+    """The materials of `model.landmarks` as balls, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
+    names = tuple(model.names[k] for k in model.landmarks)
     key = hashlib.sha256(
-        f"{_VERSION} {model.library.content_hash} {SIZE} {SAMPLES} {model.names}".encode()
+        f"{_VERSION} {model.library.content_hash} {SIZE} {SAMPLES} {names}".encode()
     ).hexdigest()
     cached = model.library.cache_get(key)
     if cached is not None:
         return list(cached["images"].astype(np.float64))
-    images = [of_material(model.library.read(name)) for name in with_progress(model.names, on_progress, str)]
+    images = [of_material(model.library.read(name)) for name in with_progress(names, on_progress, str)]
     model.library.cache_put(key, {"images": np.stack(images).astype(np.float32)})
     return images
 

@@ -252,14 +252,13 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
             raise
         missing = str(error)
     rows: dict[str, object] = {
-        "materials": len(stored.names),
+        "materials": space.materials_in_words,
         "library": f"{missing}; predictions, renders and reports need it" if found is None else found.path,
         "bands": stored.n_bands or "unknown without the library" if found is None else found.bands,
         "kind": _KINDS[s.kind],
         "latent dimensions": s.latent_dim,
         "mapping": s.mapping,
         "kernel": f"{s.kernel} + delta, length scale {s.length_scale:g}, mu {s.mu:g}",
-        "condition of K": f"{space.gp.condition:.3g}",
         "optimizer": s.optimizer,
         "criterion": s.criterion,
         "objective": f"{stored.statistics['objective']:.6g} (start {stored.statistics['objective_start']:.6g})",
@@ -277,12 +276,12 @@ def _inspect_model(path: Path, library: Path | None) -> Inspection:
             f"{low[1]:.0%}, {high[1]:.0%} cube-root error",
         ]
         columns += ["left out: ball", "cube root"]
-        pairs = list(zip(left_out.ball.tolist(), left_out.cube_root.tolist(), strict=True))
-        table = [(*row, f"{ball:.1f}", f"{root:.0%}") for row, (ball, root) in zip(table, pairs, strict=True)]
-        errors = {
-            name: {"ball": ball, "cube_root": root}
-            for name, (ball, root) in zip(stored.names, pairs, strict=True)
-        }
+        each = zip(
+            left_out.materials.tolist(), left_out.ball.tolist(), left_out.cube_root.tolist(), strict=True
+        )
+        errors = {stored.names[i]: {"ball": ball, "cube_root": root} for i, ball, root in each}
+        words = {name: (f"{e['ball']:.1f}", f"{e['cube_root']:.0%}") for name, e in errors.items()}
+        table = [(*row, *words.get(str(row[0]), ("", ""))) for row in table]
     document = {
         "path": str(path),
         "library": str(stored.library if found is None else found.path),

@@ -357,7 +357,7 @@ def test_the_map_shows_every_material_where_it_lies(model, tmp_path):
 
 
 def test_a_felt_dot_has_the_colour_of_the_felt(model):
-    colours = plot_latents._material_colours(model)
+    colours = plot_latents.material_colours(model, model.landmarks)
     red, green, blue = colours[model.names.index("syn_felt_green")]
     assert green > red
     assert green > blue

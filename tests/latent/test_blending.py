@@ -18,10 +18,17 @@ from manifold.brdf.valleys import profile_pairs, squared_valleys, valley_depth
 from manifold.colour import ball_colours
 from manifold.directions import from_spherical
 from manifold.errors import ShapeError
-from manifold.latent.blending import _inside_hull, _LayoutObjective, blend_layout, blend_weights, widest_gap
+from manifold.latent.blending import (
+    LayoutObjective,
+    _blends,
+    blend_layout,
+    blend_weights,
+    inside_hull,
+    widest_gap,
+)
 from manifold.latent.colour_paths import WHITE, fit_paths
 from manifold.library.store import Library
-from manifold.model.blend_fitting import appearance_distances
+from manifold.model.blend_fitting import AppearanceDistances, evaluate
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
 from manifold.records import Bands
@@ -50,9 +57,10 @@ def test_gradient_of_the_layout_agrees_with_central_differences(rng):
     distance = np.linalg.norm(truth[:, None] - truth[None], axis=2)
     implausible = np.abs(rng.normal(size=(6, 6)))
     implausible = implausible + implausible.T
-    objective = _LayoutObjective(distance, 1.2 * distance, implausible)
+    pairs = np.triu_indices(6, 1)
+    objective = LayoutObjective(pairs, distance[pairs], 1.2 * distance[pairs])
     cost = lambda u: (np.sum(u**3, axis=1), 3.0 * u**2)  # noqa: E731
-    blends = objective.blends(rng.dirichlet(np.ones(6), size=20), 0.7, cost, 2.0)
+    blends = _blends(rng.dirichlet(np.ones(6), size=20), 0.7, implausible, cost, 2.0)
     X = truth + 0.3 * rng.normal(size=truth.shape)
     numeric = reference.central_differences(lambda x: objective.value(x, blends)[0], X)
     np.testing.assert_allclose(objective.value(X, blends)[1], numeric, rtol=1e-5, atol=1e-7)  # h = 1e-5
@@ -90,19 +98,24 @@ def test_a_layout_keeps_apart_what_does_not_blend():
 
 def test_places_inside_the_hull_are_drawn_evenly(rng):
     X = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 1.0], [4.0, 1.0], [1.0, 0.2]])
-    shares = _inside_hull(X, rng)
+    shares = inside_hull(X, 1500, rng)
     np.testing.assert_allclose(shares.sum(axis=1), 1.0, rtol=1e-12)  # rounding
     assert shares.min() >= 0.0
     assert np.all(np.count_nonzero(shares, axis=1) <= 3)
     quarters, _ = np.histogram((shares @ X)[:, 0], bins=4, range=(0.0, 4.0))
-    np.testing.assert_allclose(quarters / len(shares), 0.25, atol=0.05)  # four standard deviations of 1,500
-    assert len(_inside_hull(X[:, :1], rng)) == 0
-    assert len(_inside_hull(X * [1.0, 0.0], rng)) == 0
+    np.testing.assert_allclose(quarters / len(shares), 0.25, atol=0.05)  # four standard deviations
+    assert len(inside_hull(X[:, :1], 10, rng)) == 0
+    assert len(inside_hull(X * [1.0, 0.0], 10, rng)) == 0
+
+
+def distances(materials) -> AppearanceDistances:
+    """Between a few isotropic materials."""
+    return evaluate(materials, np.arange(materials[0].bands.count), True)[0].distances()
 
 
 def test_rounding_of_the_inputs_does_not_change_a_map(rng):
     """Layouts have many minima, and compiled functions differ in their last bits from machine to machine."""
-    known = appearance_distances([MeasuredBRDF(measured(name)) for name in NAMES])
+    known = distances([MeasuredBRDF(measured(name)) for name in NAMES])
     noise = 1.0 + 1e-12 * rng.normal(size=known.ball.shape)
     disturbed = replace(
         known,
@@ -157,7 +170,7 @@ def test_a_materials_own_groove_does_not_move_it_onto_another():
     """Blends with it have a groove wherever it lies: only what they have beyond it speaks against a layout."""
     widths = np.linspace(0.2, 0.35, 5)
     smooth, grooved = ([Grooved(width, depth) for width in widths] for depth in (0.0, 0.6))
-    looks = appearance_distances([*smooth[:2], grooved[2], *smooth[3:]])
+    looks = distances([*smooth[:2], grooved[2], *smooth[3:]])
     assert looks.allowed[2] > 0.4
     assert looks.valley.max() < 0.02  # half of a groove is hardly less deep than the mean of one and none
     places = looks.layout(1).X[:, 0]

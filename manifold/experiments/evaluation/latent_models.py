@@ -78,13 +78,14 @@ def _fit_blend(s: Settings, criterion: str, tolerance: float) -> Fit:
         every: BlendTables = data.cached(
             ("blend", s.sample_bands), lambda: BlendTables.of(data.materials, bands)
         )
-        tables, rows = every.subset(training), every.rows(training)
+        tables, rows = every.subset(training), every.samples.rows(training)
         space, _ = tables.fit(min(s.latent_dim, len(training) - 1), s.covariance())
-        search = PlaceSearch(space, tables.roots, tables.appearance.weight(tables.roots))
+        roots, pairs = tables.samples.roots, tables.samples.pairs
+        search = PlaceSearch(space, roots, pairs.weight(roots))
 
         def encode(i: int) -> Combination:
-            x, colours, _ = search.find(roots_at([data.materials[i]], tables.appearance.pairs), bands)
-            spread = np.zeros((data.n_bands, len(every.roots)))
+            x, colours, _ = search.find(roots_at([data.materials[i]], pairs.pairs), bands)
+            spread = np.zeros((data.n_bands, len(every.samples.roots)))
             spread[:, rows] = space.weights(x, colours)
             return Combination(CubeRoot(), spread, bands)
 

@@ -12,6 +12,7 @@ import numpy as np
 from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
+from manifold.errors import UsageError
 from manifold.experiments.evaluation.anchors import PRINCIPLED, anchor, neural_fits
 from manifold.experiments.evaluation.cross_validation import Encoded, Method, encode_all, wall_clock
 from manifold.experiments.evaluation.errors import (
@@ -160,6 +161,11 @@ def make_report(
         UsageError: the grid is unknown, or an anchor.
         LibraryError: a material cannot be read.
     """
+    if model.space.landmarks is not None:
+        raise UsageError(
+            f"a report on a map of {model.space.materials_in_words}, expected all to be laid out: its methods leave "
+            "out every material; a model's information lists the left-out errors of a sample"
+        )
     grid = RusinkiewiczGrid.named(grid_name)
     for source in {*anchors} - {PRINCIPLED}:
         neural_fits(source, model.names, model.bands)  # refused before any long work

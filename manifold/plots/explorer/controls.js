@@ -7,6 +7,7 @@ import { fromFragment, lampWithin, toFragment } from "./state.js";
 
 const DEGREES_ACROSS = 270; // by which a drag across the whole picture turns it
 const STEP = 0.01, LARGE = 0.05; // of the map's extent, per press of an arrow key
+const MOST_FOUND = 50; // names in the list of a search
 
 export const controls = {
   fillControls() {
@@ -339,7 +340,8 @@ export const controls = {
   },
 
   listenToSearch() {
-    const input = this.byId("search"), list = this.byId("found");
+    const input = this.byId("search"), list = this.byId("found"), { names, others } = this.data;
+    const searched = [...names, ...others.names];
     let found = [], at = 0;
     const close = () => {
       list.hidden = true;
@@ -349,14 +351,15 @@ export const controls = {
     const show = () => {
       const words = input.value.trim().toLowerCase().split(/\s+/);
       found = input.value.trim()
-        ? this.data.names.flatMap((name, k) => (words.every((w) => name.toLowerCase().includes(w)) ? [k] : [])) : [];
+        ? searched.flatMap((name, k) => (words.every((w) => name.toLowerCase().includes(w)) ? [k] : [])) : [];
+      found = found.slice(0, MOST_FOUND);
       at = Math.min(at, Math.max(found.length - 1, 0));
       list.replaceChildren(...found.map((k, row) => {
         const item = document.createElement("li");
         item.id = `found-${row}`;
         item.setAttribute("role", "option");
         item.setAttribute("aria-selected", String(row === at));
-        item.textContent = this.data.names[k];
+        item.textContent = searched[k];
         item.addEventListener("pointerdown", (event) => event.preventDefault()); // the focus stays
         item.addEventListener("click", () => choose(k)); // a finger may scroll the list; screen readers only click
         return item;
@@ -378,7 +381,10 @@ export const controls = {
     const choose = (k) => {
       input.value = "";
       close();
-      this.goTo(k);
+      if (k < names.length) return this.goTo(k);
+      const x = others.X[k - names.length];
+      this.map.keepInView(x);
+      this.change({ x: [...x], at: null, path: null });
     };
     input.addEventListener("input", () => {
       at = 0;

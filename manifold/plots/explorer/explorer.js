@@ -53,7 +53,8 @@ export class Explorer {
 
   start() {
     const { data } = this;
-    this.byId("library").textContent = `${data.library}, ${data.names.length} materials`;
+    this.byId("library").textContent = `${data.library}, ${data.names.length} materials` +
+      (data.others.X.length ? `, blended; ${data.others.X.length} others are points` : "");
     this.fillControls();
     this.listen();
     this.showTab = makeTabs(this.root.querySelector("[role=tablist]"), (id) => this.byId(id), (id) => this.tabShown(id));

@@ -130,6 +130,16 @@ export class MapView {
     if (hover >= 0) this._drawLabel(context, hover, theme);
   }
 
+  /** Materials that are no landmarks, as points in their colours. */
+  _drawOthers(context) {
+    const { X, colours } = this.data.others, radius = Math.max(this.ratio, 0.12 * this.radius);
+    X.forEach((x, k) => {
+      const [px, py] = this.toPixel(x);
+      context.fillStyle = colours[k];
+      context.fillRect(px - radius, py - radius, 2 * radius, 2 * radius);
+    });
+  }
+
   /** What does not move with the point, drawn when it changes: the field of errors, balls and names. */
   _drawGround(state, theme) {
     const { width, height } = this.canvas, drawn = this.images.filter((image) => image).length;
@@ -143,6 +153,7 @@ export class MapView {
     if (this.arranged !== arranged) this._arrange(context);
     this.arranged = arranged;
     this._drawField(context, state, theme);
+    this._drawOthers(context);
     names.forEach((_, k) => this._drawLeader(context, k, theme));
     const order = X.map((_, k) => k).sort((a, b) => this._depth(a, state) - this._depth(b, state));
     for (const k of order) this._drawMaterial(context, k, state, theme);

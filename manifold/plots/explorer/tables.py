@@ -18,7 +18,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.weighted_sums import WeightedSum
 from manifold.colour import ball_colours
-from manifold.colour.conversion import to_srgb
+from manifold.colour.conversion import encode_srgb, to_srgb
 from manifold.colour.environments import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
@@ -70,18 +70,18 @@ class Tables:
 
 
 def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
-    """Evaluate the materials of a map of blends on the pairs of a page.
+    """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page.
 
     Raises:
         UsageError: the map is of another kind.
         LibraryError: a material cannot be read.
     """
-    space = require_blends(model.space)
+    space = require_blends(model.space).of_landmarks
     grid = AngleGrid()
     pairs = tabulated_pairs(grid)
     nodes = _node_bands(model.bands)
     bands = np.union1d(nodes, space.bands)
-    materials = model.materials.in_bands(bands.tolist(), on_progress)
+    materials = model.materials.in_bands(bands.tolist(), on_progress, _landmark_names(model))
     roots = np.stack([_roots(material, pairs) for material in materials])  # [N, P, B']
     at_nodes, at_samples = np.searchsorted(bands, nodes), np.searchsorted(bands, space.bands)
     basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))
@@ -109,17 +109,18 @@ def packed(tables: Tables) -> dict[str, Any]:
 
 def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
     """Everything that a page shows, as JSON."""
-    space = require_blends(model.space)
+    space, names = require_blends(model.space).of_landmarks, _landmark_names(model)
     bands, nodes = model.bands, tables.nodes
     node_bands = bands if bands.is_rgb else Bands(tuple(np.array(bands.wavelengths_nm)[nodes].tolist()))
     grid, pairs = tables.grid, tables.pairs
     return {
         "library": model.library.path.name,
-        "names": list(model.names),
+        "names": names,
+        "others": _others(model),
         "X": space.X.tolist(),
         "lengthScale": space.kernel.length_scale,
-        "anisotropic": [not model.library.attributes(name).is_isotropic for name in model.names],
-        "unmeasured": [model.materials.unmeasured_share(name) for name in model.names],
+        "anisotropic": [not model.library.attributes(name).is_isotropic for name in names],
+        "unmeasured": [model.materials.unmeasured_share(name) for name in names],
         "grid": {
             "shape": list(grid.shape), "thetaHMax": grid.theta_h_max_rad, "thetaHPower": grid.theta_h_power,
             "thetaDShare": grid.theta_d_share,
@@ -160,11 +161,26 @@ def _environments() -> list[dict[str, Any]]:
     return made
 
 
+def _landmark_names(model: Manifold) -> list[str]:
+    return [model.names[k] for k in model.landmarks]
+
+
+def _others(model: Manifold) -> dict[str, Any]:
+    """Places, colours and names of the materials that are no landmarks: points of the map, no part of predictions."""
+    others = np.delete(np.arange(len(model.names)), model.landmarks)
+    srgb = encode_srgb(np.clip(to_srgb(model.space.reflectances[others], model.bands), 0.0, 1.0))
+    return {
+        "X": model.X[others].round(3).tolist(),
+        "colours": ["#" + bytes(np.rint(255.0 * colour).astype(np.uint8)).hex() for colour in srgb],
+        "names": [model.names[k] for k in others],
+    }
+
+
 def _paths(space: BlendSpace, tables: Tables) -> dict[str, Any]:
     """Vertices of the colour paths; weights as indices of samples and values."""
     vertices = []
-    for coordinates, weights in space.paths.vertices:
-        sparse = [[[int(k), float(w[k])] for k in np.flatnonzero(w)] for w in weights]
+    for coordinates, samples, weights in space.paths.vertices:
+        sparse = [[[int(samples[k]), float(w[k])] for k in np.flatnonzero(w)] for w in weights]
         vertices.append({"at": coordinates.tolist(), "weights": sparse})
     return {"vertices": vertices, "last": space.paths.last, "sampleBasis": tables.sample_basis.tolist()}
 

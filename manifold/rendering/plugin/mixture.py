@@ -93,12 +93,13 @@ def fixed_mixture(
         return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
     if tolerance > 0.0:
         raise UsageError(_NO_TOLERANCE)
-    files = _read(model, range(len(model.names)))
+    used, combination = combination.used
+    files = _read(model, used)
     order = _by_size(files)
-    samples = weights.reshape(model.bands.count, len(model.names), len(sample_bands))[:, order]
+    samples = combination.weights.reshape(model.bands.count, len(used), len(sample_bands))[:, order]
     lobes = np.abs(samples).sum(axis=(0, 2))
     tables = packed_tables.pack([files[k] for k in order], sample_bands.tolist())
-    names = tuple(model.names[k] for k in order)
+    names = tuple(model.names[used[k]] for k in order)
     return Mixture(names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
 
 
@@ -114,6 +115,11 @@ def varying_mixture(model: Manifold) -> Mixture:
             "textures of latents need a manifold of whole materials; give one latent, or embed as kind `blend`"
         )
     n = len(model.names)
+    if model.space.landmarks is not None:
+        raise UsageError(
+            f"textures of latents on a map of {model.space.materials_in_words}, expected all to be laid out: they keep "
+            "all in memory; embed fewer"
+        )
     files = _read(model, range(n))
     order = _by_size(files)
     bands, seen = _seen_bands(model.bands)

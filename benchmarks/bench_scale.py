@@ -1,0 +1,245 @@
+"""Thousands of materials: time and memory of import, embedding with calibration, predictions and the map.
+
+    python benchmarks/bench_scale.py [--sizes 50,150,500,1500,5000] [--figure FILE.png] [--json FILE]
+    python benchmarks/bench_scale.py --compare LIBRARY [--landmarks 0,50] [--latent-dim Q]
+
+Materials are generated: analytic ones of six kinds with random parameters, as RGB files of 16 x 16 cells and five
+incidences. Every step of every size runs in a process of its own, whose processor time, wall time and peak memory are
+measured. The exponent of a step is the slope of log processor time over log size, of the two largest sizes.
+
+With --compare, maps of one library by different numbers of landmarks (0: all materials are laid out): errors of
+materials that are left out, median / 90th percentile, the rank correlation of expected errors with them, and the share
+of random latents inside the hull whose highlight has a hole of over 10 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from bench_interior import Interior
+
+from manifold.brdf import goniometer
+from manifold.brdf.analytic.base import Sheen
+from manifold.brdf.analytic.diffuse import RoughDiffuse
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.layers import Layered, MixedBRDF
+from manifold.brdf.analytic.microfacet import Plastic, RoughConductor
+from manifold.brdf.measured import BRDF
+from manifold.brdf.plausibility import plausibility
+from manifold.io_rgl import write_bsdf
+from manifold.library.importing import import_files
+from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
+from manifold.records import Bands
+from manifold.workflows.ball_pictures import latent_map
+from manifold.workflows.explore import write_page
+from manifold.workflows.prediction import predict
+
+SIZES = (50, 150, 500, 1500, 5000)
+RGB = Bands(None)
+NODES, INCIDENCES, WARP_NODES = 16, 5, 32  # of generated files
+PREDICTIONS = 10
+PLACES = 100  # random latents of a seed of the comparison
+
+Run = dict[str, float]
+
+
+def random_material(rng: np.random.Generator) -> BRDF:
+    """An analytic material: paint, cloth, metal, lacquered metal, satin or plastic."""
+    colour = np.clip(rng.beta(0.8, 1.6, 3) * rng.uniform(0.2, 1.0), 0.01, 0.9)
+    ggx = GGX.isotropic(float(np.exp(rng.uniform(np.log(0.06), np.log(0.7)))))
+    eta = np.full(3, rng.uniform(1.35, 1.7))
+    root = np.sqrt(np.clip(rng.uniform(0.3, 0.95) * rng.uniform(0.5, 1.0, 3), 0.05, 0.95))
+    metal = RoughConductor(ggx, (1.0 + root) / (1.0 - root), np.zeros(3), RGB)
+    matte, plastic = RoughDiffuse(colour, rng.uniform(0.0, 0.8), RGB), Plastic(ggx, eta, colour, RGB)
+    kinds: list[Callable[[], BRDF]] = [
+        lambda: matte,
+        lambda: Layered(Sheen(rng.uniform(0.2, 0.7), rng.uniform(0.05, 0.4) * np.sqrt(colour), RGB), matte),
+        lambda: metal,
+        lambda: MixedBRDF([(0.5, metal), (0.5, plastic)]),
+        lambda: MixedBRDF([(0.5, matte), (0.5, plastic)]),
+        lambda: plastic,
+    ]
+    return kinds[rng.integers(len(kinds))]()
+
+
+def write_materials(folder: Path, first: int, last: int) -> None:
+    """Files of the materials of these numbers, which follow from the number alone."""
+    goniometer.WARP_NODES = WARP_NODES  # the files of the database have 128, half a megabyte of them
+    for k in range(first, last):
+        path = folder / f"material_{k:05d}_rgb.bsdf"
+        if not path.exists():
+            brdf = random_material(np.random.default_rng([0, k]))
+            write_bsdf(
+                path, goniometer.measure(brdf, f"material_{k:05d}", resolution=NODES, n_theta_i=INCIDENCES)
+            )
+
+
+def measured(step: Callable[..., None], *arguments: object) -> Run:
+    """Processor seconds, wall seconds, and peak memory in GB of a step in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    queue = context.Queue()
+    process = context.Process(target=_run, args=(queue, step, arguments))
+    process.start()
+    found: Run = queue.get()
+    process.join()
+    return found
+
+
+def _run(queue: multiprocessing.Queue[Run], step: Callable[..., None], arguments: tuple[object, ...]) -> None:
+    start, used = time.perf_counter(), time.process_time()
+    step(*arguments)
+    used, wall = time.process_time() - used, time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    queue.put({"cpu_s": used, "wall_s": wall, "memory_gb": peak})
+
+
+def import_step(library: Path, files: list[Path]) -> None:
+    """Import files."""
+    assert not import_files(library, files).failed
+
+
+def embed_step(library: Path, model: Path) -> None:
+    """Embed with calibration."""
+    Manifold.fit(library).save(model)
+
+
+def predict_step(model: Path) -> None:
+    """Predict at random latents, from loading the model to files."""
+    loaded = Manifold.load(model)
+    rng = np.random.default_rng(0)
+    for k in range(PREDICTIONS):
+        shares = rng.dirichlet(np.ones(3))
+        x = shares @ loaded.X[rng.choice(len(loaded.X), 3, replace=False)]
+        predict(loaded, x, model.parent / f"predicted_{k}.bsdf")
+
+
+def map_step(model: Path) -> None:
+    """Draw the map."""
+    latent_map(model, model.parent / "map.png")
+
+
+def page_step(model: Path) -> None:
+    """Write the page."""
+    write_page(model, model.parent / "page.html")
+
+
+def run_sizes(sizes: list[int], folder: Path) -> dict[str, list[Run]]:
+    """Every step at every size."""
+    files = folder / "files"
+    files.mkdir(parents=True, exist_ok=True)
+    rows: dict[str, list[Run]] = {step: [] for step in ("import", "embed", "predict", "map", "page")}
+    for size in sizes:
+        here = folder / str(size)
+        here.mkdir(exist_ok=True)
+        write_materials(files, 0, size)
+        library, model = here / "library.zarr", here / "model.h5"
+        steps: dict[str, tuple[Callable[..., None], list[object]]] = {
+            "import": (import_step, [library, sorted(files.iterdir())[:size]]), "embed": (embed_step, [library, model]),
+            "predict": (predict_step, [model]), "map": (map_step, [model]), "page": (page_step, [model]),
+        }  # fmt: skip
+        for name, (step, arguments) in steps.items():
+            found = measured(step, *arguments)
+            rows[name].append(found)
+            print(size, name, {key: round(value, 2) for key, value in found.items()}, flush=True)
+        bytes_of = {path.name: path.stat().st_size for path in (model, here / "page.html")}
+        print(f"{size}:", ", ".join(f"{name} {count / 1e6:.1f} MB" for name, count in bytes_of.items()))
+    return rows
+
+
+def print_table(sizes: list[int], rows: dict[str, list[Run]]) -> None:
+    """Processor seconds and gigabytes of every step and size, and exponents."""
+    print("| step | " + " | ".join(f"{size:,}" for size in sizes) + " | exponent |")
+    print("|---" * (len(sizes) + 2) + "|")
+    for step, runs in rows.items():
+        cells = [f"{run['cpu_s']:.1f} s ({run['wall_s']:.0f}), {run['memory_gb']:.2f} GB" for run in runs]
+        print(f"| {step} | " + " | ".join(cells) + f" | {exponent(sizes, runs):.2f} |")
+
+
+def exponent(sizes: list[int], runs: list[Run]) -> float:
+    """Slope of log processor time over log size between the two largest sizes."""
+    if len(sizes) < 2:
+        return float("nan")
+    return float(np.log(runs[-1]["cpu_s"] / runs[-2]["cpu_s"]) / np.log(sizes[-1] / sizes[-2]))
+
+
+def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
+    """Processor time and memory over the number of materials."""
+    from manifold.plots.figures import new_figure, save
+
+    figure = new_figure(10, 4.2)
+    for axes, key, label in zip(
+        figure.subplots(1, 2), ("cpu_s", "memory_gb"), ("processor time (s)", "peak memory (GB)"), strict=True
+    ):
+        for (step, runs), marker in zip(rows.items(), "osD^v", strict=True):
+            label_of = f"{step}, exponent {exponent(sizes, runs):.2f}" if key == "cpu_s" else step
+            axes.plot(sizes, [run[key] for run in runs], marker=marker, label=label_of)
+        axes.set(xscale="log", yscale="log", xlabel="materials", ylabel=label)
+        axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
+        axes.minorticks_off()
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    save(figure, path)
+
+
+def compare(library: Path, landmarks: list[int], latent_dim: int) -> None:
+    """A row per number of landmarks."""
+    print(
+        "| landmarks | ball: left out, rank correlation | cube root: left out, rank correlation | holes | processor s |"
+    )
+    print("|---|---|---|---|---|")
+    for count in landmarks:
+        used = time.process_time()
+        model = Manifold.fit(library, Settings(latent_dim=latent_dim, landmarks=count or None))
+        used = time.process_time() - used
+        assert model.left_out is not None
+        found = [
+            f"{c.true[0]:.3g} / {c.true[1]:.3g}, {c.rank_correlation:.2f}"
+            for c in model.left_out.calibration().values()
+        ]
+        holes = []
+        for seed in (0, 1, 2):
+            interior = Interior(model, seed)
+            valleys = [plausibility(model.predict(interior.draw())).highlight_valley for _ in range(PLACES)]
+            holes.append(f"{np.mean(np.array(valleys) > 0.1):.0%}")
+        print(
+            f"| {count or 'all'} | " + " | ".join(found) + f" | {', '.join(holes)} | {used:.0f} |", flush=True
+        )
+
+
+def main() -> None:
+    """Print what was asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--sizes", default=",".join(map(str, SIZES)))
+    parser.add_argument("--folder", type=Path, help="where files and libraries are kept; by default nowhere")
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--compare", type=Path)
+    parser.add_argument("--landmarks", default="0,50")
+    parser.add_argument("--latent-dim", type=int, default=2)
+    given = parser.parse_args()
+    if given.compare:
+        compare(given.compare, [int(count) for count in given.landmarks.split(",")], given.latent_dim)
+        return
+    sizes = [int(size) for size in given.sizes.split(",")]
+    with tempfile.TemporaryDirectory() as temporary:
+        rows = run_sizes(sizes, given.folder or Path(temporary))
+    print_table(sizes, rows)
+    if given.json:
+        given.json.write_text(json.dumps({"sizes": sizes, "steps": rows}, indent=1))
+    if given.figure:
+        draw(sizes, rows, given.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""Claims about maps by landmarks: what they predict, locate, store and refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.small_library import NAMES, measured, small_library
+
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour import ball_colours
+from manifold.errors import UsageError
+from manifold.experiments.evaluation.report import make_report
+from manifold.library.store import Library
+from manifold.model import fitting, landmark_search, left_out
+from manifold.model.colours import ColourChoice, choose_colour
+from manifold.model.manifold import Manifold
+from manifold.model.settings import Settings
+from manifold.plots.explorer.tables import tabulate, to_document
+
+MORE = ("syn_paint_sand", "syn_paper_red", "syn_satin_white", "syn_gloss_green")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("landmarks")
+
+
+@pytest.fixture(scope="module")
+def model(folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(left_out, "_SAMPLE", 6)
+        patch.setattr(landmark_search, "_AROUND", 6)
+        library = Library.open(small_library(folder, names=NAMES + MORE))
+        return Manifold.fit(library, Settings(landmarks=5))
+
+
+def test_predictions_at_all_materials_are_their_files(model):
+    ball = ball_colours.ball()
+    assert len(model.landmarks) == 5
+    for name in model.names:
+        predicted = model.predict(name).eval(ball.wi, ball.wo)
+        np.testing.assert_array_equal(predicted, MeasuredBRDF(measured(name)).eval(ball.wi, ball.wo))
+
+
+def test_materials_that_are_no_landmarks_are_found_where_they_are(model):
+    for k in np.delete(np.arange(len(model.names)), model.landmarks):
+        found = model.embed(model.material(model.names[k]))
+        np.testing.assert_allclose(found.latent, model.X[k], atol=1e-6)
+        assert found.relative_error < 0.02  # negative values are cut, colours coordinates of a path
+
+
+def test_a_saved_map_predicts_the_same(model, folder):
+    model.save(folder / "m.h5")
+    loaded = Manifold.load(folder / "m.h5")
+    x, ball = model.X.mean(axis=0), ball_colours.ball()
+    colours = choose_colour(model, x, ColourChoice(srgb="#aa5533")).colours
+    for chosen in (None, colours):
+        np.testing.assert_array_equal(
+            loaded.predict(x, chosen).eval(ball.wi, ball.wo), model.predict(x, chosen).eval(ball.wi, ball.wo)
+        )
+    assert loaded.expected_error(x).ball == model.expected_error(x).ball
+    np.testing.assert_array_equal(loaded.landmarks, model.landmarks)
+
+
+def test_a_chosen_colour_is_reached_as_on_any_map(model):
+    x = model.X.mean(axis=0)
+    chosen = choose_colour(model, x, ColourChoice(srgb="#808080"))
+    assert chosen.residual < 0.01  # of a reflectance, after two steps of Newton
+
+
+def test_expected_errors_are_calibrated_by_a_sample(model):
+    errors = model.left_out
+    assert len(errors.materials) == 6
+    assert errors.places.shape == (6, 2)
+    assert 0.0 < model.expected_error(model.X.mean(axis=0)).ball < 50.0
+
+
+def test_a_page_blends_the_landmarks_and_shows_the_others_as_points(model):
+    document = to_document(model, tabulate(model))
+    assert len(document["names"]) == len(document["paths"]["vertices"]) == 5
+    assert len(document["others"]["X"]) == len(document["others"]["colours"]) == 5
+    assert sorted(document["names"] + document["others"]["names"]) == sorted(model.names)
+
+
+def test_a_report_on_a_map_by_landmarks_is_refused(model):
+    with pytest.raises(UsageError, match="map of 10, 5 of them landmarks, expected all to be laid out"):
+        make_report(model)
+
+
+@pytest.mark.parametrize("kind", ["material", "monochrome"])
+def test_kinds_that_grow_with_the_cube_refuse_many_materials(model, kind, monkeypatch):
+    monkeypatch.setattr(fitting, "MOST_LAID_OUT", 9)
+    with pytest.raises(UsageError, match=f"10 materials for kind {kind}, expected at most 9"):
+        Manifold.fit(model.library, Settings(kind=kind))
+
+
+def test_landmarks_are_refused_where_they_cannot_span_the_map():
+    with pytest.raises(UsageError, match="landmarks = 3 for kind blend in 2 dimensions"):
+        Settings(landmarks=3)
+    with pytest.raises(UsageError, match="kind material"):
+        Settings(kind="material", landmarks=20)

@@ -24,8 +24,8 @@ from manifold.errors import UsageError
 from manifold.formats.readings import GLOSS_ANGLES_DEG, Readings
 from manifold.records import Array
 
-_RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # in the plane of incidence, and across it
-_SOURCE_DEG = (0.75, 2.5)
+RECEPTORS_DEG = {20: (1.8, 3.6), 60: (4.4, 11.7), 85: (4.0, 6.0)}  # in the plane of incidence, and across it
+SOURCE_DEG = (0.75, 2.5)
 _SOURCE_NODES, _RECEPTOR_NODES = (2, 5), (21, 41)  # gloss of measured mirrors within 2 % of finer grids
 _GLASS_INDEX = 1.567
 
@@ -65,11 +65,11 @@ def gloss_meter(angle_deg: float) -> GlossMeter:
     Raises:
         UsageError: gloss meters have no such angle.
     """
-    if angle_deg not in _RECEPTORS_DEG:
+    if angle_deg not in RECEPTORS_DEG:
         raise UsageError(f"gloss at {angle_deg:g} degrees, expected 20, 60 or 85 (ISO 2813)")
     theta = np.deg2rad(angle_deg)
-    source, _ = _aperture(theta, np.pi, _SOURCE_DEG, _SOURCE_NODES)
-    receptor, solid_angles = _aperture(theta, 0.0, _RECEPTORS_DEG[int(angle_deg)], _RECEPTOR_NODES)
+    source, _ = _aperture(theta, np.pi, SOURCE_DEG, _SOURCE_NODES)
+    receptor, solid_angles = _aperture(theta, 0.0, RECEPTORS_DEG[int(angle_deg)], _RECEPTOR_NODES)
     light = source[:, 2] / source[:, 2].sum()
     return GlossMeter(
         np.repeat(source, len(receptor), axis=0),

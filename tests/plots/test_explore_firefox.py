@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers.paths import REPOSITORY
 
-from manifold.colour import ball_colours
+from manifold.colour import ball_colours, environments
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 
 
@@ -37,7 +37,7 @@ def test_firefox_shows_the_same_and_takes_mouse_and_keys(request):
     start, environment = command()
     model, address = map(request.getfixturevalue, ("model", "address"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ball_colours, "environment", lambda: environment("studio"))
+        patch.setattr(ball_colours, "environment", lambda: environments.environment("studio"))
         ball = ball_colours.ball.__wrapped__(rings=72, spokes=48)
     asked = [*start, address, json.dumps(ball.places.tolist())]
     run = subprocess.run(asked, capture_output=True, text=True, timeout=120, env=environment, check=False)

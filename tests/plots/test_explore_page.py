@@ -14,6 +14,8 @@ from helpers.small_library import NAMES, small_library
 from manifold.colour import ball_colours
 from manifold.colour.conversion import decode_srgb, srgb_to_xyz
 from manifold.colour.environments import environment
+from manifold.completion.attributes import Attributes, Wanted, adjust, lab_of
+from manifold.completion.gloss import gloss_units
 from manifold.directions import from_spherical
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
@@ -383,7 +385,9 @@ def test_three_dimensions_have_a_slider(browser, tmp_path):
 
 
 def lightness_of(page, places):
-    return refined_ball(page, np.array(places))[:, 1]
+    """Of the moving picture, which is lit from the same environment as the one at rest."""
+    settle(page)
+    return srgb_to_xyz(decode_srgb(ball_of_page(page, np.array(places))))[:, 1]
 
 
 def test_environments_and_shapes_are_chosen_turned_and_restored(visited):
@@ -431,3 +435,56 @@ def test_turning_the_light_once_around_changes_nothing(visited):
     assert state(page)["turn"] == 0
     assert np.abs(turned - before).max() > 0.02
     assert np.allclose(lightness_of(page, places), before, atol=0.01)
+
+
+def test_gloss_and_colour_of_the_page_are_those_of_the_package(visited, model):
+    script = """(x) => { window.explorer.change({ x }); window.explorer.showTab("colour"); window.explorer.refresh();
+      return [window.explorer.prediction.gloss(), ...window.explorer.attributesShown.lch]; }"""
+    for name in NAMES:
+        gloss, *lch = visited.page.evaluate(script, model.latent(name).tolist())
+        brdf = model.material(name)
+        assert gloss == pytest.approx(gloss_units(brdf, (60.0,))[60.0], rel=0.05)
+        lightness, a, b = lab_of(brdf)
+        assert lch[0] == pytest.approx(lightness, abs=0.3)
+        assert lch[1] == pytest.approx(np.hypot(a, b), abs=0.3)
+
+
+def test_a_tinted_place_is_that_of_the_package(visited, model):
+    x = 0.5 * (model.X[1] + model.X[3])
+    wanted = Attributes({}, Wanted(55.0), Wanted(30.0), Wanted(250.0))
+    adjusted = adjust(model, x, wanted)
+    expected = model.predict(adjusted.latent, adjusted.colours).albedo(from_spherical(np.deg2rad(8.0), 0.0))
+    change = "(x) => window.explorer.change({ x, colour: 'lch', lch: [55, 30, 250] })"
+    visited.page.evaluate(change, x.tolist())
+    settle(visited.page)
+    assert np.allclose(visited.page.evaluate("window.explorer.reflectance"), expected, atol=0.01)
+
+
+def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visited):
+    page = visited.page
+    page.evaluate("window.explorer.goTo(3)")
+    before = page.evaluate("window.explorer.prediction.gloss()")
+    control(page, "#lightness").press("ArrowLeft")
+    settle(page)
+    now = state(page)
+    assert now["colour"] == "lch"
+    assert "lch=" in page.evaluate("location.hash")
+    control(page, "#hue").fill("200")
+    page.locator("#gloss").fill("0.7")
+    settle(page)
+    assert page.evaluate("window.explorer.prediction.gloss()") == pytest.approx(10**0.7, rel=0.05)
+    assert before > 20
+    assert state(page)["lch"][2] == 200
+    assert page.locator("#gloss").get_attribute("aria-valuetext").endswith("GU")
+    page.locator("#chroma").fill("120")
+    settle(page)
+    assert "reached" in page.locator("#attributes-missed").inner_text()
+    page.keyboard.press("Control+z")
+    settle(page)
+    link = page.evaluate("location.hash")
+    lch = state(page)["lch"]
+    page.evaluate("window.explorer.reset()")
+    page.evaluate("(link) => { location.hash = link; }", link)
+    settle(page)
+    assert np.allclose(state(page)["lch"], lch, atol=1e-3)
+    assert page.evaluate("window.explorer.plainColour(explorer.state).srgb").startswith("#")

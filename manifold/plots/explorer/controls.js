@@ -71,6 +71,7 @@ export const controls = {
     this.listenToColours();
     this.listenToPath();
     this.listenToVariants();
+    this.listenToAttributes();
     this.listenToSearch();
     this.byId("undo").addEventListener("click", () => this.restore(this.history.move(-1)));
     this.byId("redo").addEventListener("click", () => this.restore(this.history.move(1)));
@@ -258,7 +259,9 @@ export const controls = {
     for (const input of this.radios("colour")) {
       input.addEventListener("change", () => {
         const spectrum = this.state.spectrum ?? this.spectra.length - 1;
-        if (input.value !== "file") {
+        if (input.value === "lch") {
+          this.change({ colour: "lch", lch: this.attributesShown.lch, path: null });
+        } else if (input.value !== "file") {
           this.change({ colour: input.value });
         } else if (spectrum >= 0) {
           this.change({ colour: "file", spectrum });

@@ -52,10 +52,10 @@ export const documents = {
     };
   },
 
-  choice({ colour, like, srgb, spectrum, guest }) {
+  choice({ colour, like, srgb, spectrum, guest, lch }) {
     return {
       blend: null, like: { like }, picked: { srgb }, file: { reflectance: this.spectra[spectrum]?.name },
-      own: { file: this.guests[guest]?.name },
+      lch: { lch }, own: { file: this.guests[guest]?.name },
     }[colour];
   },
 

@@ -9,6 +9,8 @@ import { History, fromFragment, isBetween, toFragment } from "./state.js";
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
 import { facts } from "./facts.js";
+import { attributes } from "./attributes.js";
+import { labOfLch } from "./colour.js";
 import { guests } from "./guests.js";
 import { makeTabs } from "./tabs.js";
 import { variants } from "./variants.js";
@@ -157,6 +159,7 @@ export class Explorer {
   /** The prediction of a state or pin: a step of a walk, unless a colour is chosen. */
   predicted(state) {
     if (state.colour === "own") return this.materials.predictIn(state.x, this.guests[state.guest]);
+    if (state.colour === "lch") return this.materials.predictTinted(state.x, labOfLch(state.lch));
     return isBetween(state) ? this.materials.between(state.path) : this.materials.predict(state.x, this.requestedReflectance(state));
   }
 
@@ -245,7 +248,9 @@ export class Explorer {
   /** A tab was chosen: its curves are drawn while they are seen. */
   tabShown(id) {
     this.tab = id;
-    if (this.prediction) this.drawPlots();
+    if (!this.prediction) return;
+    this.drawPlots();
+    this.showAttributes();
   }
 
   drawPlots() {
@@ -276,4 +281,4 @@ export class Explorer {
   }
 }
 
-Object.assign(Explorer.prototype, facts, controls, documents, guests, variants);
+Object.assign(Explorer.prototype, facts, controls, documents, guests, variants, attributes);

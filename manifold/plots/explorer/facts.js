@@ -134,6 +134,7 @@ export const facts = {
       this.byId(`${name}-value`).textContent = `${state[name]}°`;
       this.byId(name).setAttribute("aria-valuetext", `${state[name]}°`);
     }
+    this.showAttributes();
     this.showVariants();
     this.showWipe();
     this.byId("turn").disabled = state.light === "lamp";

@@ -1,9 +1,12 @@
 // Predictions as the package makes them: (sum_i v_i f_i^(1/3))^3 in every band. No page is touched here.
 
+import { tinted } from "./colour.js";
+
 const NEGLIGIBLE = 1e-6; // as in manifold/latent/blending.py
 const TABLE = 65, NEWTON_STEPS = 2, LARGEST_STEP = 0.02, PROBE = 1e-3; // as in manifold/latent/colour_paths.py
 const LEAST_COMPONENT = 2e-5; // of a chosen colour: a weight that no picture shows
 const SHAPE_KEPT = 4, MOST_EXCESS = 3; // as in manifold/model/walks.py
+const WAYS = 6, BISECTIONS = 8, TANGENTS = 12, GLOSS_KEPT = 0.01; // steps of a search; of log gloss: as good as reached
 const PATH_NODES = 8; // coordinates at which a spectral blend's colour path is followed: 0.1 CIEDE2000 beside all 32
 
 /** Weights of materials X (N, Q) at a place x (Q): never negative, of sum 1, a unit vector at a material. */
@@ -108,8 +111,13 @@ export class Materials {
       this._unpack(Math.floor(k / R), k % R, this.nGrid, this.nPairs, row, 0, 1);
     }
     const { slices } = data.pairs;
-    this.sphereStart = slices.reduce((sum, slice) => sum + slice.angles.length, 0); // of the pairs beside the grid
+    // Of the pairs beside the grid: those of the slices, of the gloss meter, of the geometry 45/0, and of the sphere.
+    this.glossStart = slices.reduce((sum, slice) => sum + slice.angles.length, 0);
+    this.spotStart = this.glossStart + data.pairs.glossWeights.length;
+    this.sphereStart = this.spotStart + 1;
     this.nBeside = beside;
+    this.sphere = { start: this.sphereStart, measure: data.pairs.sphereMeasure };
+    this.spot = { start: this.spotStart, measure: [Math.PI] };
   }
 
   /** Write component r of material i at the pairs from start to stop into out, at first, first + stride, ... */
@@ -166,46 +174,45 @@ export class Materials {
     }
   }
 
-  /** Sum of components by weights (N R) at the pairs beside the grid, from start on: a cube root of f times cosines. */
-  combine(weights, start = 0) {
-    const P = this.nBeside, out = new Float32Array(P - start), rows = [];
+  /** Sum of components by weights (N R) at the pairs beside the grid, from start to stop: a cube root of f times cosines. */
+  combine(weights, start = 0, stop = this.nBeside) {
+    const P = this.nBeside, out = new Float32Array(stop - start), rows = [];
     weights.forEach((w, row) => w !== 0 && rows.push(row));
     for (let k = 0; k < rows.length; k += 4) { // four rows at a time, which takes half as long as one by one
       const four = [0, 1, 2, 3].map((j) => rows[k + j] ?? rows[0]);
       const [wa, wb, wc, wd] = four.map((row, j) => (k + j < rows.length ? weights[row] : 0));
-      const [a, b, c, d] = four.map((row) => this.components.subarray(row * P + start, (row + 1) * P));
+      const [a, b, c, d] = four.map((row) => this.components.subarray(row * P + start, row * P + stop));
       for (let p = 0; p < out.length; p++) out[p] += wa * a[p] + wb * b[p] + wc * c[p] + wd * d[p];
     }
     return out;
   }
 
-  /** Reflectance that one set of weights, seen through one spectral row (R), has in the integrating sphere. */
-  sphereReflectance(roots) {
-    const { sphereMeasure, amplitude } = this.data.pairs;
+  /** Reflectance of cube roots at the pairs of a probe, which is the sphere or the geometry 45/0. */
+  measured({ start, measure }, roots) {
+    const { amplitude } = this.data.pairs;
     let sum = 0;
-    for (let p = 0; p < sphereMeasure.length; p++) {
-      const root = Math.max(roots[p] / amplitude[this.sphereStart + p], 0);
-      sum += root ** 3 * sphereMeasure[p];
+    for (let p = 0; p < measure.length; p++) {
+      const root = Math.max(roots[p] / amplitude[start + p], 0);
+      sum += root ** 3 * measure[p];
     }
     return sum;
   }
 
-  /** Cube roots at the sphere's pairs of every vertex of every path, made when first asked for. */
-  verticesInSphere() {
-    this.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) => {
+  /** Cube roots at a probe's pairs of every vertex of every path, made when first asked for. */
+  verticesAt(probe) {
+    probe.inside ??= this.data.paths.vertices.map(({ weights }) => weights.map((vertex) => {
       const total = new Float64Array(this.count * this.nComponents);
       this._addSamples(total, vertex, 1);
-      return this.combine(total, this.sphereStart);
+      return this.combine(total, probe.start, probe.start + probe.measure.length);
     }));
-    return this.inside;
+    return probe.inside;
   }
 
-  /** Path coordinates (J) that give a blend u a reflectance (J), and the reflectance that they do give. */
-  coordinatesOf(u, reflectance) {
+  /** Path coordinates (J) that give a blend u a reflectance (J) at a probe, and the reflectance that they do give. */
+  coordinatesOf(u, reflectance, probe = this.sphere) {
     const { last, vertices } = this.data.paths;
     const used = u.flatMap((share, i) => (share > 0 ? [i] : []));
-    const inside = this.verticesInSphere();
-    const roots = new Float32Array(this.nBeside - this.sphereStart);
+    const inside = this.verticesAt(probe), roots = new Float32Array(probe.measure.length);
     const reached = (t) => {
       roots.fill(0);
       for (const i of used) {
@@ -213,7 +220,7 @@ export class Materials {
         const [from, to] = [u[i] * (1 - s), u[i] * s];
         for (let p = 0; p < roots.length; p++) roots[p] += from * a[p] + to * b[p];
       }
-      return this.sphereReflectance(roots);
+      return this.measured(probe, roots);
     };
     const grid = Array.from({ length: TABLE }, (_, k) => (last * k) / (TABLE - 1));
     const table = [];
@@ -267,6 +274,78 @@ export class Materials {
   predictIn(x, { coordinates, gains }) {
     const u = this.weights(x);
     return new Prediction(this, u, this._onPath(u, coordinates, gains));
+  }
+
+  /** The prediction of a place that has a CIELAB colour in the geometry 45/0: the blend's reflectance, smoothly tinted. */
+  predictTinted(x, lab) {
+    const u = this.weights(x), { toSrgb, fromSrgb } = this.data;
+    const blended = new Prediction(this, u, this.combination(u, null));
+    const { coordinates } = this.coordinatesOf(u, tinted(blended.factor(), lab, toSrgb.D65, fromSrgb), this.spot);
+    return new Prediction(this, u, this._onPath(u, coordinates));
+  }
+
+  /** Gloss units of luminances of f times cosines at the gloss meter's pairs. */
+  glossOf(luminance) {
+    const { glossWeights, amplitude } = this.data.pairs, start = this.glossStart;
+    return glossWeights.reduce((sum, w, k) => sum + (w * luminance[k]) / amplitude[start + k] ** 3, 0);
+  }
+
+  /** Gloss units of the blend at a place. */
+  glossAt(x) {
+    const { toSrgb, basis } = this.data;
+    const roots = this.wholeComponents(this.weights(x)).map((w) => this.combine(w, this.glossStart, this.spotStart));
+    const luminance = new Float32Array(this.spotStart - this.glossStart);
+    basis.forEach((row, j) => {
+      const [r, g, b] = toSrgb.D65[j], share = 0.2126 * r + 0.7152 * g + 0.0722 * b;
+      for (let p = 0; p < luminance.length; p++) {
+        luminance[p] += share * Math.max(row.reduce((sum, w, m) => sum + w * roots[m][p], 0), 0) ** 3;
+      }
+    });
+    return this.glossOf(luminance);
+  }
+
+  /** The place nearest to a start, on the way to some material, whose blend has a gloss; else that with the nearest gloss. */
+  placeOfGloss(start, wanted) {
+    const off = (x) => Math.log(Math.max(this.glossAt(x), 1e-3) / wanted), { X } = this.data;
+    const along = (end, t) => start.map((v, q) => v + t * (end[q] - v));
+    let best = { x: start, off: Math.abs(off(start)), distance: Infinity };
+    const first = off(start);
+    for (const end of X) {
+      let before = { t: 0, off: first };
+      for (let step = 1; step <= WAYS; step++) {
+        const after = { t: step / WAYS, off: off(along(end, step / WAYS)) };
+        let found = after;
+        if (before.off * after.off <= 0) {
+          let [low, high] = [before, after];
+          for (let k = 0; k < BISECTIONS; k++) {
+            const t = 0.5 * (low.t + high.t), middle = { t, off: off(along(end, t)) };
+            if (middle.off * low.off <= 0) high = middle; else low = middle;
+          }
+          found = high;
+        }
+        const x = along(end, found.t), distance = Math.hypot(...x.map((v, q) => v - start[q])), apart = Math.abs(found.off);
+        const isNear = Math.max(apart, GLOSS_KEPT) < Math.max(best.off, GLOSS_KEPT);
+        if (isNear || (apart <= GLOSS_KEPT && distance < best.distance)) best = { x, off: apart, distance };
+        if (before.off * after.off <= 0) break;
+        before = after;
+      }
+    }
+    return best.off <= GLOSS_KEPT ? this._nearer(best.x, start, off) : best.x;
+  }
+
+  /** A place where `off` is 0 as nearly as at x, nearer to a start: steps to the nearest point of the tangent of such places. */
+  _nearer(x, start, off) {
+    const distance = (place) => Math.hypot(...place.map((v, q) => v - start[q]));
+    let best = x;
+    for (let step = 0; step < TANGENTS; step++) {
+      const here = off(x);
+      const slope = x.map((_, q) => (off(x.map((v, k) => v + (k === q ? 1e-3 : 0))) - here) / 1e-3);
+      const steep = slope.reduce((sum, v) => sum + v * v, 0) || 1;
+      const by = (slope.reduce((sum, v, q) => sum + v * (x[q] - start[q]), 0) - here) / steep;
+      x = x.map((v, q) => 0.5 * (v + start[q] + by * slope[q]));
+      if (Math.abs(off(x)) <= GLOSS_KEPT && distance(x) < distance(best)) best = x;
+    }
+    return best;
   }
 
   /** Share of material b at t of the walk from a. */
@@ -344,7 +423,7 @@ export class Prediction {
     this.values = values ?? (outputs ?? materials.wholeComponents(u)).map((weights) => materials.combine(weights));
   }
 
-  /** Luminance of f times cosines under an illuminant at the pairs of the slices. */
+  /** Luminance of f times cosines under an illuminant at the pairs beside the grid but the sphere's. */
   luminance(illuminant) {
     const rows = this.materials.data.toSrgb[illuminant].map(([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b);
     const out = new Float32Array(this.materials.sphereStart);
@@ -369,6 +448,17 @@ export class Prediction {
     });
   }
 
+  /** Gloss units at 60 degrees, of the luminance under D65. */
+  gloss() {
+    return this.materials.glossOf(this.luminance("D65").subarray(this.materials.glossStart));
+  }
+
+  /** Reflectance factor in the geometry 45/0 at the nodes (J). */
+  factor() {
+    const { materials, values } = this, { spot } = materials;
+    return this.toNodes.map((row) => materials.measured(spot, [row.reduce((sum, w, m) => sum + w * values[m][spot.start], 0)]));
+  }
+
   /** Reflectance at 8 degrees, specular included, at the nodes (J). */
   reflectance() {
     const { sphereStart, nBeside } = this.materials, count = nBeside - sphereStart;
@@ -377,7 +467,7 @@ export class Prediction {
       row.forEach((w, m) => {
         if (w !== 0) for (let p = 0; p < count; p++) roots[p] += w * this.values[m][sphereStart + p];
       });
-      return this.materials.sphereReflectance(roots);
+      return this.materials.measured(this.materials.sphere, roots);
     });
   }
 }

@@ -93,6 +93,7 @@ class Actions {
     if (look.colour === "like") place.like = look.like;
     if (look.colour === "picked") place.srgb = look.srgb;
     if (look.colour === "file") place.spectrum = this.explorer.spectra[look.spectrum].rows;
+    if (look.colour === "lch") Object.assign(place, this.explorer.plainColour(look));
     return place;
   }
 

@@ -8,8 +8,8 @@ export function initialState(data) {
   const Q = data.X[0].length;
   const middle = Array.from({ length: Q }, (_, q) => data.X.reduce((s, row) => s + row[q], 0) / data.X.length);
   return {
-    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, path: null, light: "studio",
-    turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, wipe: 0.5, variants: [],
+    x: middle, colour: "blend", like: data.names[0], srgb: "#c08040", spectrum: null, guest: null, lch: null, path: null,
+    light: "studio", turn: 0, lamp: [-0.4, 0.5], shape: "ball", turnShape: 30, illuminant: "D65", exposure: 0, pin: null, wipe: 0.5, variants: [],
   };
 }
 
@@ -28,8 +28,8 @@ export function lampWithin([x, y]) {
 export const isBetween = ({ colour, path }) => colour === "blend" && Boolean(path) && path.t > 0 && path.t < 1;
 
 /** What a look is made of: a place and its colours, whatever the light. */
-export function lookOf({ x, at, colour, like, srgb, spectrum, guest, path }) {
-  return structuredClone({ x, at, colour, like, srgb, spectrum, guest, path });
+export function lookOf({ x, at, colour, like, srgb, spectrum, guest, lch, path }) {
+  return structuredClone({ x, at, colour, like, srgb, spectrum, guest, lch, path });
 }
 
 /** A state as the fragment of a link, without what is as at the start; of dropped files places alone. */
@@ -49,10 +49,11 @@ export function toFragment(state) {
 
 const written = (x) => x.map((v) => String(Number(v.toFixed(4)))).join(",");
 
-function lookParts({ x, at, colour, like, srgb, path }) {
+function lookParts({ x, at, colour, like, srgb, lch, path }) {
   const parts = new URLSearchParams({ x: at ?? written(x) });
   if (colour === "like") parts.set("like", like);
   if (colour === "picked") parts.set("srgb", srgb);
+  if (colour === "lch") parts.set("lch", written(lch));
   if (path) parts.set("path", JSON.stringify([path.from, path.to, path.t]));
   return parts;
 }
@@ -72,6 +73,8 @@ function readLook(parts, data) {
   }
   if (known(like)) Object.assign(found, { colour: "like", like });
   if (/^#[0-9a-f]{6}$/i.test(srgb ?? "")) Object.assign(found, { colour: "picked", srgb });
+  const lch = numbers(parts.get("lch"), 3);
+  if (lch && lch[0] >= 0 && lch[0] <= 100 && lch[1] >= 0 && lch[1] <= 200) Object.assign(found, { colour: "lch", lch });
   try {
     const [from, to, t] = JSON.parse(parts.get("path"));
     if (known(from) && known(to) && Number.isFinite(t) && t >= 0 && t <= 1) {

@@ -127,7 +127,8 @@ def to_document(model: Manifold, tables: Tables) -> dict[str, Any]:
         },
         "pairs": {
             "amplitude": _rounded(pairs.amplitude[pairs.n_grid :]), "grid": pairs.n_grid,
-            "count": len(pairs.wi), "sphereMeasure": pairs.sphere_measure.tolist(),
+            "count": len(pairs.wi), "glossWeights": _rounded(pairs.gloss_weights),
+            "sphereMeasure": pairs.sphere_measure.tolist(),
             "slices": [
                 {"incidence": i, "angles": a.tolist()}
                 for i, a in zip(SLICE_INCIDENCES_DEG, pairs.slice_angles_deg, strict=True)

@@ -87,10 +87,11 @@ export const variants = {
 
   /** The name of a look. */
   describe(look) {
-    const { x, at, colour, like, srgb, spectrum, guest, path } = look;
+    const { x, at, colour, like, srgb, spectrum, guest, lch, path } = look;
     if (isBetween(look)) return `${percent(path.t)} of the way from ${path.from} to ${path.to}`;
     if (colour === "own") return this.guests[guest]?.name ?? "";
     const place = at ?? x.map((v) => fixed(v, 2)).join(", ");
+    if (colour === "lch") return `${place}, L ${fixed(lch[0], 0)} C ${fixed(lch[1], 0)} h ${fixed(lch[2], 0)}°`;
     const named = { like: `like ${like}`, picked: srgb, file: this.spectra[spectrum]?.name }[colour];
     return named ? `${place}, ${named}` : place;
   },

@@ -18,9 +18,10 @@ function linkTo(model, listening) {
       const { colour, like, srgb, path } = explorer.state;
       const blend = isBetween(explorer.state) ? { between: [path.from, path.to, path.t] } : {};
       const chosen = { blend, like: { like }, picked: { srgb }, file: { spectrum: explorer.spectrum?.rows } };
+      if (colour === "lch") chosen.lch = explorer.plainColour(explorer.state);
       model.set("link", fragment);
       model.set("latent", [...explorer.state.x]);
-      model.set("colour", chosen[colour]);
+      model.set("colour", chosen[colour] ?? {}); // that of a dropped file is not passed on
       model.save_changes();
     },
     listen: (changed) => on("link", changed),

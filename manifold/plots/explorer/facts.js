@@ -70,7 +70,7 @@ export const facts = {
       if (found.length) item.className = "warning";
       return item;
     }));
-    const known = error === null || !data.error ? "" : `${data.error.what} ${this.errorText(error)}`;
+    const known = error === null || !data.error ? "" : error === 0 ? "a measured material" : `${data.error.what} ${this.errorText(error)}`;
     this.byId("summary").textContent = [known, ...found].filter((text) => text).join("; ");
     this.byId("summary").classList.toggle("warning", found.length > 0);
     const nearest = this.nearest();

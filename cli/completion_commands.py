@@ -9,7 +9,7 @@ import typer
 
 from manifold.errors import UsageError
 
-from . import options, terminal
+from . import options, photo_options, terminal
 from .application import app
 from .batch_options import JobsOption, folder_or_default, show_batch
 from .outputs import checked, or_default
@@ -70,8 +70,20 @@ def complete(
             metavar="L,a,b",
         ),
     ] = None,
+    photo: photo_options.PhotoOption = None,
+    light: photo_options.LightOption = None,
+    circle: photo_options.CircleOption = None,
+    turn: photo_options.TurnOption = None,
+    elevation: photo_options.ElevationOption = 0.0,
+    distance: photo_options.DistanceOption = None,
+    exposure: photo_options.ExposureOption = "1",
+    camera: photo_options.CameraOption = None,
     picture: Annotated[
-        bool, typer.Option("--picture", help="Also render its ball, beside the file.")
+        bool,
+        typer.Option(
+            "--picture",
+            help="Also render its ball, beside the file; of photographs, these beside their prediction.",
+        ),
     ] = False,
     suggest: Annotated[
         int,
@@ -102,6 +114,26 @@ def complete(
     written = OutputOptions(physical, force, resolution, incidences)
     if readings and lab is not None:
         raise UsageError("found --lab and a file of readings, expected one of them")
+    if photo:
+        if lab is not None or suggest:
+            raise UsageError(
+                "found --photo with --lab or --suggest, expected it with files of readings, or alone"
+            )
+        request = photo_options.photo_request(
+            photo, light, circle, turn, elevation, distance, exposure, camera
+        )
+        from manifold.workflows import photographs
+
+        measured = completions.read(readings, sample, correction)[0] if readings else None
+        target = or_default(output, f"{photo[0].stem}.bsdf")
+        with terminal.progress("Completing") as step:
+            seen = photographs.complete_photographs(
+                request, library, target, readings=measured,
+                picture=checked(target.with_suffix(".png"), "picture") if picture else None,
+                options=OutputOptions(physical, force, resolution, incidences), on_progress=step,
+            )  # fmt: skip
+        photo_options.show_photographs(results, f"Completed {target}", seen)
+        return
     if not readings and lab is None:
         if not suggest:
             raise UsageError(

@@ -9,7 +9,7 @@ import typer
 
 from manifold.errors import ManifoldError, UsageError
 
-from . import options, terminal
+from . import options, photo_options, terminal
 from .application import app
 from .batch_options import JobsOption, PointsOption, folder_or_default, inputs_of, show_batch, show_points
 from .outputs import or_default
@@ -30,6 +30,14 @@ MaterialsArgument = Annotated[
     typer.Argument(
         help="A .bsdf file, a material of the library, or a place on the map; or several, folders, or libraries.",
         metavar=options.MATERIAL,
+    ),
+]
+OptionalMaterialsArgument = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="A .bsdf file, a material of the library, or a place on the map; or several, folders, or libraries.",
+        metavar=options.MATERIAL,
+        show_default=False,
     ),
 ]
 WithoutOption = Annotated[
@@ -323,7 +331,7 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     epilog="Example: manifold locate my_paint_spec.bsdf",
 )
 def locate(
-    materials: MaterialsArgument,
+    materials: OptionalMaterialsArgument = None,
     model: options.ModelOption = options.DEFAULT_MODEL,
     library: options.MovedLibraryOption = None,
     output: Annotated[
@@ -333,20 +341,62 @@ def locate(
             "materials, the folder. [default for several: locations]"
         ),
     ] = None,
+    photo: photo_options.PhotoOption = None,
+    light: photo_options.LightOption = None,
+    circle: photo_options.CircleOption = None,
+    turn: photo_options.TurnOption = None,
+    elevation: photo_options.ElevationOption = 0.0,
+    distance: photo_options.DistanceOption = None,
+    exposure: photo_options.ExposureOption = "1",
+    camera: photo_options.CameraOption = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture",
+            help="Of photographs: these beside their prediction, and differences.",
+            metavar="FILE",
+        ),
+    ] = None,
     physical: options.PhysicalOption = False,
     force: options.ForceOption = False,
     jobs: JobsOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Embed a measured material: find its latent on the fitted manifold. Its colours are in the JSON.
+    """Embed a measured or photographed material: find its latent on the fitted manifold.
 
-    The predictions of several are written into a folder, with a table and a sheet of balls.
+    Its colours are in the JSON. The predictions of several are written into a folder, with a table and a sheet of
+    balls. With --photo and --light, the material is that of a photographed ball.
     """
     from manifold.model.diagnostics import in_words
     from manifold.model.output_file import OutputOptions
     from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
+    if photo:
+        if materials:
+            raise UsageError(f"found {materials[0]} and --photo, expected one of them")
+        request = photo_options.photo_request(
+            photo, light, circle, turn, elevation, distance, exposure, camera
+        )
+        from manifold.workflows import photographs
+
+        with terminal.progress("Comparing pixels") as step:
+            seen = photographs.locate_photographs(
+                model, request, output, library=library, picture=picture,
+                options=OutputOptions(physical, force), on_progress=step,
+            )  # fmt: skip
+        place = seen.located
+        assert place is not None
+        photo_options.show_photographs(
+            results,
+            "Located the photographed ball",
+            seen,
+            latent=",".join(place.coordinates),
+            nearest=[f"{name} ({apart:.2f})" for name, apart in place.nearest],
+        )
+        return
+    if not materials:
+        raise UsageError("found no material; name one, or give --photo PICTURE and --light PICTURE")
     written = OutputOptions(physical, force)
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:

@@ -1,4 +1,4 @@
-"""Environments of the interactive page, made here: the studio, a sunny sky, and a room with a window."""
+"""Environments made here: the studio, an overcast and a sunny sky, one lamp, and a room with a window."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ from manifold.records import Array
 
 _SUN = (-128.0, 46.0)  # azimuth from straight ahead to the right, elevation, in degrees
 _SUN_RADIUS_DEG, _SUN_EDGE_DEG, _SUN_RADIANCE = 4.5, 3.0, 50.0  # behind thin haze
+_LAMP, _DARK = (
+    (-140.0, 45.0),
+    0.0015,
+)  # azimuth and elevation; radiance of the dark room, relative to the lamp's
 
 
 def environment(name: str, height: int = 128) -> Array:
@@ -40,6 +44,17 @@ def _sky(height: int) -> Array:
     return sky + [1.0, 0.92, 0.78] * (_SUN_RADIANCE * t * t * (3.0 - 2.0 * t) + 2.5 * np.exp(-away / 12.0))
 
 
+def _overcast(height: int) -> Array:
+    """CIE standard overcast sky (ISO 15469:2004, type 16): three times as bright at the zenith as at the horizon."""
+    up = np.maximum(studio.directions(height)[..., 2:], 0.0)
+    return np.repeat(1.0 + 2.0 * up, 3, axis=-1)
+
+
+def _one_lamp(height: int) -> Array:
+    lamp = studio.soft_box(studio.directions(height), *_LAMP, 6.0, 6.0)
+    return np.repeat(lamp[..., None] + _DARK, 3, axis=-1)
+
+
 def _room(height: int) -> Array:
     direction = studio.directions(height)
     up = np.maximum(direction[..., 2:], 0.0)
@@ -55,7 +70,9 @@ def _room(height: int) -> Array:
 _GREY = (studio.FLOOR_REFLECTANCE,) * 3
 ENVIRONMENTS: dict[str, tuple[Callable[[int], Array], tuple[float, float, float]]] = {
     "studio": (studio.studio, _GREY),
+    "overcast": (_overcast, _GREY),
     "sky": (_sky, (0.2, 0.19, 0.16)),
+    "one-lamp": (_one_lamp, (0.03, 0.03, 0.03)),
     "room": (_room, (0.26, 0.2, 0.15)),
 }
 """What makes each, and the radiance of its floor."""

@@ -50,10 +50,13 @@ class Calibration:
         larger than that of any left-out material, errors grow in proportion to it. The error of colours that were
         estimated from three bands, or that repeated readings leave open, is added to that of the ball.
         """
-        every = np.ones(len(self.indicators), bool)
-        ball, *others = self._line(indicators_of(completion), every).tolist()
+        ball, *others = self.at(indicators_of(completion)).tolist()
         ball = float(np.hypot(ball, completion.colour_error))
         return dict(zip(KINDS, (ball, *others), strict=True))
+
+    def at(self, indicators: Array) -> Array:
+        """Expected errors (3,) of what has these indicators (2,)."""
+        return self._line(indicators, np.ones(len(self.indicators), bool))
 
     def notes(self, completion: Completion) -> tuple[str, ...]:
         """A note where the residual of the readings is larger than that of any left-out material."""

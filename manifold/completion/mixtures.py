@@ -133,16 +133,16 @@ def posterior(
         n_library: n, how many of the materials are measured ones; all by default. The others are coats.
     """
     N = int(material_of[-1])
-    first, second, share = _pairs(N, (len(material_of) - 1) // N)
+    first, second, share = atom_pairs(N, (len(material_of) - 1) // N)
     log_prior = log_prior_of(material_of[first], material_of[second], material_prior(N, n_library))
     X, (y,) = read.whitened()
     with_material = X @ y
-    at_readings, everywhere = (_Products.of(inner, first, second, share) for inner in (X @ X.T, gram))
+    at_readings, everywhere = (MixtureProducts.of(inner, first, second, share) for inner in (X @ X.T, gram))
     a_material = share * with_material[first] + (1.0 - share) * with_material[second]
     # Gaussian priors of scale and Lambertian, as terms of the normal equations.
     of_scale, of_lambertian = SCALE_SPREAD**-2, _LAMBERTIAN_SPREAD**-2
-    inner = _Products(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
-    scale, lambertian = _two_nonnegative(
+    inner = MixtureProducts(at_readings.aa + of_scale, at_readings.al, at_readings.ll + of_lambertian)
+    scale, lambertian = two_nonnegative(
         inner.aa, inner.al, inner.ll, a_material + of_scale, float(with_material[-1])
     )
     misfit = inner.norm(scale, lambertian) - 2.0 * (
@@ -151,7 +151,7 @@ def posterior(
     misfit, n_readings = np.maximum(misfit + y @ y + of_scale, 0.0), len(y)
     X, y = read.atoms * np.sqrt(read.weights / len(read.weights)), read.material[0]
     y = y * np.sqrt(read.weights / len(read.weights))
-    with_read, read_products = X @ y, _Products.of(X @ X.T, first, second, share)
+    with_read, read_products = X @ y, MixtureProducts.of(X @ X.T, first, second, share)
     cross = (
         scale * (share * with_read[first] + (1.0 - share) * with_read[second]) + lambertian * with_read[-1]
     )
@@ -209,7 +209,7 @@ def normalised(log_probability: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Products:
+class MixtureProducts:
     """Inner products of mixtures `x g_i + (1 - x) g_j` with themselves (H,), with the Lambertian (H,), and its own."""
 
     aa: Array
@@ -217,7 +217,7 @@ class _Products:
     ll: float
 
     @classmethod
-    def of(cls, inner: Array, first: Indices, second: Indices, share: Array) -> _Products:
+    def of(cls, inner: Array, first: Indices, second: Indices, share: Array) -> MixtureProducts:
         """From inner products of atoms and Lambertian, shape (n + 1, n + 1)."""
         rest = 1.0 - share
         own = np.diagonal(inner)
@@ -230,7 +230,7 @@ class _Products:
 
 
 @lru_cache(maxsize=4)
-def _pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
+def atom_pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
     """Indices and shares of all mixtures: each atom alone, and every pair in every share."""
     of = np.repeat(np.arange(N), per_material)
     i, j = np.triu_indices(len(of), 1)
@@ -245,7 +245,7 @@ def _pairs(N: int, per_material: int) -> tuple[Indices, Indices, Array]:
     return first, second, np.concatenate([np.ones(len(of)), np.repeat(SHARES, len(i))])
 
 
-def _two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:
+def two_nonnegative(aa: Array, ab: Array, bb: float, a: Array, b: float) -> tuple[Array, Array]:
     """x, y >= 0 that minimise `aa x^2 + 2 ab x y + bb y^2 - 2 (a x + b y)`, problem by problem."""
     determinant = aa * bb - ab**2
     x, y = (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant

@@ -111,7 +111,19 @@ def locate(model: Manifold, file: BsdfFile) -> Located:
     Raises:
         BandMismatchError: its bands are not the library's.
     """
-    brdf, notes = _filled(file)
+    return locate_brdf(model, *_filled(file))
+
+
+def locate_brdf(model: Manifold, brdf: BRDF, notes: tuple[str, ...] = ()) -> Located:
+    """Embed any BRDF in a fitted manifold.
+
+    Args:
+        model: the manifold.
+        brdf: in the bands of its library.
+        notes: on the BRDF, which become part of the diagnostics.
+    Raises:
+        BandMismatchError: its bands are not the library's.
+    """
     found = model.embed(brdf)
     predicted = model.predict(found.latent, found.colours)
     errors = brdf_errors(brdf, predicted)

@@ -72,6 +72,20 @@ def _write(path: Path, values: NDArray[np.float32] | NDArray[np.uint8]) -> None:
         mi.Bitmap(np.ascontiguousarray(values)).write(str(partial))
 
 
+def read_channels(path: Path) -> Array:
+    """The channels of a linear picture as they are, float32, shape (H, W, C), infinities and NaN included.
+
+    Raises:
+        FileFormatError: Mitsuba cannot read it as a picture.
+    """
+    mi = backend.mitsuba_of_any_variant()
+    try:
+        bitmap = mi.Bitmap(str(path))
+        return np.atleast_3d(np.array(bitmap.convert(component_format=mi.Struct.Type.Float32)))
+    except Exception as error:  # Mitsuba raises bare RuntimeErrors
+        raise FileFormatError(f"{path}: not a readable picture ({_reason(error)}); save it again") from error
+
+
 def read_image(path: Path) -> Array:
     """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded.
 

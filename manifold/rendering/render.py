@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,34 @@ def render_bsdf(
     scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
     xyz = render_scene(mi, scene, settings, on_progress)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
+
+
+@backend.variant_kept()
+def render_floating_ball(
+    path: Path,
+    is_rgb: bool,
+    environment: Array,
+    *,
+    size: int = 256,
+    samples: int = 64,
+    seed: int = 0,
+    **view: float,
+) -> Array:
+    """A measured file on a ball alone in an environment under D65, in linear sRGB, shape (size, size, 3).
+
+    Args:
+        path: of the file.
+        is_rgb: whether it is linear sRGB, with no spectrum.
+        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio.studio` does.
+        size, samples, seed: see `RenderSettings`.
+        view: see `scenes.floating_ball`.
+    """
+    settings, bsdf = RenderSettings(size, samples, seed), {"type": "measured", "filename": str(path)}
+    mi = backend.mitsuba("rgb" if is_rgb else "spectral")
+    film = rgb_film(size) if is_rgb else colorimetric_film(mi, size, settings.illuminant)
+    scene = mi.load_dict(scenes.floating_ball(mi, bsdf, film, environment, **view))
+    picture = render_scene(mi, scene, settings)
+    return picture if is_rgb else xyz_to_srgb(picture, sensor_responses(settings.illuminant)[1].sum(axis=0))
 
 
 def require_d65(illuminant: Illuminant) -> None:

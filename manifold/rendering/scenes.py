@@ -115,6 +115,53 @@ def material_ball(
     }
 
 
+def floating_ball(
+    mi: Any,
+    material: Mapping[str, Any] | Any,
+    film: Mapping[str, Any],
+    environment: Array,
+    *,
+    turn_deg: float = 0.0,
+    elevation_deg: float = 0.0,
+    distance: float = 1e3,
+    margin: float = 0.0,
+) -> dict[str, Any]:
+    """The scene of a ball alone in an environment, its outline in the middle of the picture.
+
+    Args:
+        mi, material, film: see `material_ball`.
+        environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
+        turn_deg: azimuth of what lies straight ahead, from the environment's first column to the right.
+        elevation_deg: of the camera above the ball.
+        distance: of the camera from the middle of the ball, in its radii.
+        margin: around the outline, in radii of it.
+    """
+    transform = mi.ScalarTransform4f
+    elevation = np.deg2rad(elevation_deg)
+    distance = min(distance, 1e3)  # with single precision, and no farther than this matters
+    camera = distance * np.array([0.0, -np.cos(elevation), np.sin(elevation)])
+    half_width = (1.0 + margin) / np.sqrt(distance**2 - 1.0)
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct"},
+        "sensor": {
+            "type": "perspective",
+            "fov": float(2.0 * np.rad2deg(np.arctan(half_width))),
+            "to_world": transform().look_at(origin=camera.tolist(), target=[0, 0, 0], up=[0, 0, 1]),
+            "near_clip": 0.5 * (distance - 1.0),
+            "far_clip": 2.0 * (distance + 1.0),
+            "film": dict(film),
+            "sampler": {"type": "multijitter"},
+        },
+        "environment": {
+            "type": "envmap",
+            "bitmap": mi.Bitmap(np.ascontiguousarray(environment, dtype=np.float32)),
+            "to_world": transform().rotate([0, 0, 1], turn_deg).rotate([1, 0, 0], 90),
+        },
+        "ball": {"type": "sphere", "material": material},
+    }
+
+
 def _grey(reflectance: float) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "uniform", "value": reflectance}}
 

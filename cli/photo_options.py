@@ -1,0 +1,125 @@
+"""Options of commands that take photographs of a ball, and what they print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+from . import terminal
+
+if TYPE_CHECKING:
+    from manifold.workflows.photographs import FromPhotographs, PhotoRequest
+
+PhotoOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--photo",
+        help="A picture of a ball of the material: .exr or .tif (linear), .png or .jpg (sRGB). May be repeated.",
+        metavar="PICTURE",
+    ),
+]
+LightOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--light",
+        help="Its light, by latitude and longitude, straight ahead in the first column: an .exr, or studio, overcast, "
+        "sky, one-lamp or room. One, or one per picture.",
+        metavar="PICTURE|NAME",
+    ),
+]
+CircleOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--circle", help="The ball's outline in pixels. [default: found]", metavar="X,Y,R", show_default=False
+    ),
+]
+TurnOption = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--turn", help="Degrees from the light's first column to the right to straight ahead.", metavar="DEG"
+    ),
+]
+ElevationOption = Annotated[
+    float, typer.Option("--elevation", help="Of the camera above the ball, in degrees.", min=-89.0, max=89.0)
+]
+DistanceOption = Annotated[
+    float | None,
+    typer.Option(
+        "--distance",
+        help="Of the camera from the ball's centre, in its radii. [default: far]",
+        metavar="RADII",
+    ),
+]
+ExposureOption = Annotated[
+    str,
+    typer.Option(
+        "--exposure",
+        help="Of the picture relative to the light, or free where it is not known.",
+        metavar="E|free",
+    ),
+]
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        help="Sensitivities of the camera, a text file of nm and three columns. [default: sRGB]",
+        metavar="FILE",
+    ),
+]
+
+
+def photo_request(
+    photo: list[Path],
+    light: list[str] | None,
+    circle: list[str] | None,
+    turn: list[float] | None,
+    elevation: float,
+    distance: float | None,
+    exposure: str,
+    camera: Path | None,
+) -> PhotoRequest:
+    """What the options ask for.
+
+    Raises:
+        UsageError: there is no light, or the exposure is no number.
+    """
+    from manifold.workflows.photographs import PhotoRequest
+
+    if not light:
+        raise UsageError(
+            "found --photo without its light; give --light ENV.exr, or the name of one made here"
+        )
+    try:
+        known = None if exposure == "free" else float(exposure)
+    except ValueError:
+        raise UsageError(f"--exposure '{exposure}', expected a number above 0, or free") from None
+    far = float("inf") if distance is None else distance
+    return PhotoRequest(photo, light, circle or (), turn or (0.0,), elevation, far, known, camera)
+
+
+def show_photographs(results: terminal.Results, title: str, found: FromPhotographs, **first: object) -> None:
+    """Print what was found in photographs."""
+    material = found.material
+    expected = material.expected
+    rows: dict[str, object] = {
+        "photographs": [f"{ball.photograph.path.name}, ball at {ball.circle}" for ball in found.balls],
+        **first,
+        "expected error": f"ball in another light CIEDE2000 {expected['ball']:.1f}, cube root "
+        f"{100 * expected['cube_root']:.0f} %, linear {100 * expected['linear']:.0f} %",
+        "residual of pixels": f"{100 * material.residual:.1f} % in cube roots",
+        "exposure": f"{material.exposure:.3g}",
+        "made of": [f"{name} {share:.2f}" for name, share in material.made_of],
+    }
+    if found.plausibility is not None:
+        rows["albedo"] = f"at most {found.plausibility.max_albedo:.2f}"
+    if found.output is not None:
+        rows["written to"] = found.output
+    if found.picture is not None:
+        rows["picture"] = found.picture
+    rows["time"] = f"{found.seconds:.1f} s"
+    results.rows(title, rows | {f"note {k}": note for k, note in enumerate(found.diagnostics, start=1)})
+    results.document(found.to_json())

@@ -1,0 +1,1 @@
+"""A material from photographs of a ball under known light."""

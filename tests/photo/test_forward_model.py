@@ -73,9 +73,24 @@ def test_light_is_sampled_with_its_density(rng, name):
     normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     probabilities = light.cell_probabilities(normals)
     directions = light.sample(probabilities, rng.random((2, 20000, 3)))
-    density = light.density(probabilities, light.at(directions)[1])
-    solid_angle = np.mean(1.0 / density, axis=1)  # of where there is light
-    assert np.allclose(solid_angle, 4.0 * np.pi, rtol=0.1)
+    rows = 512  # those of the fine pixels
+    theta, azimuth = np.meshgrid(
+        (np.arange(rows) + 0.5) * np.pi / rows, (np.arange(2 * rows) + 0.5) * np.pi / rows
+    )
+    sine = np.sin(theta)
+    grid = np.stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(theta)], axis=-1).reshape(-1, 3)
+    solid_angles = (sine * (np.pi / rows) ** 2).ravel()
+    pixels = np.broadcast_to(light.at(grid)[1], (2, len(grid)))
+    shares = light.density(probabilities, pixels) * solid_angles
+    assert np.allclose(shares.sum(axis=1), 1.0, rtol=1e-3)  # solid angles at the middle of a cell of the grid
+
+    def octants(of):
+        return (of > 0.0) @ [1, 2, 4]
+
+    for sampled, share in zip(directions, shares, strict=True):
+        counts = np.bincount(octants(sampled), minlength=8)
+        expected = len(sampled) * np.bincount(octants(grid), weights=share, minlength=8)
+        assert np.all(np.abs(counts - expected) <= 5.0 * np.sqrt(expected) + 5.0)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,10 @@ TurnOption = Annotated[
     ),
 ]
 ElevationOption = Annotated[
-    float, typer.Option("--elevation", help="Of the camera above the ball, in degrees.", min=-89.0, max=89.0)
+    float,
+    typer.Option(
+        "--elevation", help="Of the camera above the ball, in degrees.", metavar="DEG", min=-89.0, max=89.0
+    ),
 ]
 DistanceOption = Annotated[
     float | None,

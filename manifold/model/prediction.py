@@ -63,6 +63,8 @@ class PredictedBRDF(NotebookPicture):
         self._dictionary = combination.dictionary
         self._is_per_band = combination.sample_bands is not None
         weights = np.asarray(combination.weights, dtype=np.float64)
+        if not np.any(weights):
+            raise ShapeError("all weights are zero, as of black; expected a colour that reflects something")
         expected: tuple[int, ...] = (len(materials),)
         if self._is_per_band:
             n_samples = len(materials) * materials[0].bands.count
@@ -70,8 +72,6 @@ class PredictedBRDF(NotebookPicture):
             expected = (self.bands.count, n_atoms)
         if weights.shape != expected or not np.all(np.isfinite(weights)):
             raise ShapeError(f"weights have shape {weights.shape}, expected {expected}, all finite")
-        if not np.any(weights):
-            raise ShapeError("all weights are zero, as of black; expected a colour that reflects something")
         if self._is_per_band:
             self._materials, self._weights = list(materials), weights  # [B, N B_s], or [B, n']
             shares, lobes = self._sampled_parts(np.abs(weights).sum(axis=0))

@@ -18,7 +18,7 @@ from manifold.io_rgl import write_bsdf
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 SECTION = README.split("## With your own measurements")[1].split("\n## ")[0]
-(BLOCK,) = re.findall(r"```sh\n(.*?)```", SECTION, flags=re.DOTALL)
+BLOCK, *_ = re.findall(r"```sh\n(.*?)```", SECTION, flags=re.DOTALL)
 EXAMPLES = re.findall(r"```text\n\$ manifold (.*?)\n(.*?)```", README, flags=re.DOTALL)
 
 

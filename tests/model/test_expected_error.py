@@ -80,7 +80,7 @@ def test_a_material_in_other_colours_at_the_place_of_a_copy_of_another_is_not_ex
     k = 2
     errors = LeftOut(
         model.space, model.left_out.places, np.where(np.arange(len(model.names)) == k, 1e-6, model.left_out.ball),
-        model.left_out.cube_root, model.left_out.residual,
+        model.left_out.cube_root, model.left_out.residual, model.left_out.materials,
     )  # fmt: skip
     place = errors.expected(model.X[k])
     exact, other = (errors.expected(model.X[k], residual) for residual in (1e-9, 0.1))

@@ -14,15 +14,18 @@ from threadpoolctl import threadpool_info
 from manifold.system import parallel
 from manifold.system.parallel import one_blas_thread, serialised
 
-UNMEASURED_IN_THREADS = """
+EVALUATED_IN_THREADS = """
 from concurrent.futures import ThreadPoolExecutor
 import numba
+import numpy as np
 from helpers.sample_files import sample_file
-from manifold.brdf.unmeasured import unmeasured_cells
-files = [sample_file(f"m{k}", k, size=24) for k in range(8)]
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.directions import from_spherical
+brdfs = [MeasuredBRDF(sample_file(f"m{k}", k, size=24)) for k in range(8)]
+wi = from_spherical(np.linspace(0.1, 1.4, 500), np.zeros(500))
 with ThreadPoolExecutor(4) as pool:
     for _ in range(5):
-        list(pool.map(unmeasured_cells, files))
+        list(pool.map(lambda brdf: brdf.eval(wi, wi), brdfs))
 assert numba.threading_layer() == "workqueue", numba.threading_layer()
 """
 
@@ -39,7 +42,7 @@ def test_threads_enter_parallel_kernels_where_neither_openmp_nor_tbb_is_installe
         "PYTHONPATH": str(REPOSITORY / "tests"),
     }
     child = subprocess.run(
-        [sys.executable, "-c", UNMEASURED_IN_THREADS],
+        [sys.executable, "-c", EVALUATED_IN_THREADS],
         env=environment,
         capture_output=True,
         text=True,

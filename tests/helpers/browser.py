@@ -34,6 +34,8 @@ class Visit:
         self.page.goto(address)
         self.page.wait_for_selector("[data-ready], #problem:not([hidden])", state="attached")
         assert self.errors == []
+        # Software rendering takes seconds for a picture at rest: tests that need one ask for it.
+        self.page.evaluate("window.explorer && (clearTimeout(explorer.refining), explorer.rest = 1e6)")
 
 
 @contextmanager

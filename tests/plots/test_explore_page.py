@@ -70,6 +70,7 @@ def table_of_page(page, x, *, refine=True):
     script = """([x, refine]) => {
       const { balls } = window.explorer, { gl } = balls;
       window.explorer.change({ x });
+      window.explorer.shown.look = null; // else what was refined stays
       window.explorer.refresh();
       if (refine) balls.refine(0);
       const { target, width, height } = balls.surfaces[0].table, values = new Float32Array(4 * width * height);
@@ -128,7 +129,7 @@ def studio_ball():
 
 def refined_ball(page, places):
     settle(page)
-    page.evaluate("window.explorer.balls.refine(0)")
+    page.evaluate("explorer.balls.refine(0); explorer.element.dataset.refined = 'true'")
     return srgb_to_xyz(decode_srgb(ball_of_page(page, places)))
 
 
@@ -154,9 +155,7 @@ def test_a_diffuse_ball_has_no_ripples(visited):
         smooth = np.fft.irfft(np.fft.rfft(lightness)[:8], len(lightness))
         assert np.ptp(lightness) > 0.05
         ripples = np.sqrt(np.mean((lightness - smooth) ** 2))
-        assert (
-            ripples < 0.0035
-        )  # steps of eight bits leave up to 0.0025; a quarter of the half vectors 0.005 to 0.008
+        assert ripples < 0.0035  # steps of eight bits leave up to 0.0025
 
 
 def test_a_path_has_the_colours_between_its_ends(visited, model, studio_ball):
@@ -488,3 +487,15 @@ def test_attributes_are_set_by_sliders_and_said_where_they_are_out_of_reach(visi
     settle(page)
     assert np.allclose(state(page)["lch"], lch, atol=1e-3)
     assert page.evaluate("window.explorer.plainColour(explorer.state).srgb").startswith("#")
+
+
+def test_a_picture_at_rest_is_drawn_finely(visited):
+    page = visited.page
+    page.evaluate("explorer.rest = 10")
+    page.evaluate("window.explorer.goTo(2)")
+    settle(page)
+    coarse = page.evaluate("explorer.balls.gl.canvas.height")
+    page.locator("[data-refined=true]").wait_for(state="attached")
+    page.evaluate("explorer.rest = 1e6")
+    assert coarse < page.evaluate("explorer.balls.gl.canvas.height")
+    assert page.evaluate("explorer.balls.surfaces[0].isRefined")

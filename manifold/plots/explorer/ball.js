@@ -10,11 +10,11 @@ import { bindTexture, drawInto, makeCube, makeProgram, makeTarget, makeTexture }
 
 // Grids of normals about the direction of the viewer, and the half vectors that light them, in rings of spokes, from
 // span[0] to span[1]: the square of that is their angle as a share of 90 degrees.
-const WIDE = { azimuths: 56, elevations: 28, rings: 18, spokes: 16, span: [1 / 3, 1] };
+const WIDE = { azimuths: 48, elevations: 24, rings: 18, spokes: 16, span: [1 / 3, 1] };
 const MIDDLE = { azimuths: 128, elevations: 64, rings: 5, spokes: 20, span: [1 / 6, 1 / 3] };
 const NEAR = { azimuths: 72, elevations: 36, rings: 6, spokes: 12, span: [0, 1 / 3] }; // while something moves
-const FINE = { elevations: 48, rings: 6, spokes: 10, span: [0, 1 / 6] }; // at rest, for every pixel
-const MOVING = 160, RESTING = 480; // pixels across discs
+const FINE = { elevations: 48, rings: 5, spokes: 9, span: [0, 1 / 6] }; // at rest, for every pixel
+const MOVING = 160, RESTING = 432; // pixels across discs
 const ACROSS = 16; // grids of normals beside each other in a table of light
 const STRIPS = 16; // in which a disc at rest is drawn, one per frame
 const FACE = 128; // texels along a face of an environment
@@ -282,7 +282,7 @@ export class BallRenderer {
   /** The same, a strip at a time. */
   *refining(k) {
     const surface = this.surfaces[k];
-    if (!surface) return;
+    if (!surface || surface.isRefined) return;
     this.blends.draw(surface.table, surface.prediction, surface.illuminant, false);
     this._sum(surface, surface.wide, WIDE, 3);
     this._sum(surface, surface.middle, MIDDLE, 2);

@@ -4,7 +4,7 @@ import { Materials } from "./numerics.js";
 import { BallRenderer } from "./ball.js";
 import { MapView } from "./map.js";
 import { drawReflectance, drawSlices } from "./plots.js";
-import { History, fromFragment, isBetween, toFragment } from "./state.js";
+import { History, fromFragment, isBetween, lookOf, toFragment } from "./state.js";
 
 import { controls } from "./controls.js";
 import { documents } from "./documents.js";
@@ -39,8 +39,10 @@ export class Explorer {
     this.map = new MapView(this.byId("map"), data);
     this.spectra = []; // dropped ones; the state has the index of the one in use
     this.guests = []; // dropped materials, likewise
+    this.rest = REST;
     this.hover = -1;
     this.pinned = { key: null, prediction: null };
+    this.shown = {}; // what the picture was last drawn of
     this.balls = BallRenderer.create(this.byId("ball"), materials);
     if (!this.balls) this.problem(`${this.missingGraphics()}, so balls are not drawn; everything else works.`);
     this.pendingThumbnails = data.names.map((_, k) => k);
@@ -74,7 +76,7 @@ export class Explorer {
 
   restoreBalls() {
     this.balls = BallRenderer.create(this.byId("ball"), this.materials);
-    this.pinned.key = null;
+    this.pinned.key = this.shown.look = null;
     if (this.byId("problem-text").textContent === LOST) this.problem("");
     this.refresh();
     this.nextThumbnail();
@@ -166,28 +168,28 @@ export class Explorer {
   // -- pictures ----------------------------------------------------------------------------------------------
 
   refresh() {
-    const began = performance.now(), { state } = this;
-    this.prediction = this.predicted(state);
-    this.slices = this.prediction.slices(state.illuminant);
-    this.reflectance = this.prediction.reflectance();
-    this.refreshPin();
-    if (this.balls) {
-      this.balls.setSurface(0, this.prediction, state.illuminant, this.sky);
-      this.refineLater();
-      this.drawBalls();
+    const { state } = this, look = JSON.stringify([lookOf(state), state.illuminant, this.sky]);
+    const turned = JSON.stringify([state.shape, state.turnShape]);
+    if (look !== this.shown.look) {
+      this.prediction = this.predicted(state);
+      this.slices = this.prediction.slices(state.illuminant);
+      this.reflectance = this.prediction.reflectance();
+      this.balls?.setSurface(0, this.prediction, state.illuminant, this.sky);
     }
+    if (this.refreshPin() || look !== this.shown.look || turned !== this.shown.turned) this.refineLater();
+    this.shown = { look, turned };
+    this.drawBalls();
     this.drawMap();
     this.drawPlots();
     this.showFacts();
     this.showControls();
-    this.refreshTime = performance.now() - began;
     this.element.dataset.ready ??= performance.now().toFixed(0);
   }
 
   refineLater() {
     clearTimeout(this.refining);
     this.element.dataset.refined = "false";
-    this.refining = setTimeout(() => this.refineStep(this.refined()), REST);
+    this.refining = setTimeout(() => this.refineStep(this.refined()), this.rest);
   }
 
   /** Refines what is shown, a strip per step, so that the page answers meanwhile. */
@@ -204,12 +206,14 @@ export class Explorer {
     this.drawBalls();
   }
 
+  /** Predict what is pinned, where it has changed; whether it has. */
   refreshPin() {
     const { pin, illuminant } = this.state;
     const key = pin ? JSON.stringify([pin, illuminant, this.sky]) : null;
-    if (this.pinned.key === key) return;
+    if (this.pinned.key === key) return false;
     this.pinned = { key, prediction: pin ? this.predicted(pin) : null };
     if (pin && this.balls) this.balls.setSurface(1, this.pinned.prediction, illuminant, this.sky);
+    return pin !== null;
   }
 
   get light() {

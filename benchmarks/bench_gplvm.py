@@ -1,14 +1,14 @@
-"""The latent variable model: cost as the number of materials grows, exact and sparse, and beside GPy.
+"""The latent variable model: cost as the number of materials grows, and beside GPy.
 
     python benchmarks/bench_gplvm.py --optimizers FOLDER [FOLDER ...]    # the table of optimisers, and nothing else
-    python benchmarks/bench_gplvm.py [--sizes 51 200 1000 5000] [--gpy PYTHON] [--figure FILE.png] [--json FILE]
+    python benchmarks/bench_gplvm.py [--sizes 51 200 1000 5000] [--gpy PYTHON] [--json FILE]
 
 Optimisers: the .bsdf files of each folder, raw and under the cube root, fitted by every optimiser from the same
 starts: principal components, the same at half the scale, and perturbations of them.
 
 Data are generated: N points on a curved two-dimensional surface, columns of falling variance as the Gram matrices
 of measured materials have. Every size runs in a process of its own, one BLAS thread, whose peak memory is measured
-above that of an empty one. The exact model is timed at all sizes; its fits are run up to EXACT_FIT_LIMIT.
+above that of an empty one. Evaluations are timed at all sizes; fits are run up to FIT_LIMIT.
 
 Beside GPy: both start from the same principal components of the same 51 x 51 factor. GPy fits latents, signal and
 noise variance and length scale, by L-BFGS; ours latents, s^2 and noise filter (the length scale only sets the unit of
@@ -46,8 +46,6 @@ from manifold.io_rgl import read_bsdf
 from manifold.latent.kernels import SquaredExponential
 from manifold.latent.objective import LatentObjective, centre_gram, pca_start
 from manifold.latent.search import OPTIMIZERS
-from manifold.latent.sparse import SparseGPLVM
-from manifold.latent.sparse_objective import SparseObjective, farthest_points, pca_start_of_factor
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.gram import gram_matrix
@@ -55,8 +53,8 @@ from manifold.model.gram import gram_matrix
 STARTS = 20
 SIZES = (51, 200, 1000, 5000)
 RANK, OUTPUTS = 40, 1_000_000
-MU, INDUCING, ITERATIONS = 1e-2, 50, 50
-EXACT_FIT_LIMIT = 1000  # beyond, a fit takes many minutes and teaches nothing that an evaluation does not
+MU, ITERATIONS = 1e-2, 50
+FIT_LIMIT = 1000  # beyond, a fit takes many minutes and teaches nothing that an evaluation does not
 FIRST_MU, JOINT_ITERATIONS = 1e-2, 1000  # of our side beside GPy
 TARGET = 10.0
 ONE_THREAD = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -118,30 +116,21 @@ def seconds_per_call(work: Callable[[], object]) -> float:
     return min(times)
 
 
-def measure_size(kind: str, N: int) -> dict[str, float]:
+def measure_size(N: int) -> dict[str, float]:
     """One evaluation with gradient, one fit, and peak memory in MB, of this process."""
     Y = generated(N)
     Y -= Y.mean(axis=0)
     # The most that importing and compiling ever held; what the model adds lies above.
     empty = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     out: dict[str, float] = {"N": N}
-    if kind == "sparse":
-        X = pca_start_of_factor(Y, 2)
-        Z = X[farthest_points(X, min(INDUCING, N))]
-        sparse = SparseObjective(Y, OUTPUTS, SquaredExponential(MU))
-        out["evaluation_s"] = seconds_per_call(lambda: sparse(X, Z))
+    S = Y @ Y.T
+    X = pca_start(S, 2)
+    objective = LatentObjective(S, OUTPUTS, SquaredExponential(MU))
+    out["evaluation_s"] = seconds_per_call(lambda: objective(X))
+    if N <= FIT_LIMIT:
         start = time.perf_counter()
-        model = SparseGPLVM(n_inducing=INDUCING, mu=MU, max_iter=ITERATIONS).fit_factor(Y, OUTPUTS)
-        out["fit_s"], out["iterations"] = time.perf_counter() - start, model.n_iter_
-    else:
-        S = Y @ Y.T
-        X = pca_start(S, 2)
-        exact = LatentObjective(S, OUTPUTS, SquaredExponential(MU))
-        out["evaluation_s"] = seconds_per_call(lambda: exact(X))
-        if N <= EXACT_FIT_LIMIT:
-            start = time.perf_counter()
-            fitted = GPLVM(mu=MU, optimizer="l-bfgs", max_iter=ITERATIONS).fit_gram(S, OUTPUTS)
-            out["fit_s"], out["iterations"] = time.perf_counter() - start, fitted.n_iter_
+        fitted = GPLVM(mu=MU, optimizer="l-bfgs", max_iter=ITERATIONS).fit_gram(S, OUTPUTS)
+        out["fit_s"], out["iterations"] = time.perf_counter() - start, fitted.n_iter_
     out["peak_mb"] = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - empty) / 1024
     return out
 
@@ -155,57 +144,24 @@ def exponent(rows: list[dict[str, float]], key: str) -> float:
     return float(np.log(b[key] / a[key]) / np.log(b["N"] / a["N"]))
 
 
-def scaling(sizes: tuple[int, ...]) -> dict[str, list[dict[str, float]]]:
-    """All sizes of both kinds, each in a process of its own."""
-    rows: dict[str, list[dict[str, float]]] = {"exact": [], "sparse": []}
-    for kind, found in rows.items():
-        for N in sizes:
-            command = [sys.executable, __file__, "--one", kind, str(N)]
-            printed = subprocess.run(
-                command, check=True, capture_output=True, text=True, env=ONE_THREAD
-            ).stdout
-            found.append(json.loads(printed))
-            row = found[-1]
-            fit = (
-                f"{row['fit_s']:8.2f} s for {row['iterations']:.0f} iterations"
-                if "fit_s" in row
-                else "not fitted"
-            )
-            print(
-                f"{kind:7s}N = {N:5d}   {1e3 * row['evaluation_s']:9.2f} ms an evaluation   {fit:32s}"
-                f"{row['peak_mb']:8.0f} MB",
-                flush=True,
-            )
+def scaling(sizes: tuple[int, ...]) -> list[dict[str, float]]:
+    """All sizes, each in a process of its own."""
+    rows: list[dict[str, float]] = []
+    for N in sizes:
+        command = [sys.executable, __file__, "--one", str(N)]
+        printed = subprocess.run(command, check=True, capture_output=True, text=True, env=ONE_THREAD).stdout
+        row = json.loads(printed)
+        rows.append(row)
+        fit = (
+            f"{row['fit_s']:8.2f} s for {row['iterations']:.0f} iterations"
+            if "fit_s" in row
+            else "not fitted"
+        )
+        print(
+            f"N = {N:5d}   {1e3 * row['evaluation_s']:9.2f} ms an evaluation   {fit:32s}{row['peak_mb']:8.0f} MB",
+            flush=True,
+        )
     return rows
-
-
-def draw(rows: dict[str, list[dict[str, float]]], path: Path) -> None:
-    """Time of an evaluation and memory over N, on logarithmic axes."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    # Okabe & Ito: told apart by all kinds of colour vision; markers and dashes differ too.
-    styles = {"exact": ("#0072B2", "o", "-"), "sparse": ("#D55E00", "s", "--")}
-    figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.6), constrained_layout=True)
-    for ax, key, unit, factor in (
-        (axes[0], "evaluation_s", "one evaluation with gradient / ms", 1e3),
-        (axes[1], "peak_mb", "peak memory above the start / MB", 1.0),
-    ):
-        for kind, (colour, marker, dash) in styles.items():
-            having = [row for row in rows[kind] if row[key] > 0]
-            label = kind if kind == "exact" else f"sparse, {INDUCING} inducing points"
-            ax.loglog(
-                [row["N"] for row in having], [factor * row[key] for row in having],
-                color=colour, marker=marker, linestyle=dash, label=f"{label}: N$^{{{exponent(rows[kind], key):.1f}}}$",
-            )  # fmt: skip
-        ax.set_xlabel("materials N")
-        ax.set_ylabel(unit)
-        ax.grid(alpha=0.3)
-        ax.legend(frameon=False, fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
 
 
 GPY = """
@@ -328,12 +284,11 @@ def main() -> None:
     parser.add_argument(
         "--gram", type=Path, help=".npy of a Gram matrix to use beside GPy (default: generated)"
     )
-    parser.add_argument("--figure", type=Path, help="draw the scaling here")
     parser.add_argument("--json", type=Path, help="write the result here")
-    parser.add_argument("--one", nargs=2, metavar=("KIND", "N"), help=argparse.SUPPRESS)
+    parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one:
-        print(json.dumps(measure_size(arguments.one[0], int(arguments.one[1]))))
+        print(json.dumps(measure_size(arguments.one)))
         return
     if arguments.optimizers:
         with warnings.catch_warnings(), threadpool_limits(1):
@@ -341,16 +296,10 @@ def main() -> None:
             print_optimizers(arguments.optimizers)
         return
     rows = scaling(tuple(arguments.sizes))
-    exponents = {
-        kind: {key: exponent(found, key) for key in ("evaluation_s", "fit_s", "peak_mb")}
-        for kind, found in rows.items()
-    }
-    for kind, found in exponents.items():
-        print(
-            f"{kind}: time grows as N^{found['evaluation_s']:.2f}, memory as N^{found['peak_mb']:.2f} at the end"
-        )
-    if arguments.figure:
-        draw(rows, arguments.figure)
+    exponents = {key: exponent(rows, key) for key in ("evaluation_s", "fit_s", "peak_mb")}
+    print(
+        f"time grows as N^{exponents['evaluation_s']:.2f}, memory as N^{exponents['peak_mb']:.2f} at the end"
+    )
     result = {
         "scaling": rows,
         "exponents": exponents,

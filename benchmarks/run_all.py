@@ -15,7 +15,7 @@ COMMANDS = {
     "render": ["bench_render.py"],
     "fluorescent": ["fluorescent_light.py"],
     "fit": ["bench_fit.py", "--cases", "20", "--baseline-cases", "3"],
-    "gplvm": ["bench_gplvm.py", "--figure", "results/scaling.png"],
+    "gplvm": ["bench_gplvm.py"],
 }
 
 

@@ -19,7 +19,6 @@ _HOMES = {
     "Lobes": "manifold.latent.lobes",
     "MonochromeGPLVM": "manifold.latent.per_band",
     "nonnegative_weights": "manifold.latent.nonnegative",
-    "SparseGPLVM": "manifold.latent.sparse",
 }
 __all__ = list(_HOMES)
 

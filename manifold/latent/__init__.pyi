@@ -7,7 +7,6 @@ from .kernels import Kernel, kernel_named
 from .lobes import Lobes
 from .nonnegative import nonnegative_weights
 from .per_band import MonochromeGPLVM
-from .sparse import SparseGPLVM
 
 __all__ = [
     "GPLVM",
@@ -18,7 +17,6 @@ __all__ = [
     "Kernel",
     "Lobes",
     "MonochromeGPLVM",
-    "SparseGPLVM",
     "direct_local_search",
     "hooke_jeeves",
     "kernel_named",

@@ -153,10 +153,9 @@ def prior_of(atoms: PhotoAtoms, rows: Rows, usable: Mask) -> Prior:
         misfit += np.maximum(bound - value, 0.0) ** 2
     G = atoms.on_grid[index]
     norm = MixtureProducts.of(G @ G.T, first, second, share).norm(scale, lambertian)
-    least = (max(float(with_seen[-1]), 0.0) / inner.ll) ** 2 * float(G[-1] @ G[-1])
-    relative = np.maximum(
-        norm / max(least, np.finfo(float).tiny), 1.0
-    )  # to a Lambertian as bright as what was seen
+    # A Lambertian as bright as what was seen, or black to the eye.
+    albedo = max(float(with_seen[-1]) / inner.ll, _LEAST)
+    relative = np.maximum(norm / (albedo**2 * float(G[-1] @ G[-1])), 1.0)
     log = log_prior + log_likelihood(misfit, _INDEPENDENT) - 0.5 * _RELATIVE * np.log(relative)
     evidence = float(logsumexp(log))
     best = np.argsort(-log)[:_SHOWN]

@@ -53,6 +53,15 @@ def test_a_material_of_the_library_is_found(photo_atoms, felt):
     assert felt[1].residual < 0.05
 
 
+def test_a_channel_without_any_light_is_black(photo_atoms, render):
+    picture = render("syn_felt_green", "studio").copy()
+    picture[..., 2] = 0.0
+    found = find_material(photo_atoms, [sighting(picture, "studio")], RGB, np.eye(3))
+    assert np.isfinite(list(found.expected.values())).all()
+    wi, wo = from_spherical(0.7, 0.0), from_spherical(0.2, 2.0)
+    assert found.brdf.eval(wi, wo)[2] < 0.01 * found.brdf.eval(wi, wo)[1]
+
+
 def test_the_brdf_is_the_sum_of_its_atoms(rng, photo_atoms):
     wi, wo = (from_spherical(rng.uniform(0.0, 1.4, 200), rng.uniform(0.0, 6.0, 200)) for _ in range(2))
     weights = rng.random((3, len(photo_atoms))) * (rng.random(len(photo_atoms)) < 0.2)

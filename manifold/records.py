@@ -157,6 +157,11 @@ class BsdfFile:
         return self.phi_i_rad.shape[0] <= 2
 
     @property
+    def azimuth_repeats(self) -> int:
+        """How often the azimuths of an anisotropic file repeat in a turn: 2 or 4 where symmetry spared the others."""
+        return round(2.0 * np.pi / float(self.phi_i_rad[-1] - self.phi_i_rad[0]))
+
+    @property
     def origin(self) -> str:
         """`measured`, `predicted`, `completed` or `reconstructed`; see `origin_of`."""
         return origin_of(self.description)

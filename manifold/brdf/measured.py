@@ -96,9 +96,7 @@ class MeasuredBRDF(NotebookPicture):
         self.name = file.name
         self.bands = file.bands
         self.is_isotropic = file.is_isotropic
-        # Files that exploit a symmetry of the sample hold half or a quarter of the azimuths.
-        span = float(file.phi_i_rad[-1] - file.phi_i_rad[0])
-        self.symmetry = (self.is_isotropic, 1 if self.is_isotropic else round(2.0 * np.pi / span))
+        self.symmetry = (self.is_isotropic, 1 if self.is_isotropic else file.azimuth_repeats)
         self._stored_luminance = file.luminance
         warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)

@@ -144,7 +144,7 @@ def latent_material(
     """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
 
     Raises:
-        UsageError: `direct` without LLVM or of anisotropic materials; and what `prediction.predict` raises.
+        UsageError: `direct` without LLVM; and what `prediction.predict` raises.
     """
     from manifold.model import diagnostics
     from manifold.model.output_file import OutputOptions
@@ -172,11 +172,6 @@ def latent_material(
             "direct renders have the colours of latents, not those between two; render a predicted file"
         )
     predicted = diagnostics.predict(loaded, latent, colour)
-    if not predicted.brdf.is_isotropic:
-        raise UsageError(
-            "direct renders take isotropic materials, and some of this prediction are anisotropic; render a "
-            "predicted file"
-        )
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}
     bsdf |= {key: str(value) for key, value in vars(colour).items() if value is not None}

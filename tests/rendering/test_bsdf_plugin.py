@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.chi_square import chi_square_p_value
-from helpers.small_library import small_library
+from helpers.small_library import measured, small_library
 from scipy import stats
 
+from manifold.brdf import goniometer
 from manifold.brdf.analytic import corpus
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.microfacet import Plastic
 from manifold.colour.illuminants import Illuminant
 from manifold.directions import from_spherical, normalize
 from manifold.errors import UsageError
@@ -25,6 +28,7 @@ from manifold.model.combination import Combination
 from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import PredictedBRDF
+from manifold.records import Bands
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin import mixture
 from manifold.rendering.plugin.bsdf import NAME, load_model
@@ -57,6 +61,25 @@ def library_of_six_bands(library: Path, folder: Path) -> Path:
     return folder / "library.zarr"
 
 
+def brushed_library(folder: Path) -> Path:
+    """Materials brushed in three directions, one measured over a quarter turn, and an isotropic one; RGB."""
+    brushed = {
+        "along_x": GGX.anisotropic(0.2, 0.4), "along_y": GGX.anisotropic(0.5, 0.3),
+        "aslant": GGX.anisotropic(0.25, 0.5, 0.6),
+    }  # fmt: skip
+    files = [measured("syn_satin_gold")]
+    for k, (name, normals) in enumerate(brushed.items()):
+        material = Plastic(normals, np.array(1.5), np.roll([0.4, 0.2, 0.1], k), Bands(None))
+        files.append(goniometer.measure(material, name, resolution=24, n_theta_i=8, n_phi_i=9))
+    whole = files[1]
+    quarter = {key: getattr(whole, key)[:5] for key in ("phi_i_rad", "vndf", "luminance", "spectra")}
+    files[1] = replace(whole, valid=goniometer.pack_valid(whole.measured_mask[:5], whole.version), **quarter)
+    for file in files:
+        write_bsdf(folder / f"{file.name}_rgb.bsdf", file)
+    assert not import_files(folder / "library.zarr", [folder]).failed
+    return folder / "library.zarr"
+
+
 @pytest.fixture(scope="module")
 def models(tmp_path_factory) -> dict[str, Path]:
     """Models by kind and bands."""
@@ -64,6 +87,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
     library = spectral_library(folder)
     rgb = small_library(tmp_path_factory.mktemp("rgb"))
     few = library_of_six_bands(library, tmp_path_factory.mktemp("few"))
+    brushed = brushed_library(tmp_path_factory.mktemp("brushed"))
     paths = {}
     for name, source, settings in (
         ("rgb", rgb, Settings(kind="material")),
@@ -74,6 +98,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
         ("six bands", few, Settings(kind="material")),
         ("blend", rgb, Settings(kind="blend")),
         ("spectral blend", library, Settings(kind="blend")),
+        ("brushed", brushed, Settings(kind="blend")),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings, calibrate=False).save(paths[name])
@@ -126,12 +151,13 @@ class InMitsuba:
         return np.array(record.wo).T.astype(np.float64), np.array(record.pdf).astype(np.float64)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples", "six bands"])
+@pytest.mark.parametrize("kind", ["rgb", "material", "monochrome", "many samples", "six bands", "brushed"])
 def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     model = Manifold.load(models[kind])
-    mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
-    bands = [0, 1, 2] if kind == "rgb" else [1, 2, 3, 4] if kind == "six bands" else [15, 40, 77, 130]
-    nm = None if kind == "rgb" else np.array(model.bands.wavelengths_nm)[bands]
+    is_rgb = model.bands.is_rgb
+    mi = backend.mitsuba("rgb" if is_rgb else "spectral")
+    bands = [0, 1, 2] if is_rgb else [1, 2, 3, 4] if kind == "six bands" else [15, 40, 77, 130]
+    nm = None if is_rgb else np.array(model.bands.wavelengths_nm)[bands]
     x = model.between(model.names[0], model.names[2], 0.4)
     plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
     wi, wo = random_directions(rng, 2000), random_directions(rng, 2000)
@@ -142,7 +168,7 @@ def test_values_and_densities_are_those_of_the_prediction(models, rng, kind):
     expected = model.predict(x)
     f_cos = np.maximum(expected.eval_cos(wi, wo), 0.0)[:, bands]
     # Halves hold spectra to 2^-11, and a cube magnifies that where weights of both signs cancel.
-    tolerance = 1e-3 if kind == "rgb" else 1e-2
+    tolerance = 1e-3 if is_rgb else 1e-2
     np.testing.assert_allclose(value, f_cos, rtol=tolerance, atol=tolerance * np.median(f_cos))
     np.testing.assert_allclose(pdf, expected.pdf(wi, wo), rtol=1e-3, atol=1e-5)
 
@@ -179,16 +205,33 @@ def test_at_a_training_latent_it_is_the_measured_material_with_its_negative_valu
     )
 
 
-@pytest.mark.parametrize("kind", ["rgb", "monochrome"])
+@pytest.mark.parametrize("kind", ["rgb", "monochrome", "brushed"])
 @pytest.mark.parametrize("theta_deg", [12.0, 50.0, 78.0])
 def test_samples_follow_the_density(models, rng, kind, theta_deg):
     model = Manifold.load(models[kind])
-    mi = backend.mitsuba("rgb" if kind == "rgb" else "spectral")
-    nm = None if kind == "rgb" else (450.0, 520.0, 580.0, 650.0)
+    mi = backend.mitsuba("rgb" if model.bands.is_rgb else "spectral")
+    nm = None if model.bands.is_rgb else (450.0, 520.0, 580.0, 650.0)
     x = model.between(model.names[0], model.names[1], 0.5)
     plugin = InMitsuba(mi, {"type": "manifold", "model": str(models[kind]), "latent": words(x)}, nm)
     wi = from_spherical(np.deg2rad(theta_deg), 0.7)
-    assert chi_square_p_value(plugin, wi, rng, n_samples=100_000) > 1e-3 / 6  # six tests of this kind
+    assert chi_square_p_value(plugin, wi, rng, n_samples=100_000) > 1e-3 / 9  # nine tests of this kind
+
+
+@pytest.mark.parametrize("phi_deg", [-50.0, 130.0])
+def test_an_anisotropic_prediction_is_that_of_its_written_file_in_mitsuba(models, rng, tmp_path, phi_deg):
+    model = Manifold.load(models["brushed"])
+    x = model.between("along_y", "aslant", 0.5)
+    path = tmp_path / "between_rgb.bsdf"
+    prediction.predict(model, x, path, options=OutputOptions(resolution=40, incidences=16))
+    mi = backend.mitsuba("rgb")
+    plugin = InMitsuba(mi, {"type": "manifold", "model": str(models["brushed"]), "latent": words(x)})
+    written = InMitsuba(mi, {"type": "measured", "filename": str(path)})
+    wi, wo = from_spherical(np.deg2rad(35.0), np.deg2rad(phi_deg)), random_directions(rng, 3000)
+    value, expected = plugin.eval_pdf(wi, wo)[0], written.eval_pdf(wi, wo)[0]
+    error = np.linalg.norm(value - expected) / np.linalg.norm(expected)
+    turned = plugin.eval_pdf(from_spherical(np.deg2rad(35.0), np.deg2rad(phi_deg + 40.0)), wo)[0]
+    assert error < 0.03  # a file interpolates between 17 azimuths and 16 elevations
+    assert np.linalg.norm(turned - expected) / np.linalg.norm(expected) > 10 * error
 
 
 @pytest.mark.parametrize("theta_deg", [5.0, 45.0, 70.0])
@@ -246,7 +289,7 @@ def test_the_written_file_and_the_plugin_make_the_same_picture(models, tmp_path,
     require_same_picture(written, direct)
 
 
-@pytest.mark.parametrize("kind", ["rgb", "linear", "blend"])
+@pytest.mark.parametrize("kind", ["rgb", "linear", "blend", "brushed"])
 def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
     model = Manifold.load(models[kind])
     mi, dr = backend.mitsuba("rgb"), backend.drjit()

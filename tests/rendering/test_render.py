@@ -14,10 +14,7 @@ import numpy as np
 import pytest
 from helpers.small_library import measured, small_model
 
-from manifold.brdf import goniometer
 from manifold.brdf.analytic import corpus
-from manifold.brdf.analytic.ggx import GGX
-from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.cli.main import run as run_here
 from manifold.colour import studio
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz
@@ -25,13 +22,9 @@ from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
-from manifold.library.importing import import_files
-from manifold.model.manifold import Manifold
-from manifold.records import Bands
 from manifold.rendering import backend, image_metrics, images, render, scenes
 from manifold.rendering.ball import make_settings, parse_illuminant, read_material
 from manifold.rendering.render import RenderSettings, render_bsdf
-from manifold.workflows import renders
 
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}
 
@@ -317,18 +310,3 @@ def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, cap
     stderr = capsys.readouterr().err
     assert message in stderr
     assert len(stderr.strip().splitlines()) == 1
-
-
-@pytest.mark.skipif(not backend.choose().is_llvm, reason="direct renders need LLVM")
-def test_direct_renders_of_anisotropic_materials_are_refused(tmp_path):
-    for name, alpha_y in (("flat", 0.3), ("brushed", 0.5), ("brushed_more", 0.6)):
-        metal = RoughConductor(GGX.anisotropic(0.3, alpha_y), np.array(1.5), np.array(3.0), Bands(None))
-        write_bsdf(tmp_path / f"{name}_rgb.bsdf", goniometer.measure(metal, name, resolution=8))
-    import_files(tmp_path / "library.zarr", [tmp_path])
-    model = Manifold.fit(tmp_path / "library.zarr", calibrate=False)
-    model.save(tmp_path / "model.h5")
-    brushed = renders.latent_material(tmp_path / "model.h5", "brushed", direct=True)
-    with pytest.raises(UsageError, match="some of this prediction are anisotropic"), brushed:
-        pass
-    with renders.latent_material(tmp_path / "model.h5", "flat", direct=True) as (material, _):
-        assert material.bsdf["type"] == "manifold"

@@ -12,9 +12,9 @@ import numpy as np
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
 from manifold.rendering.plugin.mixture import Mixture
-from manifold.rendering.plugin.packed_tables import META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
+from manifold.rendering.plugin.packed_tables import ISOTROPIC, META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
 from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
-from manifold.rendering.plugin.warp import Family, PackedWarps, bisect
+from manifold.rendering.plugin.warp import Family, PackedWarps, Slices, bisect
 
 _DENSE_NM = 5.0  # largest distance of bands for which a wavelength takes the nearest one
 _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
@@ -53,9 +53,10 @@ class Evaluation:
         tables = mixture.tables
         self._n = len(mixture.names)
         self._groups = _Group.all_of(tables.meta.reshape(-1, META).astype(np.int64))
-        self._n_theta = tables.n_theta
+        self._n_theta, self._n_phi = tables.n_theta, tables.n_phi
         self._n_stored = tables.n_bands
-        self._meta, self._nodes = mi.UInt32(tables.meta), mi.Float(tables.theta_nodes)
+        self._meta = mi.UInt32(tables.meta)
+        self._theta_nodes, self._phi_nodes = mi.Float(tables.theta_nodes), mi.Float(tables.phi_nodes)
         self._grids = mi.Float(tables.grids)
         self._is_half = tables.spectra.dtype == np.float16
         self._spectra = (mi.Float16 if self._is_half else mi.Float)(tables.spectra)
@@ -112,18 +113,35 @@ class Evaluation:
         ]
         return Family(*m[0:4]), Family(*m[4:8]), m[8:]
 
-    def _slices(self, i: Any, theta: Any, n_theta: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
-        """The two elevations of incidence around theta, and the weight of the second."""
+    def _slices(self, i: Any, theta: Any, phi: Any, n_theta: Any, n_phi: Any, active: Any) -> Slices:
+        """What surrounds incident directions: elevations around theta, and azimuths around phi where there are any."""
+        dr = self._dr
+        (low, high), t = self._around(self._theta_nodes, self._n_theta, i, theta, n_theta, active)
+        if (n_phi if isinstance(n_phi, int) else self._n_phi) == 1:
+            return Slices([(low, low, high)], t, 0.0)
+        azimuths, s = self._around(self._phi_nodes, self._n_phi, i, phi, n_phi, active)
+        n_pairs = dr.maximum(n_theta - 1, 1)
+        return Slices([(p * n_pairs + low, p * n_theta + low, p * n_theta + high) for p in azimuths], t, s)
+
+    def _around(
+        self, nodes: Any, most: int, i: Any, value: Any, n: Any, active: Any
+    ) -> tuple[tuple[Any, Any], Any]:
+        """The two of material i's n nodes around a value, and the weight of the second."""
         mi, dr = self._mi, self._dr
-        first = i * self._n_theta
+        first = i * most
         low, high = bisect(
-            mi, dr, n_theta, max(1, (self._n_theta - 1).bit_length()),
-            lambda m: dr.gather(mi.Float, self._nodes, first + m, active) <= theta,
+            mi, dr, n, max(1, (most - 1).bit_length()),
+            lambda m: dr.gather(mi.Float, nodes, first + m, active) <= value,
         )  # fmt: skip
-        a = dr.gather(mi.Float, self._nodes, first + low, active)
-        b = dr.gather(mi.Float, self._nodes, first + high, active)
-        t = dr.select(b > a, dr.clip((theta - a) / (b - a), 0.0, 1.0), 0.0)
-        return (low, high), t
+        a, b = (dr.gather(mi.Float, nodes, first + k, active) for k in (low, high))
+        return (low, high), dr.select(b > a, dr.clip((value - a) / (b - a), 0.0, 1.0), 0.0)
+
+    def _signs(self, symmetry: Any, w: Any) -> Any:
+        """What moves incident directions into the measured azimuths, a sign for each axis; see `brdf.pairs.signs`."""
+        mi, dr = self._mi, self._dr
+        y = dr.select((w.y >= 0.0) & (symmetry >= 2), -1.0, 1.0)
+        x = dr.select(symmetry == 4, dr.select(w.x >= 0.0, -1.0, 1.0), y)
+        return mi.Vector3f(x, y, 1.0)
 
     def _grid(self, grid: list[Any], x: Any, y: Any, active: Any) -> Any:
         """Bilinear value of a packed grid: where its cells begin, its rows and columns."""
@@ -146,23 +164,27 @@ class Evaluation:
         m = dr.normalize(wi + wo)
         theta_i, theta_m = _elevation(mi, dr, wi), _elevation(mi, dr, m)
         ux = dr.sqrt(theta_m * (2.0 / math.pi))
-        uy = _azimuth_difference(dr, m, wi)
         sigma_x = dr.sqrt(theta_i * (2.0 / math.pi))
-        sigma_y = (dr.atan2(wi.y, wi.x) + math.pi) / (2.0 * math.pi)
         bands = None if self._is_rgb else self._locate_bands(wavelengths)
         jacobian = dr.maximum(2.0 * math.pi**2 * ux * dr.sin(theta_m), 1e-6) * 4.0 * dr.dot(wi, m)
 
         def add(i: Any, total: Any, density: Any) -> Any:
             visible, luminance, rest = self._families_of(group, i)
-            slices, t = self._slices(i, theta_i, rest[7], active)
-            u, v, pdf = self._warps.invert(visible, slices, t, ux, uy, active)
-            pdf *= self._warps.density(luminance, slices, t, u, v, active)
+            n_theta, n_phi, symmetry = rest[7:10]
+            sign = self._signs(symmetry, wi)
+            phi_i, phi_m = _azimuth(dr, sign * wi), _azimuth(dr, sign * m)
+            uy = (phi_m - phi_i if symmetry == ISOTROPIC else phi_m) / (2.0 * math.pi) + 0.5
+            uy -= dr.floor(uy)
+            sigma_y = phi_i / (2.0 * math.pi) + 0.5
+            slices = self._slices(i, theta_i, phi_i, n_theta, n_phi, active)
+            u, v, pdf = self._warps.invert(visible, slices, ux, uy, active)
+            pdf *= self._warps.density(luminance, slices, u, v, active)
             scale = self._grid(rest[0:3], ux, uy, active) / (
                 self._grid(rest[3:6], sigma_x, sigma_y, active) * cos_o
             )
             weight, share = self._weight_and_share(lobes, i, active)
             values = self._spectrum(
-                rest[6], luminance, slices, t, u, v, bands, i, weight, scale, cosines, active
+                rest[6], luminance, slices, u, v, bands, i, weight, scale, cosines, active
             )
             return i + 1, total + values, density + share * pdf
 
@@ -180,22 +202,26 @@ class Evaluation:
         return f * cos_o, density / jacobian
 
     def _spectrum(
-        self, cells: Any, grid: Family, slices: Any, t: Any, u: Any, v: Any, bands: Any, material: Any,
+        self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any, material: Any,
         weight: Any, scale: Any, cosines: Any, active: Any,
     ) -> Any:  # fmt: skip
         """Weighted, mapped values of one material at the warped point (u, v)."""
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)
-        cell = cells + (slices[0] * (grid.rows - 1) + i) * (grid.columns - 1) + j
         at_one = ((1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx)
-        corners = [weight_t * w for weight_t in (1 - t, t) for w in at_one]
+        corners = [weight_t * w for weight_t in (1 - slices.t, slices.t) for w in at_one]
+        shares = [1.0] if len(slices.at) == 1 else [1.0 - slices.s, slices.s]
+        packets = [
+            (cells + (pair * (grid.rows - 1) + i) * (grid.columns - 1) + j, [share * w for w in corners])
+            for (pair, _, _), share in zip(slices.at, shares, strict=True)
+        ]
 
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
         if self._is_rgb or self._sample_weights is not None:
-            mapped = [forward(value) for value in self._all_bands(cell, corners, active)]
+            mapped = [forward(value) for value in self._all_bands(packets, active)]
             if self._sample_weights is None:
                 return mi.Spectrum(*mapped[:3]) * weight
             if self._is_rgb:
@@ -207,35 +233,46 @@ class Evaluation:
             return mi.Spectrum(*rows)
         values = []
         for band, s in bands:
-            index = cell * self._n_stored + band
             if self._is_dense:  # reading one band instead of two saves more than a quarter of the time
-                values.append(forward(self._band(index + dr.select(s > 0.5, 1, 0), corners, active)))
+                values.append(forward(self._band(packets, band + dr.select(s > 0.5, 1, 0), active)))
             else:
-                below, above = (self._band(k, corners, active) for k in (index, index + 1))
+                below, above = (self._band(packets, k, active) for k in (band, band + 1))
                 values.append(forward(dr.lerp(below, above, s)))
         return mi.Spectrum(*values) * weight
 
-    def _all_bands(self, cell: Any, corners: list[Any], active: Any) -> list[Any]:
-        """Values of all bands that a cell holds, in one read where they are few."""
+    def _all_bands(self, packets: list[tuple[Any, list[Any]]], active: Any) -> list[Any]:
+        """Values of all bands of cells with weights of their corners, in one read where bands are few."""
         if self._n_stored > MOST_BANDS_AT_ONCE:
-            first = cell * self._n_stored
-            return [self._band(first + band, corners, active) for band in range(self._n_stored)]
+            return [self._band(packets, band, active) for band in range(self._n_stored)]
         n = SPECTRUM_PACKET * self._n_stored
-        packet = self._dr.gather(
-            self._mi.ArrayXf, self._spectra, cell, active, shape=(n, self._dr.width(cell))
-        )
+        read = [
+            (
+                self._dr.gather(
+                    self._mi.ArrayXf, self._spectra, cell, active, shape=(n, self._dr.width(cell))
+                ),
+                corners,
+            )
+            for cell, corners in packets
+        ]
         return [
-            sum(w * packet[SPECTRUM_PACKET * band + c] for c, w in enumerate(corners))
+            sum(
+                w * packet[SPECTRUM_PACKET * band + c]
+                for packet, corners in read
+                for c, w in enumerate(corners)
+            )
             for band in range(self._n_stored)
         ]
 
-    def _band(self, index: Any, corners: list[Any], active: Any) -> Any:
-        """Value of one band of a cell."""
+    def _band(self, packets: list[tuple[Any, list[Any]]], band: Any, active: Any) -> Any:
+        """Value of one band of cells with weights of their corners."""
         dr, mi = self._dr, self._mi
         stored = dr.float16_array_t(mi.ArrayXf) if self._is_half else mi.ArrayXf
-        shape = (SPECTRUM_PACKET, dr.width(index))
-        packet = dr.gather(stored, self._spectra, index, active, shape=shape)
-        return sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
+        total = 0.0
+        for cell, corners in packets:
+            index = cell * self._n_stored + band
+            packet = dr.gather(stored, self._spectra, index, active, shape=(SPECTRUM_PACKET, dr.width(index)))
+            total += sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
+        return total
 
     def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:
         dr, n = self._dr, self._n_stored
@@ -266,14 +303,16 @@ class Evaluation:
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
         visible, luminance, rest = self._families(i, active)
-        theta_i = _elevation(mi, dr, wi)
-        slices, t = self._slices(i, theta_i, rest[7], active)
-        x, y = self._warps.sample(luminance, slices, t, sample2.y, sample2.x, active)
-        ux, uy = self._warps.sample(visible, slices, t, x, y, active)
+        n_theta, n_phi, symmetry = rest[7:10]
+        sign = self._signs(symmetry, wi)
+        phi_i = _azimuth(dr, sign * wi)
+        slices = self._slices(i, _elevation(mi, dr, wi), phi_i, n_theta, n_phi, active)
+        x, y = self._warps.sample(luminance, slices, sample2.y, sample2.x, active)
+        ux, uy = self._warps.sample(visible, slices, x, y, active)
         theta_m = ux * ux * (0.5 * math.pi)
-        phi_m = (2.0 * uy - 1.0) * math.pi + dr.atan2(wi.y, wi.x)
+        phi_m = (2.0 * uy - 1.0) * math.pi + dr.select(symmetry == ISOTROPIC, phi_i, 0.0)
         (sin_p, cos_p), (sin_t, cos_t) = dr.sincos(phi_m), dr.sincos(theta_m)
-        m = mi.Vector3f(cos_p * sin_t, sin_p * sin_t, cos_t)
+        m = sign * mi.Vector3f(cos_p * sin_t, sin_p * sin_t, cos_t)
         cos_im = dr.dot(wi, m)
         wo = 2.0 * cos_im * m - wi
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
@@ -300,10 +339,8 @@ def _elevation(mi: Any, dr: Any, w: Any) -> Any:
     return 2.0 * dr.asin(dr.minimum(0.5 * dr.norm(w - mi.Vector3f(0.0, 0.0, 1.0)), 1.0))
 
 
-def _azimuth_difference(dr: Any, m: Any, wi: Any) -> Any:
-    """Unit-square coordinate of the half vector's azimuth, relative to the incident one."""
-    uy = (dr.atan2(m.y, m.x) - dr.atan2(wi.y, wi.x) + math.pi) / (2.0 * math.pi)
-    return uy - dr.floor(uy)
+def _azimuth(dr: Any, w: Any) -> Any:
+    return dr.atan2(w.y, w.x)
 
 
 class _DrJitMapping:

@@ -76,8 +76,7 @@ def fixed_mixture(
         tolerance: how much leaving materials out may change; see `leave_out`.
     Raises:
         LatentError: the latent does not have Q finite coordinates.
-        UsageError: a material is anisotropic; the manifold is monochrome and materials are to be left out, or it is
-            not and a colour is chosen.
+        UsageError: the manifold is monochrome and materials are to be left out, or it is not and a colour is chosen.
     """
     place = model.place(latent)
     x, chosen = place.latent, choose_colour(model, place, colour)
@@ -108,7 +107,7 @@ def varying_mixture(model: Manifold) -> Mixture:
 
     Raises:
         UsageError: the manifold is monochrome (which colours give a structure its reflectance jumps between places,
-            and would tear the field), or a material is anisotropic.
+            and would tear the field).
     """
     if model.space.needs_colours:
         raise UsageError(

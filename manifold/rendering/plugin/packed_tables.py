@@ -27,24 +27,30 @@ MOST_BANDS_AT_ONCE = 8
 SPECTRUM_PACKET = 8
 """Values per cell and band of spectra: four corners at one elevation, then at the next."""
 
-META = 16
-"""Integers per material; see `Tables.meta`."""
+META = 32
+"""Integers per material, a power of two so that they are read at once; see `Tables.meta`."""
+
+ISOTROPIC = 0
+"""The symmetry of materials whose half vectors are counted from the incident azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """N isotropic materials, one after the other in flat arrays.
+    """N materials, one after the other in flat arrays.
 
     Attributes:
         meta: where the parts of each material begin and how large they are, uint32, shape (N * META,): vndf cell,
             its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
-            columns; sigma cell, rows, columns; spectra cell; elevations of incidence.
+            columns; sigma cell, rows, columns; spectra cell; elevations and azimuths of incidence; `ISOTROPIC`, or
+            how often azimuths repeat in a turn.
         theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
         n_theta: T, the most that any material has.
-        warps: cells of vndf and luminance per two neighbouring elevations, float32, shape (cells * 16,).
+        phi_nodes: incident azimuths in radians, likewise, float32, shape (N * P,).
+        n_phi: P, the most that any material has.
+        warps: cells of vndf and luminance per azimuth and two neighbouring elevations, float32, shape (cells * 16,).
         marginals: their cumulative sums of rows, float32.
         grids: ndf and sigma cells, four corners each, float32, shape (cells * 4,).
-        spectra: per two neighbouring elevations, cell and band the four corners at both, shape
+        spectra: per azimuth, two neighbouring elevations, cell and band the four corners at both, shape
             (pairs * cells * bands * 8,): float32 for few bands, float16 for many, where memory is what takes time.
             Halves are scaled by a power of two, which `ndf` takes back.
         n_bands: bands per cell in `spectra`, padded with zeros.
@@ -54,6 +60,8 @@ class Tables:
     meta: NDArray[np.uint32]
     theta_nodes: NDArray[np.float32]
     n_theta: int
+    phi_nodes: NDArray[np.float32]
+    n_phi: int
     warps: NDArray[np.float32]
     marginals: NDArray[np.float32]
     grids: NDArray[np.float32]
@@ -64,40 +72,43 @@ class Tables:
     @property
     def bytes(self) -> int:
         """Memory that the tables take."""
-        arrays = (self.meta, self.theta_nodes, self.warps, self.marginals, self.grids, self.spectra)
+        arrays = (
+            self.meta, self.theta_nodes, self.phi_nodes, self.warps, self.marginals, self.grids, self.spectra,
+        )  # fmt: skip
         return sum(array.nbytes for array in arrays)
 
 
 def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Tables:
-    """Lay isotropic materials out.
+    """Lay materials out.
 
     Args:
         files: N materials of the same bands.
         bands: indices of those to keep; all by default.
     Raises:
-        UsageError: a material is anisotropic.
+        UsageError: they are too many.
     """
     kept = list(range(files[0].bands.count)) if bands is None else list(bands)
     n_bands = len(kept) if len(kept) > MOST_BANDS_AT_ONCE else int(2 ** np.ceil(np.log2(len(kept))))
-    n_theta = max(len(file.theta_i_rad) for file in files)
+    n_theta, n_phi = (
+        max(len(getattr(file, axis)) for file in files) for axis in ("theta_i_rad", "phi_i_rad")
+    )
     is_half = len(kept) > MOST_BANDS_AT_ONCE
     warps, marginals, grids = _Store(2 * WARP_VALUES), _Store(1), _Store(4)
     spectra = _Store(SPECTRUM_PACKET * n_bands, np.float16 if is_half else np.float32)
     meta = np.zeros((len(files), META), dtype=np.uint32)
-    nodes = np.zeros((len(files), n_theta), dtype=np.float32)
+    theta_nodes, phi_nodes = [], []
     most_nodes = 2
     for k, file in enumerate(files):
-        if file.phi_i_rad.shape[0] > 1:
-            raise UsageError(
-                f"material {file.name} is anisotropic, and the plugin `manifold` takes isotropic ones; "
-                "render its prediction as a .bsdf"
-            )
         row = []
         density = np.maximum(file.luminance, 0.0)
         density[density.sum(axis=(2, 3)) <= 0] = 1.0
         for values in (file.vndf, density):
             warp = Warp.from_values(values, file.phi_i_rad, file.theta_i_rad)
-            row += [warps.add(_warp_cells(warp)), marginals.add(warp.marginal), *warp.data.shape[1:]]
+            row += [
+                warps.add(_warp_cells(warp, values.shape[:2])),
+                marginals.add(warp.marginal),
+                *warp.data.shape[1:],
+            ]
             most_nodes = max(most_nodes, *warp.data.shape[1:])
         # The factor ndf / (4 sigma) is 1 where a file holds final values.
         one = np.ones((2, 2))
@@ -105,19 +116,26 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
         unit = _unit(file.spectra) if is_half else 1.0
         for grid in (unit * ndf, sigma):
             row += [grids.add(_corners(grid)), *grid.shape]
-        cells = _corners(file.spectra[0][:, kept]) / np.float32(unit)  # [T, B, H - 1, W - 1, 4]
-        cells = np.moveaxis(cells, 1, 3)
-        pairs = _neighbours(cells)  # [T - 1, H - 1, W - 1, B, 2, 4]
-        row += [spectra.add(np.pad(pairs, ((0, 0),) * 3 + ((0, n_bands - len(kept)),) + ((0, 0),) * 2))]
-        row += [len(file.theta_i_rad)]
+        cells = _corners(file.spectra[:, :, kept]) / np.float32(unit)  # [P, T, B, H - 1, W - 1, 4]
+        cells = np.moveaxis(cells, 2, 4)
+        pairs = _neighbours(cells)  # [P, T - 1, H - 1, W - 1, B, 2, 4]
+        row += [spectra.add(np.pad(pairs, ((0, 0),) * 4 + ((0, n_bands - len(kept)),) + ((0, 0),) * 2))]
+        row += [
+            len(file.theta_i_rad),
+            len(file.phi_i_rad),
+            ISOTROPIC if file.is_isotropic else file.azimuth_repeats,
+        ]
         if file.spectra.shape[3:] != file.luminance.shape[2:]:
             raise UsageError(f"material {file.name}: luminance and spectra have grids of different sizes")
         meta[k, : len(row)] = row
-        nodes[k] = np.pad(file.theta_i_rad, (0, n_theta - len(file.theta_i_rad)), mode="edge")
+        theta_nodes.append(np.pad(file.theta_i_rad, (0, n_theta - len(file.theta_i_rad)), mode="edge"))
+        phi_nodes.append(np.pad(file.phi_i_rad, (0, n_phi - len(file.phi_i_rad)), mode="edge"))
     return Tables(
         meta=meta.ravel(),
-        theta_nodes=nodes.ravel(),
+        theta_nodes=np.concatenate(theta_nodes),
         n_theta=n_theta,
+        phi_nodes=np.concatenate(phi_nodes),
+        n_phi=n_phi,
         warps=warps.joined(),
         marginals=marginals.joined(),
         grids=grids.joined(),
@@ -162,15 +180,15 @@ def _corners(grid: Array) -> Array:
 
 
 def _neighbours(slices: Array) -> Array:
-    """Each of S slices (S, ..., K) and the next, shape (S - 1, ..., 2, K); a single one with itself."""
-    upper = slices[1:] if len(slices) > 1 else slices
-    return np.stack([slices[: len(upper)], upper], axis=-2)
+    """Each of T elevations (P, T, ..., K) and the next, shape (P, T - 1, ..., 2, K); a single one with itself."""
+    upper = slices[:, 1:] if slices.shape[1] > 1 else slices
+    return np.stack([slices[:, : upper.shape[1]], upper], axis=-2)
 
 
-def _warp_cells(warp: Warp) -> Array:
-    """All cells of a warp, shape (S - 1, R - 1, C - 1, 2, 8)."""
+def _warp_cells(warp: Warp, of_incidence: tuple[int, ...]) -> Array:
+    """All cells of a warp of P x T incidences, shape (P, T - 1, R - 1, C - 1, 2, 8)."""
     before = np.stack([warp.conditional[:, :-1, :-1], warp.conditional[:, 1:, :-1]], axis=-1)
     totals = warp.conditional[:, :, -1]
     rows = np.stack([totals[:, :-1], totals[:, 1:]], axis=-1)[:, :, None, :]
-    cells = [_corners(warp.data), before, np.broadcast_to(rows, before.shape)]
-    return _neighbours(np.concatenate(cells, axis=-1))
+    cells = np.concatenate([_corners(warp.data), before, np.broadcast_to(rows, before.shape)], axis=-1)
+    return _neighbours(cells.reshape(*of_incidence, *cells.shape[1:]))

@@ -1,7 +1,6 @@
 """The warps of `manifold.brdf.warp` on Dr.Jit arrays: density, inverse and sampling of packed tables.
 
-Functions take the modules of the variant that is set; arrays have one entry per lane. `slices` are the indices of the
-two elevations around the incident one, and `t` the weight of the second.
+Functions take the modules of the variant that is set; arrays have one entry per lane.
 """
 
 from __future__ import annotations
@@ -22,6 +21,21 @@ class Family:
     marginals: Any
     rows: Any
     columns: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """The densities around an incident direction, per lane: at one azimuth or two, those of two elevations.
+
+    Attributes:
+        at: per azimuth the index of the packet of both elevations, and the indices of the two.
+        t: weight of the second elevation.
+        s: weight of the second azimuth.
+    """
+
+    at: list[tuple[Any, Any, Any]]
+    t: Any
+    s: Any
 
 
 def bisect(mi: Any, dr: Any, n: Any, n_steps: int, is_below: Any) -> tuple[Any, Any]:
@@ -52,66 +66,85 @@ class PackedWarps:
         i = dr.minimum(mi.UInt32(scaled), n - 2)
         return i, scaled - mi.Float(i)
 
-    def _index(self, family: Family, slices: Any, i: Any, j: Any) -> Any:
-        """Number of the packet of a cell, which holds both elevations."""
-        return family.cells + (slices[0] * (family.rows - 1) + i) * (family.columns - 1) + j
+    def _between_azimuths(self, slices: Slices, values: list[Any]) -> Any:
+        """Values at the one azimuth, or between those at the two."""
+        return values[0] if len(values) == 1 else self._dr.lerp(*values, slices.s)
 
-    def _marginal(self, family: Family, slices: Any, t: Any, i: Any, active: Any) -> Any:
-        a, b = (
-            self._dr.gather(self._mi.Float, self._marginals, family.marginals + s * family.rows + i, active)
-            for s in slices
+    def _indices(self, family: Family, slices: Slices, i: Any, j: Any) -> list[Any]:
+        """Numbers of the packets of a cell, each with both elevations."""
+        return [
+            family.cells + (pair * (family.rows - 1) + i) * (family.columns - 1) + j
+            for pair, _, _ in slices.at
+        ]
+
+    def _marginal(self, family: Family, slices: Slices, i: Any, active: Any) -> Any:
+        dr, mi = self._dr, self._mi
+
+        def gather(k: Any) -> Any:
+            return dr.gather(mi.Float, self._marginals, family.marginals + k * family.rows + i, active)
+
+        return self._between_azimuths(
+            slices, [dr.lerp(gather(low), gather(high), slices.t) for _, low, high in slices.at]
         )
-        return self._dr.lerp(a, b, t)
 
-    def _blended(self, family: Family, slices: Any, t: Any, i: Any, j: Any, active: Any) -> list[Any]:
-        """The values of a cell between two elevations; see `packed_tables.WARP_VALUES`."""
-        index = self._index(family, slices, i, j)
-        shape = (2 * WARP_VALUES, self._dr.width(index))
-        packet = self._dr.gather(self._mi.ArrayXf, self._warps, index, active, shape=shape)
-        return [self._dr.lerp(packet[k], packet[WARP_VALUES + k], t) for k in range(WARP_VALUES)]
+    def _blended(self, family: Family, slices: Slices, i: Any, j: Any, active: Any) -> list[Any]:
+        """The values of a cell at the incident direction; see `packed_tables.WARP_VALUES`."""
+        packets = [
+            self._dr.gather(
+                self._mi.ArrayXf, self._warps, n, active, shape=(2 * WARP_VALUES, self._dr.width(n))
+            )
+            for n in self._indices(family, slices, i, j)
+        ]
+        return [
+            self._between_azimuths(
+                slices, [self._dr.lerp(packet[k], packet[WARP_VALUES + k], slices.t) for packet in packets]
+            )
+            for k in range(WARP_VALUES)
+        ]
 
-    def invert(
-        self, family: Family, slices: Any, t: Any, x: Any, y: Any, active: Any
-    ) -> tuple[Any, Any, Any]:
+    def invert(self, family: Family, slices: Slices, x: Any, y: Any, active: Any) -> tuple[Any, Any, Any]:
         """The variates that `sample` maps to (x, y), and the density there."""
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
-        d00, d01, d10, d11, b0, b1, r0, r1 = self._blended(family, slices, t, i, j, active)
+        d00, d01, d10, d11, b0, b1, r0, r1 = self._blended(family, slices, i, j, active)
         c0, c1 = dr.lerp(d00, d10, ty), dr.lerp(d01, d11, ty)
         density = dr.lerp(c0, c1, tx) * mi.Float((family.rows - 1) * (family.columns - 1))
         total = dr.lerp(r0, r1, ty)
         u = (tx * (c0 + 0.5 * tx * (c1 - c0)) + dr.lerp(b0, b1, ty)) / total
-        v = ty * (r0 + 0.5 * ty * (r1 - r0)) + self._marginal(family, slices, t, i, active)
+        v = ty * (r0 + 0.5 * ty * (r1 - r0)) + self._marginal(family, slices, i, active)
         return dr.select(total > 0.0, u, 0.0), v, density
 
-    def density(self, family: Family, slices: Any, t: Any, x: Any, y: Any, active: Any) -> Any:
+    def density(self, family: Family, slices: Slices, x: Any, y: Any, active: Any) -> Any:
         """The density at (x, y), which integrates to 1 over the unit square."""
         dr, mi = self._dr, self._mi
         j, tx = self.cell(x, family.columns)
         i, ty = self.cell(y, family.rows)
-        first = 2 * WARP_VALUES // 4 * self._index(family, slices, i, j)  # corners are the first of each half
-        a, b = (dr.gather(mi.Vector4f, self._warps, first + k, active) for k in (0, WARP_VALUES // 4))
-        d = dr.lerp(a, b, t)
+        corners = []
+        for index in self._indices(family, slices, i, j):
+            first = 2 * WARP_VALUES // 4 * index  # corners are the first of each half
+            a, b = (dr.gather(mi.Vector4f, self._warps, first + k, active) for k in (0, WARP_VALUES // 4))
+            corners.append(dr.lerp(a, b, slices.t))
+        d = self._between_azimuths(slices, corners)
         value = dr.lerp(dr.lerp(d.x, d.y, tx), dr.lerp(d.z, d.w, tx), ty)
         return value * mi.Float((family.rows - 1) * (family.columns - 1))
 
-    def sample(self, family: Family, slices: Any, t: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
+    def sample(self, family: Family, slices: Slices, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
         """The point (x, y) of uniform variates (u, v)."""
         dr, mi = self._dr, self._mi
         u, v = dr.clip(u, 1e-7, 1.0 - 1e-7), dr.clip(v, 1e-7, 1.0 - 1e-7)
-        i = self._below(family.rows, v, lambda m: self._marginal(family, slices, t, m, active))
-        first = self._blended(family, slices, t, i, mi.UInt32(0), active)
+        i = self._below(family.rows, v, lambda m: self._marginal(family, slices, m, active))
+        first = self._blended(family, slices, i, mi.UInt32(0), active)
         r0, r1 = first[6], first[7]
-        ty = self._invert_linear(r0, r1, v - self._marginal(family, slices, t, i, active))
+        ty = self._invert_linear(r0, r1, v - self._marginal(family, slices, i, active))
         target = u * dr.lerp(r0, r1, ty)
 
         def reached(m: Any) -> Any:
-            packet = self._blended(family, slices, t, i, m, active)
+            packet = self._blended(family, slices, i, m, active)
             return dr.lerp(packet[4], packet[5], ty)
 
         j = self._below(family.columns, target, reached)
-        d00, d01, d10, d11, b0, b1, _r0, _r1 = self._blended(family, slices, t, i, j, active)
+        d00, d01, d10, d11, b0, b1, _r0, _r1 = self._blended(family, slices, i, j, active)
         c0, c1 = dr.lerp(d00, d10, ty), dr.lerp(d01, d11, ty)
         tx = self._invert_linear(c0, c1, target - dr.lerp(b0, b1, ty))
         x = (mi.Float(j) + tx) / mi.Float(family.columns - 1)

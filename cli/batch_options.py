@@ -31,16 +31,6 @@ PointsOption = Annotated[
         metavar="CSV",
     ),
 ]  # fmt: skip
-JobsOption = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs",
-        "-j",
-        help="Processes for several materials; one per core if not given.",
-        metavar="N",
-        min=1,
-    ),
-]
 
 
 def is_many(sources: Sequence[MaterialSource], output: Path | None) -> bool:

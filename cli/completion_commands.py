@@ -11,8 +11,9 @@ from manifold.errors import UsageError
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import JobsOption, folder_or_default, show_batch
+from .batch_options import folder_or_default, show_batch
 from .outputs import checked, or_default
+from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
     from manifold.completion.suggest import Suggested
@@ -99,7 +100,8 @@ def complete(
     force: options.ForceOption = False,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
-    jobs: JobsOption = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Complete readings of a material to a full BRDF, with a library of materials as prior.
@@ -160,7 +162,7 @@ def complete(
             inputs.require_apart(readings, batch.folder)
             outcomes = many_files.complete_all(
                 samples, library, batch, correction=correction, count=suggest, instrument=instrument,
-                options=written, jobs=jobs, stage=terminal.progress,
+                options=written, workers=workers_of(processes, scheduler), stage=terminal.progress,
             )  # fmt: skip
             if into is not None:
                 many_files.import_all(outcomes, into)

@@ -11,8 +11,9 @@ from manifold.errors import FileFormatError, UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import JobsOption, folder_or_default, inputs_of, show_batch
+from .batch_options import folder_or_default, inputs_of, show_batch
 from .outputs import or_default
+from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
     from manifold.workflows.batch import Outcome
@@ -69,7 +70,8 @@ def fit(
     noise: Annotated[
         float, typer.Option(help="Relative noise of the samples, as a lower bound.", metavar="SHARE")
     ] = 0.01,
-    jobs: JobsOption = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     picture: Annotated[
         bool, typer.Option("--picture", help="Also draw each fit beside its material, into NAME.fit.png.")
     ] = False,
@@ -112,8 +114,11 @@ def fit(
         show_batch(
             results,
             batch,
-            fits.fit_all(several, batch, settings, with_pictures=picture, jobs=jobs, stage=terminal.progress),
-        )
+            fits.fit_all(
+                several, batch, settings, with_pictures=picture, workers=workers_of(processes, scheduler),
+                stage=terminal.progress,
+            ),
+        )  # fmt: skip
         return
     source = materials[0]
     if picture and isinstance(source, FileSource) and (known := registry.identify(source.path)) is not None:

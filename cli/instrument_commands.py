@@ -10,7 +10,8 @@ import typer
 
 from . import options, terminal
 from .application import app
-from .batch_options import JobsOption, folder_or_default, inputs_of, is_many, show_batch
+from .batch_options import folder_or_default, inputs_of, is_many, show_batch
+from .worker_options import SchedulerOption, WorkersOption, workers_of
 
 
 @app.command(
@@ -67,7 +68,8 @@ def convert(
     merge: Annotated[
         bool, typer.Option("--merge", help="Several files are of one sample, whatever its names.")
     ] = False,
-    jobs: JobsOption = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Convert a BRDF or readings into another format, and report the conversion error.
@@ -92,7 +94,7 @@ def convert(
         batch = many_files.conversions_in(folder_or_default(output, "conversions"))
         all_made = many_files.convert_all(
             found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
-            jobs=jobs, stage=terminal.progress,
+            workers=workers_of(processes, scheduler), stage=terminal.progress,
         )  # fmt: skip
         show_batch(results, batch, all_made)
         return

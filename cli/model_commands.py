@@ -11,8 +11,9 @@ from manifold.errors import ManifoldError, UsageError
 
 from . import options, photo_options, terminal
 from .application import app
-from .batch_options import JobsOption, PointsOption, folder_or_default, inputs_of, show_batch, show_points
+from .batch_options import PointsOption, folder_or_default, inputs_of, show_batch, show_points
 from .outputs import or_default
+from .worker_options import OneWorkerOption, SchedulerOption, WorkersOption, workers_of
 
 if TYPE_CHECKING:
     from manifold.model.diagnostics import Prediction
@@ -254,7 +255,8 @@ def predict(
     ] = None,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
-    jobs: JobsOption = 1,
+    processes: OneWorkerOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Predict the material at a latent coordinate and write it as a .bsdf that Mitsuba opens.
@@ -266,6 +268,7 @@ def predict(
     from manifold.completion.attributes import Attributes
     from manifold.model.colours import NEAREST, ColourChoice
     from manifold.model.output_file import OutputOptions
+    from manifold.system.workers import HERE
     from manifold.workflows import prediction
 
     results = terminal.Results(json)
@@ -289,7 +292,8 @@ def predict(
 
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
-            model, table, folder, library=library, options=written, jobs=jobs, stage=terminal.progress,
+            model, table, folder, library=library, options=written,
+            workers=workers_of(processes, scheduler, HERE), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
@@ -359,7 +363,8 @@ def locate(
     ] = None,
     physical: options.PhysicalOption = False,
     force: options.ForceOption = False,
-    jobs: JobsOption = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Embed a measured or photographed material: find its latent on the fitted manifold.
@@ -404,8 +409,9 @@ def locate(
 
         batch = many_files.locations_in(folder_or_default(output, "locations"))
         located = many_files.locate_all(
-            several, model, batch, library=library, options=written, jobs=jobs, stage=terminal.progress
-        )
+            several, model, batch, library=library, options=written, workers=workers_of(processes, scheduler),
+            stage=terminal.progress,
+        )  # fmt: skip
         show_batch(results, batch, located)
         return
     source = sources[0]
@@ -447,7 +453,8 @@ def reconstruct(
     ] = None,
     physical: options.PhysicalOption = False,
     force: options.ForceOption = False,
-    jobs: JobsOption = None,
+    processes: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Reconstruct a measured material from a library, by non-negative least squares in every band.
@@ -467,8 +474,8 @@ def reconstruct(
 
         batch = many_files.reconstructions_in(folder_or_default(output, "reconstructions"))
         all_made = many_files.reconstruct_all(
-            several, library, batch, without=without or (), numbers=numbers, options=written, jobs=jobs,
-            stage=terminal.progress,
+            several, library, batch, without=without or (), numbers=numbers, options=written,
+            workers=workers_of(processes, scheduler), stage=terminal.progress,
         )  # fmt: skip
         show_batch(results, batch, all_made)
         return

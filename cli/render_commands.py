@@ -11,8 +11,9 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
-from .batch_options import JobsOption, PointsOption, folder_or_default, inputs_of, show_batch, show_points
+from .batch_options import PointsOption, folder_or_default, inputs_of, show_batch, show_points
 from .outputs import or_default
+from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 if TYPE_CHECKING:
     from manifold.rendering.image_metrics import Summary
@@ -73,7 +74,8 @@ def render(
     size: SizeOption = 256,
     samples: SamplesOption = 64,
     seed: SeedOption = 0,
-    jobs: JobsOption = 1,
+    processes: OneWorkerOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Render a ball of a file, of a material of the library, or of a prediction, under an environment light.
@@ -81,6 +83,7 @@ def render(
     Spectral materials are rendered spectrally, RGB ones in RGB. Colours are chromatically adapted (Bradford).
     """
     from manifold.rendering.ball import make_settings
+    from manifold.system.workers import HERE
     from manifold.workflows import renders
 
     results = terminal.Results(json)
@@ -94,8 +97,8 @@ def render(
 
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
-            model, table, folder, settings, library=library, direct=direct, jobs=jobs,
-            stage=terminal.progress,
+            model, table, folder, settings, library=library, direct=direct,
+            workers=workers_of(processes, scheduler, HERE), stage=terminal.progress,
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
@@ -116,7 +119,9 @@ def render(
         from manifold.workflows import many_files
 
         batch = many_files.renders_in(folder_or_default(output, "renders"))
-        all_made = many_files.render_all(several, settings, batch, jobs=jobs, stage=terminal.progress)
+        all_made = many_files.render_all(
+            several, settings, batch, workers=workers_of(processes, scheduler, HERE), stage=terminal.progress
+        )
         show_batch(results, batch, all_made)
         return
     with terminal.progress("Rendering") as step:

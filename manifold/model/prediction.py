@@ -28,6 +28,7 @@ from manifold.system.parallel import one_blas_thread
 
 # Direction pairs mapped at once: the sums of a block (195 bands: 3 MB) and one material's file share the last cache.
 BLOCK_PAIRS = 2048
+_BLOCKS = 8  # at least, where there are enough pairs: to be shared out among threads
 _SHOWN_PARTS = 3
 
 
@@ -128,8 +129,9 @@ class PredictedBRDF(NotebookPicture):
             return self._measured.eval(wi, wo)
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
-        # Few pairs are shared out too, but not so finely that calls take longer than values.
-        size = int(np.clip(-(-len(pairs) // (2 * nb.get_num_threads())), 64, BLOCK_PAIRS))
+        # Few pairs are shared out too, but not so finely that calls take longer than values. Sums of matrices depend on
+        # the size of blocks, which therefore does not depend on the number of threads.
+        size = int(np.clip(-(-len(pairs) // _BLOCKS), 64, BLOCK_PAIRS))
         blocks = [(block, out[rows]) for rows, block in pairs.blocks(size)]
         if len(blocks) > 1 and all(isinstance(material, MeasuredBRDF) for material in self._materials):
             # Every thread multiplies matrices of its own: a second level of threads costs more than it does.

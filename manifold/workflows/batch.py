@@ -25,9 +25,10 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.rendering import backend, thumbnails
-from manifold.system import atomic, reading, tasks
+from manifold.system import atomic, reading
 from manifold.system.names import printable
 from manifold.system.stages import Progress, Stage, no_stage
+from manifold.system.workers import HERE, Workers
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
 _ENTRY = '{"file": '  # every line of an index begins so
@@ -107,7 +108,7 @@ class Batch:
         make: Callable[[S, Path], dict[str, Any]],
         made_of: Callable[[S], dict[str, Any]],
         *,
-        jobs: int | None = 1,
+        workers: Workers = HERE,
         prepare: Callable[[Progress | None], None] | None = None,
         stage: Stage = no_stage,
     ) -> list[Outcome[S]]:
@@ -115,9 +116,9 @@ class Batch:
 
         Args:
             todo: a task per file.
-            make: writes the file of a source and says what is known of it; can be pickled where `jobs` is not 1.
+            make: writes the file of a source and says what is known of it; pickled, but for workers that are `HERE`.
             made_of: all that the file of a source depends on, plain values.
-            jobs: processes; one per core if None.
+            workers: who makes them.
             prepare: called once in this process, if anything is to be made in it.
             stage: opens the progress of a part of the work.
         Returns:
@@ -130,13 +131,13 @@ class Batch:
         index = OutputIndex(self.folder, self.what)
         outcomes, keys = self._known(index, todo, made_of)
         missing = list(keys)
-        if missing and prepare is not None and jobs == 1:
+        if missing and prepare is not None and workers == HERE:
             with stage("Reading materials") as step:
                 prepare(step)
         with ExitStack() as at_end, stage("Writing files") as step:
             at_end.callback(self._conclude, outcomes)  # also when it is interrupted
             begin = _begin if self.has_balls else None
-            made = tasks.run(partial(_make, make), [todo[k] for k in missing], jobs, begin)
+            made = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
             for done, (i, content, failure) in enumerate(made, start=1):
                 k = missing[i]
                 name, path, source = todo[k].name, todo[k].path, todo[k].source

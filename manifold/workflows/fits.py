@@ -30,6 +30,7 @@ from manifold.rendering import backend
 from manifold.system import atomic, reading
 from manifold.system.names import printable
 from manifold.system.stages import Stage, Stages, no_stage
+from manifold.system.workers import HERE, Workers
 from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearance
 from manifold.workflows.fit_pictures import picture_of_fit
 from manifold.workflows.inputs import FIT, Input, is_rgl
@@ -140,7 +141,7 @@ def fits_in(folder: Path) -> Batch:
 
 def fit_all(
     sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
-    jobs: int | None = None, stage: Stage = no_stage,
+    workers: Workers = HERE, stage: Stage = no_stage,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Fit many materials, one JSON each; up-to-date fits are kept.
 
@@ -149,7 +150,7 @@ def fit_all(
         batch: see `fits_in`.
         settings: how.
         with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
-        jobs: processes; one per core if None.
+        workers: who makes them.
         stage: opens the progress of a part of the work.
     Returns:
         One outcome per source, in order; one that cannot be fitted does not stop the others.
@@ -161,7 +162,7 @@ def fit_all(
     how = settings.to_json() | {"pictures": with_pictures}
     todo = [Task(one.name, batch.folder / f"{one.name}{FIT}", one) for one in sources]
     make = partial(_fit_input, settings=settings, with_pictures=with_pictures)
-    return batch.run(todo, make, lambda one: how | one.made_of(), jobs=jobs, stage=stage)
+    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers, stage=stage)
 
 
 def fit_prediction(

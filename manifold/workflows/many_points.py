@@ -16,6 +16,7 @@ from manifold.rendering import images
 from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings, require_d65
 from manifold.system.stages import Stage, no_stage
+from manifold.system.workers import HERE, Workers
 from manifold.workflows import prediction, renders
 from manifold.workflows.batch import Batch, Outcome, Task
 from manifold.workflows.point_table import Point, PointTable
@@ -24,7 +25,7 @@ from manifold.workflows.sources import PlaceSource
 
 def predict_all(
     model: Path, table: PointTable, folder: Path, *, library: Path | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS, jobs: int | None = 1, stage: Stage = no_stage,
+    options: OutputOptions = DEFAULT_OPTIONS, workers: Workers = HERE, stage: Stage = no_stage,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
 
@@ -32,7 +33,7 @@ def predict_all(
         model, library, options: as of `prediction.predict`.
         table: the rows.
         folder: where to; made if missing. Its `predictions.jsonl` says what each file was made of.
-        jobs: processes; one per core if None.
+        workers: who makes them.
         stage: opens the progress of a part of the work.
     Returns:
         One outcome per row; one that fails does not stop the others.
@@ -46,7 +47,7 @@ def predict_all(
     make = partial(_predict, model=model, library=library, options=options)
     made_of = _made_of(model, loaded, how)
     return Batch(folder, "predictions").run(
-        todo, make, made_of, jobs=jobs, prepare=loaded.prepare, stage=stage
+        todo, make, made_of, workers=workers, prepare=loaded.prepare, stage=stage
     )
 
 
@@ -59,12 +60,12 @@ def _predict(
 
 def render_all(
     model: Path, table: PointTable, folder: Path, settings: RenderSettings, *, library: Path | None = None,
-    direct: bool = False, jobs: int | None = 1, stage: Stage = no_stage,
+    direct: bool = False, workers: Workers = HERE, stage: Stage = no_stage,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Render the ball of every row into a folder; what an earlier run made of the same row is kept.
 
     Args:
-        model, table, library, jobs, stage: as of `predict_all`.
+        model, table, library, workers, stage: as of `predict_all`.
         folder: where to; made if missing. Its `renders.jsonl` says what each picture was made of.
         settings: of all pictures.
         direct: evaluate the measured materials while rendering.
@@ -77,7 +78,9 @@ def render_all(
     todo = [Task(p.name, _path(folder, p, ".png", images.SUFFIXES), p) for p in table.points]
     make = partial(_render, model=model, library=library, settings=settings, direct=direct)
     made_of = _made_of(model, loaded, how)
-    return Batch(folder, "renders").run(todo, make, made_of, jobs=jobs, prepare=loaded.prepare, stage=stage)
+    return Batch(folder, "renders").run(
+        todo, make, made_of, workers=workers, prepare=loaded.prepare, stage=stage
+    )
 
 
 def _render(

@@ -29,6 +29,7 @@ from manifold.io_rgl import write_bsdf
 from manifold.library.importing import find_files
 from manifold.records import Bands
 from manifold.rendering import backend
+from manifold.system.workers import Processes
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.inputs import find_inputs
@@ -171,7 +172,7 @@ def test_several_files_run_in_processes_and_one_bad_file_stops_nothing(tmp_path)
         write_bsdf(folder / f"{name}_rgb.bsdf", measured(name))
     (folder / "broken.bsdf").write_bytes(b"not a tensor file")
     outcomes = fits.fit_all(
-        find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, jobs=2
+        find_inputs([FileSource(folder)]), fits.fits_in(tmp_path / "fits"), SETTINGS, workers=Processes(2)
     )
     assert [o.name for o in outcomes] == ["broken", "syn_felt_green", "syn_satin_gold"]
     assert [o.failure is None for o in outcomes] == [False, True, True]

@@ -14,6 +14,7 @@ from helpers.small_library import measured
 
 from manifold.errors import ManifoldError
 from manifold.io_rgl import write_bsdf
+from manifold.system.workers import Processes
 from manifold.workflows import fits
 from manifold.workflows.fits import FitSettings
 from manifold.workflows.inputs import find_inputs
@@ -57,5 +58,8 @@ def test_a_killed_process_is_one_error(folder, monkeypatch):
     monkeypatch.setattr(fits, "_fit_input", killed)
     with pytest.raises(ManifoldError, match=r"a process was killed .*finished files are kept"):
         fits.fit_all(
-            find_inputs([FileSource(folder / "files")]), fits.fits_in(folder / "out"), FitSettings(), jobs=2
+            find_inputs([FileSource(folder / "files")]),
+            fits.fits_in(folder / "out"),
+            FitSettings(),
+            workers=Processes(2),
         )

@@ -1,0 +1,52 @@
+"""Options of commands whose work several processes share, and what they mean."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from manifold.errors import UsageError
+
+if TYPE_CHECKING:
+    from manifold.system.workers import Workers
+
+
+def _workers_option(by_default: str) -> object:
+    return typer.Option(
+        "--workers",
+        "-j",
+        help=f"Local processes that share the work. [default: {by_default}]",
+        metavar="N",
+        min=1,
+    )
+
+
+WorkersOption = Annotated[int | None, _workers_option("one per core, for several materials")]
+OneWorkerOption = Annotated[int | None, _workers_option("1")]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        help="Let the workers of this Dask scheduler share the work, such as tcp://10.0.0.1:8786.",
+        metavar="ADDRESS",
+    ),
+]
+
+
+def workers_of(count: int | None, scheduler: str | None, default: Workers | None = None) -> Workers:
+    """The workers of `--workers` or `--scheduler`; by default a process per core.
+
+    Raises:
+        UsageError: both are given.
+        ManifoldError: there is no such scheduler, or Dask is not installed.
+    """
+    from manifold.system.workers import Processes
+
+    if scheduler is None:
+        return Processes(count) if count is not None or default is None else default
+    if count is not None:
+        raise UsageError(f"found --workers {count} and --scheduler {scheduler}, expected one of them")
+    from manifold.system.cluster import Cluster
+
+    return Cluster(scheduler)

@@ -62,17 +62,9 @@ class ColourPaths:
         """Weights of the samples where materials are blended by u (N,), at coordinates (B,), shape (B, n)."""
         total = np.zeros((len(coordinates), len(self.reflectances)))
         for i in np.flatnonzero(u).tolist():
-            _, samples, W = self.vertices[i]
-            total[:, samples] += u[i] * self.along(i, coordinates, W)
+            vertices, samples, W = self.vertices[i]
+            total[:, samples] += u[i] * interpolate(vertices, coordinates, W)
         return total
-
-    def along(self, i: int, coordinates: Array, at_vertices: Array) -> Array:
-        """What is known at the vertices of material i, (V, ...), at coordinates (B,) of its path, (B, ...)."""
-        vertices = self.vertices[i][0]
-        at = np.clip(coordinates, vertices[0], vertices[-1])
-        k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
-        t = ((at - vertices[k]) / (vertices[k + 1] - vertices[k]))[:, None].astype(at_vertices.dtype)
-        return np.asarray((1.0 - t) * at_vertices[k] + t * at_vertices[k + 1])
 
     def subset(self, materials: Indices) -> ColourPaths:
         """The paths of some materials (N',), which are made of samples of these alone."""
@@ -132,6 +124,20 @@ class ColourPaths:
             coordinates.append(1.0)
             weights.append(np.zeros(len(samples)))
         return np.array(coordinates), samples, np.array(weights)
+
+
+def between(vertices: Array, coordinates: Array) -> tuple[Indices, Array]:
+    """Index of the vertex (V,) below each coordinate (B,), and how far to the next one it lies, from 0 to 1, (B,)."""
+    at = np.clip(coordinates, vertices[0], vertices[-1])
+    k = np.clip(np.searchsorted(vertices, at, side="right") - 1, 0, len(vertices) - 2)
+    return k, (at - vertices[k]) / (vertices[k + 1] - vertices[k])
+
+
+def interpolate(vertices: Array, coordinates: Array, at_vertices: Array) -> Array:
+    """What is known at vertices (V,), shape (V, C), at coordinates (B,) of their path, shape (B, C)."""
+    k, t = between(vertices, coordinates)
+    t = t[:, None].astype(at_vertices.dtype)
+    return np.asarray((1.0 - t) * at_vertices[k] + t * at_vertices[k + 1])
 
 
 def sample_rows(materials: Indices, n_bands: int) -> Indices:

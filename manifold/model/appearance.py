@@ -13,7 +13,8 @@ from manifold.colour import ball_colours
 from manifold.latent.decoder import EncodingPairs
 from manifold.records import Array
 
-_BALL_STRIDE = 7  # one in this many of a ball's direction pairs is used
+OF_BALL = slice(None, None, 7)
+"""Which of a ball's direction pairs are used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +46,11 @@ class AppearancePairs:
 def appearance_pairs(is_isotropic: bool = True) -> AppearancePairs:
     """The pairs; their cosines, number and light are the same for anisotropic materials."""
     grid, ball = EncodingPairs.default(is_isotropic), ball_colours.ball()
-    some = slice(None, None, _BALL_STRIDE)
-    pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[some]]), np.vstack([grid.wo, ball.wo[some]]))
-    amplitude = np.cbrt(np.concatenate([grid.cosines, ball.light[some]]))
+    pairs = EncodingPairs(np.vstack([grid.wi, ball.wi[OF_BALL]]), np.vstack([grid.wo, ball.wo[OF_BALL]]))
+    amplitude = np.cbrt(np.concatenate([grid.cosines, ball.light[OF_BALL]]))
     return AppearancePairs(pairs, len(grid.cosines), amplitude)
 
 
-def roots_at(materials: Sequence[BRDF], pairs: EncodingPairs) -> Array:
+def roots_at(materials: Sequence[BRDF], pairs: EncodingPairs | ball_colours.Ball) -> Array:
     """Cube roots of values at direction pairs, a row for every band of every material, shape (N B, P)."""
     return np.concatenate([np.cbrt(np.maximum(m.eval(pairs.wi, pairs.wo), 0.0)).T for m in materials])

@@ -18,7 +18,7 @@ from manifold.latent.colour_paths import ColourPaths, fit_paths, sample_rows
 from manifold.latent.decoder import EncodingPairs
 from manifold.latent.kernels import Kernel
 from manifold.latent.landmark_layout import Comparison, farthest_samples, landmark_layout
-from manifold.model.appearance import AppearancePairs, appearance_pairs, roots_at
+from manifold.model.appearance import OF_BALL, AppearancePairs, appearance_pairs, roots_at
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import integrating_sphere
 from manifold.model.landmark_search import SIGNATURE, signatures
@@ -39,6 +39,7 @@ _SHARES = (0.2, 0.5, 0.8)  # of the first material, in the blends of two that ar
 
 
 Floats = NDArray[np.float32]  # of thousands of materials
+Halves = NDArray[np.float16]  # cube roots to 0.05 %, which no colour difference shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +151,7 @@ class BlendSamples:
         bands: which bands are samples, shape (B_s,).
         roots: cube roots of the samples at the appearance pairs, shape (N B_s, P).
         pairs: these pairs.
+        on_ball: cube roots of the samples at all pairs of the ball, shape (N B_s, P').
         sphere, albedo: cube roots of the samples inside integrating spheres, with their measures; see `fit_paths`.
         reflectances: of the materials in all bands, shape (N, B).
     """
@@ -157,6 +159,7 @@ class BlendSamples:
     bands: Indices
     roots: Floats
     pairs: AppearancePairs
+    on_ball: Halves
     sphere: tuple[Floats, Array]
     albedo: list[tuple[Floats, Array]]
     reflectances: Array
@@ -173,6 +176,7 @@ class BlendSamples:
             self.bands,
             self.roots[rows],
             self.pairs,
+            self.on_ball[rows],
             (inside[rows], measure),
             albedo,
             self.reflectances[materials],
@@ -190,11 +194,13 @@ def evaluate(
 ) -> tuple[Appearance, BlendSamples]:
     """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
     ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), EncodingPairs.default(is_isotropic)
-    appearance, wi_wo = appearance_pairs(is_isotropic), profile_pairs()
+    wi_wo = profile_pairs()
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
+    on_ball: list[Halves] = []
     amplitude = np.sqrt(grid.cosines)[:, None]
     looks: list[tuple[Array, Floats, Array]] = []
-    reflectances, rows = [], [[] for _ in range(1 + len(spheres))]  # type: ignore[var-annotated]
+    roots, inside = list[Floats](), [list[Floats]() for _ in spheres]
+    reflectances = []
     for material in materials:
         brdf = material.select_bands(evenly_spaced(material.bands.count, _BANDS).tolist())
         xyz = ball.xyz(np.maximum(brdf.eval(ball.wi, ball.wo), 0.0), brdf.bands)
@@ -204,15 +210,22 @@ def evaluate(
             (to_lab(xyz, white), (np.log(f + _FLOOR) * amplitude).ravel().astype(np.float32), profile)
         )
         sample = material.select_bands(bands.tolist())
-        for kept, pairs in zip(rows, [appearance.pairs, *(at for at, _ in spheres)], strict=True):
+        in_grid, lit = (roots_at([sample], pairs).astype(np.float32) for pairs in (grid, ball))
+        roots.append(np.hstack([in_grid, lit[:, OF_BALL]]))
+        on_ball.append(lit.astype(np.float16))
+        for kept, (pairs, _) in zip(inside, spheres, strict=True):
             kept.append(roots_at([sample], pairs).astype(np.float32))
         (at, measure), *_ = spheres
         reflectances.append(measure @ material.eval(at.wi, at.wo))
     lab, logs, profiles = (np.stack(each) for each in zip(*looks, strict=True))
     allowed = np.maximum(valley_depth((profiles**3).mean(axis=3)).max(axis=1), _MEASURED_VALLEY)
-    roots, *inside = (np.concatenate(each) for each in rows)
-    sphere, *albedo = [(values, measure) for values, (_, measure) in zip(inside, spheres, strict=True)]
-    samples = BlendSamples(bands, roots, appearance, sphere, albedo, np.stack(reflectances))
+    sphere, *albedo = [
+        (np.concatenate(values), measure) for values, (_, measure) in zip(inside, spheres, strict=True)
+    ]
+    samples = BlendSamples(
+        bands, np.concatenate(roots), appearance_pairs(is_isotropic), np.concatenate(on_ball), sphere, albedo,
+        np.stack(reflectances),
+    )  # fmt: skip
     return Appearance(lab, logs, profiles, allowed), samples
 
 

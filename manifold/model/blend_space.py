@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Mapping as Fields
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.optimize import minimize
@@ -14,7 +15,7 @@ from scipy.spatial.distance import cdist
 
 from manifold.errors import UsageError
 from manifold.latent.blending import NEIGHBOURS, blend_weights, widest_gap
-from manifold.latent.colour_paths import ColourPaths
+from manifold.latent.colour_paths import ColourPaths, between, interpolate, sample_rows
 from manifold.latent.decoder import Decoder, EncodingPairs
 from manifold.latent.gp_weights import GPWeights
 from manifold.latent.kernels import Kernel, first_equal_row
@@ -224,6 +225,13 @@ def require_blends(space: LatentSpace) -> BlendSpace:
     return space
 
 
+class Rows(Protocol):
+    """Rows of a table (n, P), some of which may be read when they are asked for."""
+
+    def __getitem__(self, rows: Indices) -> Array:
+        """Rows (m, P) by their indices (m,)."""
+
+
 class PlaceSearch:
     """Finds the place, and per band the path coordinate and gain, at which a blend is nearest to a material.
 
@@ -238,22 +246,32 @@ class PlaceSearch:
     """
 
     def __init__(
-        self, space: BlendSpace, samples: Array, weight: Array, target_bands: Indices | None = None,
+        self, space: BlendSpace, samples: Rows, weight: Array, target_bands: Indices | None = None,
         candidates: Indices | None = None,
     ) -> None:  # fmt: skip
-        self._candidates = np.arange(len(space.X)) if candidates is None else candidates
-        self._X, self._l, self._weight = space.X[self._candidates], space.kernel.length_scale, weight
-        self._paths = space.paths
-        own = space.own_colours[self._candidates]
-        self._own_colours = own if target_bands is None else own[:, target_bands]
+        materials, n_bands = np.arange(len(space.X)) if candidates is None else candidates, len(space.bands)
+        own = samples[sample_rows(materials, n_bands)]
+        self._X, self._l, self._weight = (
+            space.X[materials],
+            space.kernel.length_scale,
+            weight.astype(own.dtype),
+        )
+        self._own = own.reshape(len(materials), n_bands, -1) * self._weight
+        own_colours = space.own_colours[materials]
+        self._own_colours = own_colours if target_bands is None else own_colours[:, target_bands]
+        paths = [space.paths.vertices[k] for k in materials.tolist()]
+        self._coordinates = [coordinates for coordinates, _, _ in paths]
+        self._starts = np.cumsum([0, *(len(coordinates) for coordinates in self._coordinates)])
+        at_vertices = [W.astype(own.dtype) @ samples[made_of] for _, made_of, W in paths]
+        self._at_vertices = np.concatenate(at_vertices) * self._weight  # [V, P]
         self._grid = np.linspace(_FIRST_COORDINATE, space.paths.last, _COORDINATES)
-        weighted = samples * weight.astype(samples.dtype)
-        self._own = weighted.reshape(len(space.X), -1, len(weight))[self._candidates]
-        paths = [space.paths.vertices[k] for k in self._candidates.tolist()]
-        self._at_vertices = [W.astype(samples.dtype) @ weighted[made_of] for _, made_of, W in paths]
-        self._decoded = np.stack([self._decode(k, self._grid) for k in range(len(self._X))])  # [N', K, P]
-        by_coordinate = np.ascontiguousarray(self._decoded.transpose(1, 0, 2))
-        self._gram = by_coordinate @ by_coordinate.transpose(0, 2, 1)
+        found = [between(coordinates, self._grid) for coordinates in self._coordinates]
+        lower = [start + k for start, (k, _) in zip(self._starts[:-1], found, strict=True)]
+        self._lower = np.stack(lower, axis=1)  # [K, N']
+        self._t = np.stack([t for _, t in found], axis=1)[..., None]  # [K, N', 1]
+        products = (self._at_vertices @ self._at_vertices.T).astype(np.float64)
+        of_rows = (self._on_grid(products, k).T for k in range(_COORDINATES))
+        self._gram = np.stack([self._on_grid(rows, k) for k, rows in enumerate(of_rows)])  # [K, N', N']
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
         """Place (Q,), path coordinates and gains of all bands, (2, B), and the relative residual of cube roots.
@@ -263,12 +281,7 @@ class PlaceSearch:
             bands: of these, those of the samples, which serve to find the place.
             without: a candidate, by its index among them, that is left out.
         """
-        used = np.arange(len(self._X))
-        if without is not None:
-            used = np.delete(used, without)
-        weighted = target * self._weight
-        cross = np.einsum("nkp,bp->nkb", self._decoded, weighted, optimize=True)[used]
-        found = _BestPlace(self._X[used], self._l, cross, self._gram[:, used][:, :, used])
+        weighted, used, found = self._of(target, without)
         norm = float(np.sum(weighted[bands] ** 2))
         x, residual = found.place(bands, norm)
         inner, squared = self._own_products(weighted[bands], used)
@@ -280,9 +293,26 @@ class PlaceSearch:
         k, gains = found.coordinates(x)
         return x, np.stack([self._grid[k], gains]), relative
 
-    def _decode(self, k: int, coordinates: Array) -> Array:
-        """Weighted cube roots of candidate k at path coordinates (B,), shape (B, P)."""
-        return self._paths.along(int(self._candidates[k]), coordinates, self._at_vertices[k])
+    def first_place(self, target: Array, bands: Indices, without: int | None = None) -> Array:
+        """The best of the places (Q,) that `find` starts from; arguments as there."""
+        weighted, _, found = self._of(target, without)
+        return found.starts(bands, float(np.sum(weighted[bands] ** 2)))[0]
+
+    def _of(self, target: Array, without: int | None) -> tuple[Array, Indices, _BestPlace]:
+        """A target weighted, (B, P), the candidates for it, (M,), and the search among them."""
+        weighted = target.astype(self._weight.dtype) * self._weight
+        at_vertices = (self._at_vertices @ weighted.T).astype(np.float64)  # [V, B]
+        cross = np.stack([self._on_grid(at_vertices, k) for k in range(_COORDINATES)], axis=1)  # [N', K, B]
+        used, gram = np.arange(len(self._X)), self._gram
+        if without is not None:
+            used = np.delete(used, without)
+            cross, gram = cross[used], gram[:, used][:, :, used]
+        return weighted, used, _BestPlace(self._X[used], self._l, cross, gram)
+
+    def _on_grid(self, at_vertices: Array, k: int) -> Array:
+        """What is known at the vertices of all paths, (V, ...), at coordinate k of the grid, (N', ...)."""
+        lower, t = self._lower[k], self._t[k]
+        return (1.0 - t) * at_vertices[lower] + t * at_vertices[lower + 1]
 
     def _own_products(self, weighted: Array, used: Indices) -> tuple[Array, Array]:
         """Products of materials with a target in the bands of the samples, at least 0, and squared norms, (M, B_s)."""
@@ -293,7 +323,8 @@ class PlaceSearch:
     def _in_own_colours(self, k: int, weighted: Array) -> Array:
         """Path coordinates of material k in its own colours, and the best gains, (2, B)."""
         coordinates = self._own_colours[k]
-        own = self._decode(k, coordinates)
+        vertices = self._at_vertices[self._starts[k] : self._starts[k + 1]]
+        own = interpolate(self._coordinates[k], coordinates, vertices)
         inner = np.maximum(np.einsum("bp,bp->b", own, weighted), 0.0)
         return np.stack([coordinates, inner / np.maximum(np.einsum("bp,bp->b", own, own), _LEAST_NORM)])
 
@@ -314,29 +345,37 @@ class _BestPlace:
 
     def place(self, bands: Indices, norm: float) -> tuple[Array, float]:
         """The place (Q,) of least squared residual in some bands, and that; `norm`: the target's squared norm there."""
-        X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
-
-        def residuals(x: Array) -> Array:
-            """At places (M, Q), shape (M,); infinite where the data do not support blends."""
-            inner, squared = self._products(x, cross)
-            residual = norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
-            return np.where(cdist(x, X).min(axis=1) <= reach, residual, np.inf)
-
-        rng = np.random.default_rng(0)
-        count = min(3, len(X))
-        chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
-        places = np.vstack([X, [rng.dirichlet(np.ones(count)) @ X[k] for k in chosen]])
-        order = np.argsort(residuals(places), kind="stable")[:_REFINED_PLACES]
-        steps = np.vstack([np.zeros(X.shape[1]), 0.2 * self._l * np.eye(X.shape[1])])
+        residuals, Q = self._residuals(bands, norm), self._X.shape[1]
+        steps = np.vstack([np.zeros(Q), 0.2 * self._l * np.eye(Q)])
         ends = [
             minimize(
                 lambda x: float(residuals(x[None])[0]), x, method="Nelder-Mead",
                 options={"initial_simplex": x + steps, "maxfev": _EVALUATIONS},
             )
-            for x in places[order]
+            for x in self.starts(bands, norm)
         ]  # fmt: skip
         best = min(ends, key=lambda end: float(end.fun))
         return np.asarray(best.x), float(best.fun)
+
+    def starts(self, bands: Indices, norm: float) -> Array:
+        """The best of the materials' places and random blends of three, the best first, shape (S, Q)."""
+        X, rng = self._X, np.random.default_rng(0)
+        count = min(3, len(X))
+        chosen = [rng.choice(len(X), count, replace=False) for _ in range(_TRIED_PLACES)]
+        places = np.vstack([X, [rng.dirichlet(np.ones(count)) @ X[k] for k in chosen]])
+        order = np.argsort(self._residuals(bands, norm)(places), kind="stable")
+        return places[order[:_REFINED_PLACES]]
+
+    def _residuals(self, bands: Indices, norm: float) -> Callable[[Array], Array]:
+        """Squared residuals (M,) at places (M, Q); infinite where the data do not support blends."""
+        X, cross, reach = self._X, self._cross[:, :, bands], widest_gap(self._X)
+
+        def residuals(x: Array) -> Array:
+            inner, squared = self._products(x, cross)
+            residual = norm - np.sum(np.max(inner**2 / squared, axis=1), axis=1)
+            return np.where(cdist(x, X).min(axis=1) <= reach, residual, np.inf)
+
+        return residuals
 
     def coordinates(self, x: Array) -> tuple[Indices, Array]:
         """Index of the best path coordinate of each band at a place x (Q,), and its gain, (B,) each."""

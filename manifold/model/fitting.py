@@ -15,7 +15,7 @@ from manifold.latent.per_band import MonochromeGPLVM
 from manifold.mapping import mapping_named
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model import gram
-from manifold.model.blend_fitting import BlendTables, evaluate, fit_landmarks
+from manifold.model.blend_fitting import BlendSamples, BlendTables, evaluate, fit_landmarks
 from manifold.model.curve_space import CurveSpace
 from manifold.model.decoding import decoder_at, integrating_sphere
 from manifold.model.latent_space import LatentSpace
@@ -32,11 +32,11 @@ _MOST_ALBEDO = 1.5
 
 Statistics = dict[str, float]
 """Objective at start and end of a fit."""
+Fitted = tuple[LatentSpace, Statistics, BlendSamples | None]
+"""A space, its statistics, and of a map by landmarks the samples that it was fitted to."""
 
 
-def fit_space(
-    materials: MaterialCache, settings: Settings, on_progress: Progress | None
-) -> tuple[LatentSpace, Statistics]:
+def fit_space(materials: MaterialCache, settings: Settings, on_progress: Progress | None) -> Fitted:
     """Fit the kind of space that the settings ask for to all materials of a cache.
 
     Raises:
@@ -83,9 +83,7 @@ def _warn_if_bright(material: MeasuredBRDF) -> MeasuredBRDF:
     return material
 
 
-def _fit_materials(
-    materials: MaterialCache, s: Settings, on_progress: Progress | None
-) -> tuple[LatentSpace, Statistics]:
+def _fit_materials(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
     from manifold.gplvm import GPLVM  # imports scikit-learn, most of a second that predictions need not spend
 
     matrix = _gram(materials, s, None, on_progress)
@@ -93,12 +91,14 @@ def _fit_materials(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
     ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
     space = MaterialSpace(fitted.embedding_, matrix.S, matrix.n_outputs, s.covariance())
-    return space, {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
+    return (
+        space,
+        {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)},
+        None,
+    )
 
 
-def _fit_curves(
-    materials: MaterialCache, s: Settings, on_progress: Progress | None
-) -> tuple[LatentSpace, Statistics]:
+def _fit_curves(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
     n_bands = materials.library.bands.count
     bands = evenly_spaced(n_bands, s.sample_bands)
     matrix = _gram(materials, s, bands, on_progress)
@@ -118,22 +118,20 @@ def _fit_curves(
         colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
     statistics = {"objective_start": float(fitted.objective_start_), "objective": float(fitted.objective_)}
-    return replace(space, own_colours=colours, reflectances=reflectances), statistics
+    return replace(space, own_colours=colours, reflectances=reflectances), statistics, None
 
 
-def _fit_blends(
-    materials: MaterialCache, s: Settings, on_progress: Progress | None
-) -> tuple[LatentSpace, Statistics]:
-    bands = evenly_spaced(materials.library.bands.count, s.sample_bands)
+def _fit_blends(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
+    bands, samples = evenly_spaced(materials.library.bands.count, s.sample_bands), None
     count = s.landmarks_of(len(materials.names))
     if count < len(materials.names):
         read = map(_warn_if_bright, materials.stream(on_progress))
-        tables = evaluate(read, bands, materials.is_isotropic)
-        space, layout = fit_landmarks(*tables, count, s.latent_dim, s.covariance(), on_progress)
+        appearance, samples = evaluate(read, bands, materials.is_isotropic)
+        space, layout = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance(), on_progress)
     else:
         brdfs = [_warn_if_bright(material) for material in materials.filled(on_progress=on_progress)]
         space, layout = BlendTables.of(brdfs, bands, on_progress).fit(s.latent_dim, s.covariance())
-    return space, {"objective_start": layout.objective_start, "objective": layout.objective}
+    return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
 
 
 _FITS = {"blend": _fit_blends, "material": _fit_materials, "monochrome": _fit_curves}

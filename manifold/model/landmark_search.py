@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from manifold.latent.blending import blend_weights
+from manifold.latent.colour_paths import sample_rows
 from manifold.latent.decoder import EncodingPairs
-from manifold.mapping import CubeRoot
 from manifold.metrics import relative_error
 from manifold.model.appearance import appearance_pairs, roots_at
-from manifold.model.blend_space import BlendSpace, PlaceSearch
-from manifold.model.combination import Combination
-from manifold.model.latent_space import Embedded, LeftOutSearch
-from manifold.model.material_table import MaterialTable
+from manifold.model.blend_space import BlendSpace, PlaceSearch, Rows
+from manifold.model.latent_space import Embedded
 from manifold.model.materials import MaterialCache
 from manifold.records import Array, Indices
 
@@ -43,116 +37,82 @@ def signatures(gram: Array, products: Array) -> Array:
     return np.asarray(solve_triangular(L, products.T.astype(np.float64), lower=True).T)
 
 
-def roots_of(
-    space: BlendSpace, materials: MaterialCache, pairs: EncodingPairs, bands: Indices
-) -> Callable[[int], Array]:
-    """From the index of a material, read in some bands (B',), to cube roots of its samples at pairs, (B_s, P)."""
-    at = np.searchsorted(bands, space.bands)
-
-    def read(i: int) -> Array:
-        return roots_at(materials.in_bands(bands.tolist(), names=[materials.names[i]]), pairs)[at]
-
-    return read
-
-
-def embed_among_landmarks(
-    space: BlendSpace, materials: MaterialCache, pairs: EncodingPairs, f: Array
-) -> Embedded:
-    """The latent of a material with values f (B, P) in all bands at the embedding pairs."""
-    search = LandmarkSearch(space, roots_of(space, materials, pairs, space.bands))
-    x, colours, residual = search.find(np.cbrt(np.maximum(f, 0.0)), space.bands)
-    used, combination = Combination(CubeRoot(), space.weights(x, colours), space.bands).used
-    grid = slice(None, appearance_pairs().n_grid)
-    predicted = (combination.weights @ search.samples(used)[:, grid]) ** 3
-    error = relative_error(f[:, grid].T, predicted.T, pairs.cosines[grid])
-    return Embedded(x, colours, error, residual)
-
-
-def landmark_left_out(
-    space: BlendSpace, materials: MaterialCache, bands: Indices
-) -> tuple[LeftOutSearch, Callable[[int, Combination], tuple[float, float]]]:
-    """A search for a material among the others, and what tells the errors of its prediction in some bands (B',).
-
-    The errors are those of `MaterialTable.errors`; only the materials that a prediction needs are read.
-    """
-    pairs, at = space.embedding_pairs(materials.is_isotropic), np.searchsorted(bands, space.bands)
-    search = LandmarkSearch(space, roots_of(space, materials, pairs, bands), bands)
-
-    def find(i: int) -> tuple[Array, Combination, float]:
-        (brdf,) = materials.in_bands(bands.tolist(), names=[materials.names[i]])
-        x, colours, residual = search.find(roots_at([brdf], pairs), at, without=i)
-        others = np.delete(np.arange(len(space.X)), i)
-        u = np.zeros(len(space.X))
-        u[others] = blend_weights(x[None], space.X[others], space.kernel.length_scale)[0]
-        return (
-            x,
-            Combination(CubeRoot(), space.paths.weights(u, colours[0]) * colours[1][:, None], at),
-            residual,
-        )
-
-    def measure(i: int, combination: Combination) -> tuple[float, float]:
-        used, some = combination.used
-        brdfs = materials.in_bands(bands.tolist(), names=[materials.names[k] for k in used])
-        (truth,) = materials.with_negative_values(names=[materials.names[i]])
-        table = MaterialTable([*brdfs, truth.select_bands(bands.tolist())], np.arange(len(bands)))
-        weights = np.pad(some.weights, ((0, 0), (0, len(space.bands))))  # the material itself has none
-        return table.errors(len(used), replace(some, weights=weights))
-
-    return find, measure
-
-
 class LandmarkSearch:
-    """`PlaceSearch` on a map by landmarks, which reads the landmarks and few other materials.
+    """`PlaceSearch` on a map by landmarks, among few of the materials.
 
     Args:
         space: the map.
-        roots: from the index of a material to cube roots of its samples, (B_s, P); asked once for each.
+        samples: cube roots of its samples, shape (N B_s, P).
         target_bands: which bands targets have; by default all of the space.
     """
 
-    def __init__(
-        self, space: BlendSpace, roots: Callable[[int], Array], target_bands: Indices | None = None
-    ) -> None:
+    def __init__(self, space: BlendSpace, samples: Rows, target_bands: Indices | None = None) -> None:
         assert space.landmarks is not None
         assert space.signatures is not None
-        self._space, self._target_bands = space, target_bands
+        self._space, self._samples, self._target_bands = space, samples, target_bands
         self._landmarks, self._signatures = space.landmarks, space.signatures
-        self._read, self._known = roots, dict[int, Array]()
-        samples = self.samples(self._landmarks)
-        self.weight = appearance_pairs().weight(samples)
-        self._coarse = PlaceSearch(space.of_landmarks, samples, self.weight, target_bands)
-        self._some = (samples * self.weight).reshape(len(self._landmarks), -1)[: self._signatures.shape[1]]
+        of_landmarks = samples[sample_rows(self._landmarks, len(space.bands))]
+        self._weight = appearance_pairs().weight(of_landmarks)
+        self._coarse = PlaceSearch(space.of_landmarks, of_landmarks, self._weight, target_bands)
+        few = (of_landmarks * self._weight).reshape(len(self._landmarks), -1)
+        self._some = few[: self._signatures.shape[1]]
+        self._some_gram = self._some @ self._some.T
 
     def find(self, target: Array, bands: Indices, without: int | None = None) -> tuple[Array, Array, float]:
         """Place (Q,), colours (2, B) and residual of a material, as `PlaceSearch.find`."""
         left_out = None
         if without is not None and without in self._landmarks:
             left_out = int(np.flatnonzero(self._landmarks == without)[0])
-        x, *_ = self._coarse.find(target, bands, left_out)
-        alike = self._alike((target[bands] * self.weight).reshape(1, -1))
+        x = self._coarse.first_place(target, bands, left_out)
+        alike = self._alike((target[bands] * self._weight).reshape(1, -1))
         for _ in range(_ROUNDS):
             before = x
             chosen = np.unique(np.append(self._space.neighbours(x, _AROUND), alike))
-            x, colours, residual = self._search(chosen[chosen != without]).find(target, bands)
+            candidates = chosen[chosen != without]
+            search = PlaceSearch(self._space, self._samples, self._weight, self._target_bands, candidates)
+            x, colours, residual = search.find(target, bands)
             if np.linalg.norm(x - before) <= _MOVED * self._space.kernel.length_scale:
                 break
         return x, colours, residual
 
-    def _search(self, chosen: Indices) -> PlaceSearch:
-        """Among some materials (n,), whose colour paths are made of samples of the landmarks too."""
-        table = np.union1d(chosen, self._landmarks)
-        some, candidates = self._space.subset(table), np.searchsorted(table, chosen)
-        return PlaceSearch(some, self.samples(table), self.weight, self._target_bands, candidates)
-
-    def samples(self, materials: Indices) -> Array:
-        """Cube roots of the samples of materials (n,), shape (n B_s, P)."""
-        for i in materials.tolist():
-            if i not in self._known:
-                self._known[i] = self._read(i).astype(np.float32)
-        return np.concatenate([self._known[i] for i in materials.tolist()])
+    def embed(self, f: Array) -> Embedded:
+        """The latent of a material with values f (B, P) in all bands at the embedding pairs."""
+        space, pairs = self._space, appearance_pairs()
+        x, colours, residual = self.find(np.cbrt(np.maximum(f, 0.0)), space.bands)
+        predicted = combined(space.weights(x, colours), self._samples)[:, : pairs.n_grid] ** 3
+        grid = slice(None, pairs.n_grid)
+        error = relative_error(f[:, grid].T, predicted.T, pairs.pairs.cosines[grid])
+        return Embedded(x, colours, error, residual)
 
     def _alike(self, row: Array) -> Indices:
         """Materials whose own values are nearest to those of a row (1, B_s P)."""
-        signature = signatures(self._some @ self._some.T, row @ self._some.T)
+        signature = signatures(self._some_gram, row @ self._some.T)
         apart = np.sum((self._signatures - signature) ** 2, axis=1)
         return np.argsort(apart, kind="stable")[:_ALIKE]
+
+
+def combined(weights: Array, samples: Rows) -> Array:
+    """Sums (B, P) of samples, of which only those that have a weight (B, n) in any band are asked for."""
+    used = np.flatnonzero(np.any(weights, axis=0))
+    return np.asarray(weights[:, used].astype(np.float32) @ samples[used].astype(np.float32))
+
+
+class SamplesOnDemand:
+    """Cube roots of the samples of a map at direction pairs, (N B_s, P); materials are read once, when asked for."""
+
+    def __init__(self, space: BlendSpace, materials: MaterialCache, pairs: EncodingPairs) -> None:
+        self._materials, self._pairs, self._bands = materials, pairs, space.bands
+        self._is_known = np.zeros(len(space.X), dtype=bool)
+        # Memory that is not written is not taken.
+        self._values = np.empty((len(space.X) * len(space.bands), len(pairs.cosines)), dtype=np.float32)
+
+    def __getitem__(self, rows: Indices) -> Array:
+        """Rows (m, P) by their indices (m,)."""
+        asked = np.unique(rows // len(self._bands))
+        new = asked[~self._is_known[asked]]
+        if len(new):
+            names = [self._materials.names[i] for i in new]
+            read = self._materials.in_bands(self._bands.tolist(), names=names)
+            self._values[sample_rows(new, len(self._bands))] = roots_at(read, self._pairs)
+            self._is_known[new] = True
+        return np.asarray(self._values[rows])

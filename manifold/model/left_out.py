@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 from manifold.latent.blending import widest_gap
 from manifold.latent.expected_error import ExpectedError
 from manifold.latent.landmark_layout import farthest_samples
+from manifold.model.blend_fitting import BlendSamples
 from manifold.model.blend_space import BlendSpace
-from manifold.model.landmark_search import landmark_left_out
+from manifold.model.landmark_left_out import landmark_left_out
 from manifold.model.latent_space import LatentSpace, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
@@ -164,18 +165,29 @@ class LeftOut:
 
 
 def leave_out(
-    space: LatentSpace, materials: MaterialCache, settings: Settings, on_progress: Progress | None = None
+    space: LatentSpace,
+    materials: MaterialCache,
+    settings: Settings,
+    on_progress: Progress | None = None,
+    samples: BlendSamples | None = None,
 ) -> LeftOut:
     """Leave out materials of a space once, find their places from their data, and measure their predictions there.
 
-    The places of the other materials are kept. Every material is left out, or on a map by landmarks a sample.
+    The places of the other materials are kept. Every material is left out, or, on a map by landmarks, 200.
+
+    Args:
+        space: of the materials.
+        materials: in its order.
+        settings: of the fit.
+        on_progress: called with (done, total, what).
+        samples: that a map by landmarks was fitted to.
     """
     n_bands = materials.library.bands.count
     bands = np.union1d(evenly_spaced(n_bands, _BANDS), space.embedding_bands(n_bands))
     chosen = np.arange(len(space.X))
-    if isinstance(space, BlendSpace) and space.landmarks is not None:
+    if isinstance(space, BlendSpace) and samples is not None:
         chosen = np.sort(farthest_samples(_SAMPLE, lambda i: np.linalg.norm(space.X - space.X[i], axis=1)))
-        find, measure = landmark_left_out(space, materials, bands)
+        find, measure = landmark_left_out(space, materials, bands, samples)
     else:
         table = MaterialTable(materials.with_negative_values(on_progress), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors

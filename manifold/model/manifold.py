@@ -20,7 +20,7 @@ from manifold.model.blend_space import BlendSpace
 from manifold.model.combination import Combination
 from manifold.model.decoding import decoder_at
 from manifold.model.fitting import fit_space
-from manifold.model.landmark_search import embed_among_landmarks
+from manifold.model.landmark_search import LandmarkSearch, SamplesOnDemand
 from manifold.model.latent_map import LatentMap
 from manifold.model.latent_space import Embedded, LatentSpace
 from manifold.model.latents import PlaceLike, require_between
@@ -65,6 +65,7 @@ class Manifold(LatentMap):
         self.statistics = statistics
         self.notes: tuple[str, ...] = ()
         self._walked: dict[str, Walked] = {}
+        self._searches: dict[bool, LandmarkSearch] = {}  # by whether all materials are isotropic
 
     def __repr__(self) -> str:
         s, n = self.settings, len(self.names)
@@ -104,10 +105,10 @@ class Manifold(LatentMap):
         chosen = library.names if names is None else names_among(library, names)
         is_nonnegative = SPACES[settings.kind].is_nonnegative
         materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
-        space, statistics = fit_space(materials, settings, on_progress)
+        space, statistics, samples = fit_space(materials, settings, on_progress)
         left_out = None
         if calibrate and len(chosen) >= LEAST_MATERIALS:
-            left_out = leave_out(space, materials, settings, on_progress)
+            left_out = leave_out(space, materials, settings, on_progress, samples)
         return cls(materials, space, settings, statistics, left_out)
 
     # -- materials -----------------------------------------------------------------------------------------
@@ -243,11 +244,15 @@ class Manifold(LatentMap):
         """
         require_brdf(brdf, "the material to embed")
         self.bands.require_same(brdf.bands, "the material to embed", "resample it, or use its own library")
-        pairs = self.space.embedding_pairs(self.materials.is_isotropic and brdf.is_isotropic)
+        is_isotropic = self.materials.is_isotropic and brdf.is_isotropic
+        pairs = self.space.embedding_pairs(is_isotropic)
         settings = self.settings if criterion is None else replace(self.settings, criterion=criterion)
         f = brdf.eval(pairs.wi, pairs.wo).T
         if isinstance(self.space, BlendSpace) and self.space.landmarks is not None:
-            return embed_among_landmarks(self.space, self.materials, pairs, f)
+            if is_isotropic not in self._searches:
+                samples = SamplesOnDemand(self.space, self.materials, pairs)
+                self._searches[is_isotropic] = LandmarkSearch(self.space, samples)
+            return self._searches[is_isotropic].embed(f)
         return self.space.embed(decoder_at(pairs, self.space, self.materials, self.settings), f, settings)
 
     def reconstruct(self, brdf: BRDF, numbers: int | None = None) -> PredictedBRDF:

@@ -12,6 +12,7 @@ from manifold.errors import LibraryError, UsageError
 
 from . import options, terminal
 from .application import app
+from .worker_options import SchedulerOption, workers_of, workers_option
 
 ToleranceOption = Annotated[
     float | None,
@@ -169,6 +170,8 @@ def import_(
         bool, typer.Option("--compact", help="Store them as `manifold compact` does; by default bit for bit.")
     ] = False,
     tolerance: ToleranceOption = None,
+    processes: Annotated[int | None, workers_option("threads of this process")] = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Import .bsdf files or folders into a library, which is created if missing.
@@ -177,6 +180,7 @@ def import_(
     """
     from manifold.library.identity import DEFAULT_TOLERANCE
     from manifold.library.importing import import_files
+    from manifold.system.workers import THREADS
 
     if tolerance is not None and not compact:
         raise UsageError(
@@ -186,7 +190,10 @@ def import_(
         tolerance = DEFAULT_TOLERANCE
     results = terminal.Results(json)
     with terminal.progress("Importing") as step:
-        result = import_files(library, sources, replace=replace, tolerance=tolerance, on_progress=step)
+        result = import_files(
+            library, sources, replace=replace, tolerance=tolerance, on_progress=step,
+            workers=workers_of(processes, scheduler, THREADS),
+        )  # fmt: skip
     results.rows(
         f"Library {library}",
         {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from manifold.system.workers import Workers
 
 
-def _workers_option(by_default: str) -> object:
+def workers_option(by_default: str) -> Any:
+    """The option `--workers`, to stand in an annotation."""
     return typer.Option(
         "--workers",
         "-j",
@@ -22,8 +23,8 @@ def _workers_option(by_default: str) -> object:
     )
 
 
-WorkersOption = Annotated[int | None, _workers_option("one per core, for several materials")]
-OneWorkerOption = Annotated[int | None, _workers_option("1")]
+WorkersOption = Annotated[int | None, workers_option("one per core, for several materials")]
+OneWorkerOption = Annotated[int | None, workers_option("1")]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(

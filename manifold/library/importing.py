@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Literal, TypeVar
 
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
@@ -18,11 +18,14 @@ from manifold.library.location import require_outside_libraries
 from manifold.library.store import Library
 from manifold.library.writing import make_store, write_material
 from manifold.records import Bands, Progress
+from manifold.system.workers import THREADS, Workers
+
+_MANY_TASKS = 64  # from which on tasks have several files
+_MOST_TOGETHER = 16  # files of a task
 
 Outcome = Literal["imported", "skipped", "replaced"]
 
 T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ def import_files(
     replace: bool = False,
     tolerance: float | None = None,
     on_progress: Progress | None = None,
+    workers: Workers = THREADS,
 ) -> ImportResult:
     """Import RGL files into a library, which is made with the bands of the first file if there is none.
 
@@ -71,12 +75,14 @@ def import_files(
         replace: exchange materials that are there under the same name with other content, or in another form.
         tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
         on_progress: called with (done, total, name) after each file.
+        workers: who check files, and write materials.
     Returns:
         What became of each file; `failed` must be looked at.
     Raises:
         UsageError: a source does not exist, a folder holds no `*.bsdf`, or the library would lie in another one.
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
+        ManifoldError: a worker was lost.
     """
     if tolerance is not None:
         require_tolerance(tolerance)
@@ -86,13 +92,14 @@ def import_files(
     is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
     expected = None if is_new else Library(library).bands
     report = _Report(2 * len(paths), on_progress)
-    loaded = _load(paths, report)
+    loaded = _load(paths, workers, report)
     _require_one_grid(loaded, expected, library)
     if loaded:
         with staging.writing(library) as staged:
             if is_new:
                 make_store(library, loaded[0].bands, staged)
-            _store_all(Library(library), loaded, staged, replace, tolerance, report)
+            chosen = _choose(Library(library), loaded, replace, tolerance, report)
+            _store_all(library, chosen, staged, tolerance, workers, report)
     return report.result()
 
 
@@ -136,19 +143,17 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 class _Report:
-    """Collects outcomes and counts progress, from several threads at once."""
+    """Collects outcomes, and counts progress."""
 
     def __init__(self, total: int, on_progress: Progress | None) -> None:
         self.outcomes: dict[str, Outcome] = {}
         self.failed: dict[str, str] = {}
         self._done, self._total, self._on_progress = 0, total, on_progress
-        self._mutex = threading.Lock()
 
     def step(self, path: Path, steps: int = 1) -> None:
-        with self._mutex:
-            self._done += steps
-            if self._on_progress:
-                self._on_progress(self._done, self._total, path.name)
+        self._done += steps
+        if self._on_progress:
+            self._on_progress(self._done, self._total, path.name)
 
     def fail(self, path: Path, message: str) -> None:
         self.failed[str(path)] = message
@@ -161,24 +166,34 @@ class _Report:
         return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
 
 
-def _load(paths: Sequence[Path], report: _Report) -> list[_Source]:
+def _load(paths: Sequence[Path], workers: Workers, report: _Report) -> list[_Source]:
     """Check and hash every file; the bad ones are reported and left out."""
+    tasks = _in_groups(paths)
+    loaded: dict[int, list[_Source]] = {}
+    for k, checked, _ in workers.run(_check, tasks):
+        assert checked is not None
+        for path, source in zip(tasks[k], checked, strict=True):
+            if isinstance(source, str):
+                report.fail(path, source)
+            report.step(path, 2 if isinstance(source, str) else 1)
+        loaded[k] = [source for source in checked if isinstance(source, _Source)]
+    return [source for k in range(len(tasks)) for source in loaded[k]]
 
-    def load(path: Path) -> _Source | None:
-        try:
-            file = read_bsdf(path)
-            require_material_name(file.name)
-            source = _Source(path, file_sha256(path), file.name, file.bands)
-            report.step(path)
-            return source
-        except ManifoldError as error:
-            report.fail(path, str(error))
-        except OSError as error:
-            report.fail(path, f"{path.name}: cannot be read ({error.strerror})")
-        report.step(path, 2)
-        return None
 
-    return [source for source in _in_threads(load, paths) if source]
+def _check(paths: Sequence[Path]) -> list[_Source | str]:
+    """What is known of files, or why one cannot be imported."""
+    return [_checked(path) for path in paths]
+
+
+def _checked(path: Path) -> _Source | str:
+    try:
+        file = read_bsdf(path)
+        require_material_name(file.name)
+        return _Source(path, file_sha256(path), file.name, file.bands)
+    except ManifoldError as error:
+        return str(error)
+    except OSError as error:
+        return f"{path.name}: cannot be read ({error.strerror})"
 
 
 def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library: Path) -> None:
@@ -188,32 +203,26 @@ def _require_one_grid(loaded: Sequence[_Source], expected: Bands | None, library
         expected.require_same(source.bands, source.path.name, remedy)
 
 
-def _store_all(
-    library: Library,
-    loaded: Sequence[_Source],
-    staged: Path,
-    replace: bool,
-    tolerance: float | None,
-    report: _Report,
-) -> None:
-    chosen: dict[str, _Source] = {}
+def _choose(
+    library: Library, loaded: Sequence[_Source], replace: bool, tolerance: float | None, report: _Report
+) -> dict[Outcome, list[_Source]]:
+    """The files to be stored, as new materials or in place of others; the rest is reported."""
+    first_of: dict[str, _Source] = {}
+    chosen: dict[Outcome, list[_Source]] = {"imported": [], "replaced": []}
     for source in loaded:
-        first = chosen.setdefault(source.name.casefold(), source)  # on some file systems, case does not count
-        if (first.name, first.sha256) != (source.name, source.sha256):
-            report.fail(
-                source.path, f"{source.path}: same name as {first.path}, other content; rename one of them"
-            )
-        if first is not source:
-            report.step(source.path)
-
-    if tolerance is not None:  # which loads what evaluates materials
-        from manifold.library import compacting
-
-    def store(source: _Source) -> None:
+        first = first_of.setdefault(
+            source.name.casefold(), source
+        )  # on some file systems, case does not count
         known = library.attributes(source.name) if source.name in library else None
         is_same = known is not None and known.sha256 == source.sha256
         is_same_form = known is not None and (known.accuracy and known.accuracy.tolerance) == tolerance
-        if is_same and (is_same_form or not replace):
+        if first is not source:
+            if (first.name, first.sha256) != (source.name, source.sha256):
+                report.fail(
+                    source.path,
+                    f"{source.path}: same name as {first.path}, other content; rename one of them",
+                )
+        elif is_same and (is_same_form or not replace):
             report.outcomes[source.name] = "skipped"
         elif known is not None and not replace:
             report.fail(
@@ -222,27 +231,58 @@ def _store_all(
                 f"this file has {source.sha256[:12]}...; replace it (replace=True), or rename the file",
             )
         else:
-            folder, file = staged / source.name, read_bsdf(source.path)
-            try:
-                compact = None if tolerance is None else compacting.encode(file, tolerance)
-            except LibraryError as error:
-                report.fail(source.path, str(error))
-            else:
-                write_material(folder, file, source.path.name, source.sha256, compact)
-                staging.publish(folder, library.path / "materials" / source.name)
-                report.outcomes[source.name] = "imported" if known is None else "replaced"
+            chosen["imported" if known is None else "replaced"].append(source)
+            continue
         report.step(source.path)
+    return chosen
 
-    try:
-        _in_threads(store, list(chosen.values()))
-    except OSError as error:
+
+def _store_all(
+    library: Path, chosen: dict[Outcome, list[_Source]], staged: Path, tolerance: float | None, workers: Workers,
+    report: _Report,
+) -> None:  # fmt: skip
+    tasks = _in_groups([(outcome, source) for outcome, sources in chosen.items() for source in sources])
+    stopped = None
+    for k, failures, stop in workers.run(
+        partial(_store, library=library, staged=staged, tolerance=tolerance),
+        [[s for _, s in t] for t in tasks],
+    ):
+        stopped = stopped or stop
+        for (outcome, source), failure in zip(tasks[k], failures or (), strict=False):
+            if failure is None:
+                report.outcomes[source.name] = outcome
+            else:
+                report.fail(source.path, failure)
+            report.step(source.path)
+    if stopped is not None:
         raise LibraryError(
-            f"{library.path.name}: writing failed ({error.strerror}) with {len(report.outcomes)} of "
-            f"{len(chosen)} materials done; those are whole: make room or check permissions, and import again"
-        ) from error
+            f"{library.name}: writing failed ({stopped}) with {len(report.outcomes)} materials done; those are whole: "
+            "make room or check permissions, and import again"
+        )
 
 
-def _in_threads(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """Hashing, copying and writing release the interpreter's lock, so threads are enough."""
-    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        return list(pool.map(function, items))
+def _store(
+    sources: Sequence[_Source], *, library: Path, staged: Path, tolerance: float | None
+) -> list[str | None]:
+    """Write materials into a library, each in one step when it is whole; of each, why it was not."""
+    return [_stored(source, library, Path(mkdtemp(dir=staged)), tolerance) for source in sources]
+
+
+def _stored(source: _Source, library: Path, staged: Path, tolerance: float | None) -> str | None:
+    file, compact = read_bsdf(source.path), None
+    if tolerance is not None:
+        from manifold.library import compacting  # which loads what evaluates materials
+
+        try:
+            compact = compacting.encode(file, tolerance)
+        except LibraryError as error:
+            return str(error)
+    write_material(staged / source.name, file, source.path.name, source.sha256, compact)
+    staging.publish(staged / source.name, library / "materials" / source.name)
+    return None
+
+
+def _in_groups(items: Sequence[T]) -> list[Sequence[T]]:
+    """Items of tasks: few, where there are many, and independent of who runs them."""
+    size = min(max(len(items) // _MANY_TASKS, 1), _MOST_TOGETHER)
+    return [items[first : first + size] for first in range(0, len(items), size)]

@@ -109,6 +109,8 @@ class Threads:
 
 HERE = Processes(1)
 """This process alone."""
+THREADS = Threads()
+"""Threads of this process, at most eight."""
 
 
 def attempt(function: Callable[[T], R], index: int, task: T) -> Finished[R]:

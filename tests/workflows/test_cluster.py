@@ -1,0 +1,100 @@
+"""Whole workflows by the workers of a Dask scheduler: what they write is what this process would have written."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from helpers.sample_files import write_samples
+from helpers.small_library import small_library
+
+from manifold.brdf.analytic.base import Lambert
+from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.library import importing
+from manifold.library.importing import import_files
+from manifold.library.store import Library
+from manifold.model.output_file import OutputOptions
+from manifold.system.cluster import Cluster
+from manifold.system.workers import HERE
+from manifold.workflows import many_files
+from manifold.workflows.conversion_targets import Options
+from manifold.workflows.inputs import find_inputs, find_samples
+from manifold.workflows.sources import FileSource
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def workers():
+    """Two workers in threads of this process."""
+    with distributed.LocalCluster(n_workers=2, processes=False, dashboard_address=":0") as made:
+        yield Cluster(made.scheduler_address)
+
+
+def contents(folder, pattern="*"):
+    """All files below a folder, by path."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob(pattern) if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("tolerance", [None, 0.2])
+def test_an_import_makes_the_same_library(tmp_path, workers, tolerance):
+    library = small_library(tmp_path)
+    found = {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        made = import_files(tmp_path / name, tmp_path / "files", tolerance=tolerance, workers=someone)
+        assert len(made.imported) == len(Library(library).names)
+        found[name] = contents(tmp_path / name)
+    assert found["here"] == found["there"]
+
+
+def test_a_bad_file_is_left_out_and_the_rest_imported(tmp_path, workers):
+    write_samples(tmp_path / "files", 3)
+    (tmp_path / "files" / "broken.bsdf").write_bytes(b"no tensor file")
+    made = import_files(tmp_path / "library.zarr", tmp_path / "files", workers=workers)
+    assert (made.imported, len(made.failed)) == (("m00", "m01", "m02"), 1)
+
+
+def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
+    write_samples(tmp_path / "files", 2)
+    store = importing._stored
+
+    def twice(*arguments):  # as where a worker was lost before it said that it was done
+        for _ in range(2):
+            assert store(*arguments[:2], tmp_path / "staged", arguments[3]) is None
+            shutil.rmtree(tmp_path / "staged")
+
+    import_files(tmp_path / "once", tmp_path / "files", workers=HERE)
+    monkeypatch.setattr(importing, "_stored", twice)
+    made = import_files(tmp_path / "twice", tmp_path / "files", workers=HERE)
+    assert made.imported == ("m00", "m01")
+    assert contents(tmp_path / "twice") == contents(tmp_path / "once")
+
+
+@pytest.mark.slow
+def test_completions_and_conversions_are_the_same(tmp_path, workers, rng):
+    library = small_library(tmp_path)
+    samples = tmp_path / "samples"
+    samples.mkdir()
+    for k in range(3):
+        grey = Lambert(np.full(MA_T12_BANDS.count, 0.1 + 0.2 * k), MA_T12_BANDS)
+        write_ma_t12(samples / f"s{k}.xlsx", grey, f"s{k}", rng)
+    files = find_inputs([FileSource(tmp_path / "files")])[:2]
+    found = {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        out = tmp_path / name
+        outcomes = [
+            *many_files.complete_all(
+                find_samples([samples]), library, many_files.completions_in(out / "a"),
+                options=OutputOptions(resolution=8), workers=someone,
+            ),
+            *many_files.convert_all(
+                files, "rgl", many_files.conversions_in(out / "b"), options=Options(), workers=someone
+            ),
+        ]  # fmt: skip
+        assert [o.failure for o in outcomes] == [None] * 5
+        found[name] = contents(out, "*.bsdf") | contents(out, "*.png")
+    assert len(found["here"]) == 2 * 5 + 2
+    assert found["here"] == found["there"]

@@ -22,7 +22,9 @@ from manifold.records import Array, Indices
 NEIGHBOURS = 128
 """Number of nearest samples among which a blend finds its weights."""
 
-_NEGLIGIBLE = 1e-6  # relative to the largest weight: smaller ones are invisible, and cost a look-up each
+NEGLIGIBLE = 1e-6
+"""Weights up to this share of the largest are 0: they are invisible, and cost a look-up each."""
+
 _FLATTENING = 10.0 ** np.arange(
     -2.0, 2.0, 0.25
 )  # rising weights of the extent along a dimension beyond the map's
@@ -87,9 +89,9 @@ def _weights(squared: Array, *, is_cut: bool = False) -> Array:
     is_sample = np.isposinf(log)
     log = np.where(is_sample.any(axis=1, keepdims=True), np.where(is_sample, 0.0, -np.inf), log)
     u = np.exp(log - log.max(axis=1, keepdims=True))
-    none: Array | float = _NEGLIGIBLE
+    none: Array | float = NEGLIGIBLE
     if is_cut:
-        u, none = u[:, :-1], np.maximum(u[:, -1:], _NEGLIGIBLE)
+        u, none = u[:, :-1], np.maximum(u[:, -1:], NEGLIGIBLE)
     u = np.maximum(u - none, 0.0)  # continuous where a weight vanishes
     return u / u.sum(axis=1, keepdims=True)
 

@@ -87,15 +87,16 @@ class Evaluation:
         """Weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
         return None if latent is None or self._varying is None else self._varying.at(latent)
 
-    def _weight_and_share(self, lobes: Lobes | None, i: Any, active: Any) -> tuple[Any, Any]:
+    def _weight(self, lobes: Lobes | None, i: Any, active: Any) -> tuple[Any, Any, list[Any]]:
+        """Weight of material i, its share in sampling, and slopes of the weight where `lobes` has slopes."""
         mi, dr = self._mi, self._dr
         if lobes is not None and self._varying is not None:
-            v = self._varying.weight(lobes, i)
-            return v, dr.abs(v) / lobes.magnitude
+            v, slopes = self._varying.weight(lobes, i)
+            return v, dr.abs(v) / lobes.magnitude, slopes
         share = dr.gather(mi.Float, self._lobe_shares, i, active)
         if self._sample_weights is not None:
-            return None, share
-        return dr.gather(mi.Float, self._weights, i, active), share
+            return 1.0, share, []
+        return dr.gather(mi.Float, self._weights, i, active), share, []
 
     # -- one material --------------------------------------------------------------------------------------
 
@@ -157,8 +158,13 @@ class Evaluation:
     def eval_pdf(
         self, lobes: Lobes | None, wi: Any, wo: Any, wavelengths: Any, active: Any
     ) -> tuple[Any, Any]:
-        """f * cos(theta_o) as a spectrum, and the density of `sample`, both in 1/sr."""
+        """f * cos(theta_o) as a spectrum, with derivatives by the latent, and the density of `sample`, both in 1/sr."""
         mi, dr = self._mi, self._dr
+        if dr.grad_enabled(wi, wo):
+            raise UsageError(
+                "plugin manifold: derivatives by directions, of moved shapes, lights or cameras, are not known; keep "
+                "these fixed"
+            )
         cos_o = mi.Frame3f.cos_theta(wo)
         cosines = cos_o * mi.Frame3f.cos_theta(wi)
         m = dr.normalize(wi + wo)
@@ -168,7 +174,7 @@ class Evaluation:
         bands = None if self._is_rgb else self._locate_bands(wavelengths)
         jacobian = dr.maximum(2.0 * math.pi**2 * ux * dr.sin(theta_m), 1e-6) * 4.0 * dr.dot(wi, m)
 
-        def add(i: Any, total: Any, density: Any) -> Any:
+        def add(i: Any, total: Any, tangents: list[Any], density: Any) -> Any:
             visible, luminance, rest = self._families_of(group, i)
             n_theta, n_phi, symmetry = rest[7:10]
             sign = self._signs(symmetry, wi)
@@ -182,20 +188,23 @@ class Evaluation:
             scale = self._grid(rest[0:3], ux, uy, active) / (
                 self._grid(rest[3:6], sigma_x, sigma_y, active) * cos_o
             )
-            weight, share = self._weight_and_share(lobes, i, active)
-            values = self._spectrum(
-                rest[6], luminance, slices, u, v, bands, i, weight, scale, cosines, active
-            )
-            return i + 1, total + values, density + share * pdf
+            weight, share, slopes = self._weight(lobes, i, active)
+            values = self._spectrum(rest[6], luminance, slices, u, v, bands, i, scale, cosines, active)
+            tangents = [tangent + values * slope for tangent, slope in zip(tangents, slopes, strict=True)]
+            return i + 1, total + values * weight, tangents, density + share * pdf
 
         total, density = mi.Spectrum(0.0), mi.Float(0.0)
+        tangents = [] if lobes is None else [mi.Spectrum(0.0) for _ in lobes.slopes]
         for group in self._groups:
-            _, total, density = dr.while_loop(
-                (mi.UInt32(group.start), total, density),
-                lambda i, total, density, end=group.end: i < end,
+            _, total, tangents, density = dr.while_loop(
+                (mi.UInt32(group.start), total, tangents, density),
+                lambda i, *_, end=group.end: i < end,
                 add,
-                labels=("material", "sum", "density"),
+                labels=("material", "sum", "tangents", "density"),
+                max_iterations=-1,  # it only sums: derivatives by the weights need no stored states
             )
+        if lobes is not None and tangents:
+            total += sum(tangent * offset for tangent, offset in zip(tangents, lobes.offsets, strict=True))
         f = self._mapping.inverse(total, cosines)
         if self._is_clipped:
             f = dr.maximum(f, 0.0)
@@ -203,9 +212,9 @@ class Evaluation:
 
     def _spectrum(
         self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any, material: Any,
-        weight: Any, scale: Any, cosines: Any, active: Any,
+        scale: Any, cosines: Any, active: Any,
     ) -> Any:  # fmt: skip
-        """Weighted, mapped values of one material at the warped point (u, v)."""
+        """Mapped values of one material at the warped point (u, v); those of monochrome samples are weighted."""
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)
@@ -223,7 +232,7 @@ class Evaluation:
         if self._is_rgb or self._sample_weights is not None:
             mapped = [forward(value) for value in self._all_bands(packets, active)]
             if self._sample_weights is None:
-                return mi.Spectrum(*mapped[:3]) * weight
+                return mi.Spectrum(*mapped[:3])
             if self._is_rgb:
                 return mi.Spectrum(*(self._dot(b, material, mapped, active) for b in range(3)))
             rows = [
@@ -238,7 +247,7 @@ class Evaluation:
             else:
                 below, above = (self._band(packets, k, active) for k in (band, band + 1))
                 values.append(forward(dr.lerp(below, above, s)))
-        return mi.Spectrum(*values) * weight
+        return mi.Spectrum(*values)
 
     def _all_bands(self, packets: list[tuple[Any, list[Any]]], active: Any) -> list[Any]:
         """Values of all bands of cells with weights of their corners, in one read where bands are few."""
@@ -326,7 +335,7 @@ class Evaluation:
         target = sample1 * lobes.magnitude
 
         def step(i: Any, reached: Any, chosen: Any) -> Any:
-            after = reached + dr.abs(varying.weight(lobes, i))
+            after = reached + dr.abs(varying.weight(lobes, i)[0])
             return i + 1, after, dr.select((after > target) & (reached <= target), i, chosen)
 
         return dr.while_loop(

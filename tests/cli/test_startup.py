@@ -42,6 +42,7 @@ def test_a_prediction_loads_neither_scikit_learn_nor_mitsuba(folder):
     assert (folder / "made.bsdf").is_file()
 
 
+@pytest.mark.slow
 def test_maps_and_renders_load_no_scikit_learn(folder):
     pytest.importorskip("mitsuba")
     render = ["render", "--latent", "0.1,0.1", "--size", "16", "--samples", "1", "-o", "made.png"]

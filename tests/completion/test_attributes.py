@@ -47,7 +47,7 @@ def test_without_attributes_a_material_stays_where_it_is(model):
 def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, rng):
     gloss = [gloss_units(model.material(name), [60.0])[60.0] for name in model.names]
     missed = 0
-    for _ in range(6):
+    for _ in range(2):
         name = str(rng.choice(model.names))
         asked = float(np.exp(rng.uniform(np.log(min(gloss)), np.log(max(gloss)))))
         found = adjust(model, name, Attributes({60.0: Wanted(asked)}, hue=Wanted(40.0, is_relative=True)))
@@ -57,7 +57,7 @@ def test_what_is_reached_is_what_the_prediction_has_and_the_rest_is_said(model, 
         is_off = abs(reached - asked) > GLOSS_TOLERANCE * asked or found.difference > COLOUR_TOLERANCE
         assert bool(found.shortfalls) == is_off
         missed += is_off
-    assert missed <= 2
+    assert missed <= 1
 
 
 def test_gloss_alone_keeps_the_colour(model):

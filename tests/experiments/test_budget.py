@@ -146,6 +146,7 @@ def test_a_candidate_that_is_the_reference_differs_by_nothing(tmp_path):
     assert 0.0 < pictures.differences({key: diffuse})[key].rendered < 2.0
 
 
+@pytest.mark.slow
 def test_two_materials_of_a_dictionary_are_answered_together_without_llvm(tmp_path, monkeypatch):
     monkeypatch.setenv(backend.RENDERER_VARIABLE, "scalar")
     monkeypatch.setattr(backend, "choose", backend.choose.__wrapped__)

@@ -204,7 +204,7 @@ def records(draw: st.DrawFn) -> BsdfFile:
     )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(file=records())
 def test_any_record_round_trips_byte_for_byte(file: BsdfFile, tmp_path: Path) -> None:
     path = tmp_path / ("any_rgb.bsdf" if file.wavelengths_nm is None else "any_spec.bsdf")

@@ -314,8 +314,9 @@ def test_a_texture_of_latents_carries_a_field_of_materials(models, rng, kind):
         np.testing.assert_allclose(value[k::3], expected, rtol=0.02, atol=0.02 * np.median(expected))
 
 
-@pytest.mark.parametrize("integrator", ["path", "direct"])
-@pytest.mark.parametrize("kind", ["blend", "rgb", "spectral blend"])
+@pytest.mark.parametrize(
+    ("kind", "integrator"), [("blend", "path"), ("rgb", "direct"), ("spectral blend", "direct")]
+)
 def test_a_ball_with_a_texture_of_latents_is_rendered(models, kind, integrator):
     """A render compiles loops and virtual calls that `eval` alone does not."""
     model = Manifold.load(models[kind])
@@ -346,7 +347,12 @@ def test_a_ball_with_a_texture_of_latents_is_rendered(models, kind, integrator):
 
 @pytest.mark.parametrize(
     ("kind", "integrator"),
-    [("blend", "path"), ("rgb", "direct"), ("spectral blend", "direct"), ("material", "path")],
+    [
+        ("blend", "path"),
+        ("spectral blend", "direct"),
+        pytest.param("rgb", "direct", marks=pytest.mark.slow),
+        pytest.param("material", "path", marks=pytest.mark.slow),
+    ],
 )
 def test_constant_textures_make_the_picture_of_fixed_latents(models, kind, integrator):
     """Two textured objects that light each other; their latents are exact in single precision."""

@@ -89,15 +89,17 @@ def test_files_names_and_places_are_drawn_located_converted_and_reconstructed(ru
 
 @pytest.mark.parametrize("text", MATERIALS)
 def test_files_names_and_places_are_rendered_compared_fitted_and_exported(run, folder, text):
+    """Every command takes two of the four, by turns."""
     pytest.importorskip("mitsuba")
-    for command, made in {
+    commands = {
         ("render", text, *SMALL): "render.png",
         ("compare", text, OTHER, *SMALL): "comparison.png",
         ("fit", text, "-o", "one.fit.json"): "one.fit.json",
         ("export", text, "-o", "one.glb", "--mapped"): "one.glb",
         ("walk", OTHER, text, "--steps", "3"): "walk.png",
         ("map", "--mark", text): "map.png",
-    }.items():
+    }
+    for command, made in list(commands.items())[MATERIALS.index(text) % 2 :: 2]:
         status, _, err = run(*command, cwd=folder)
         assert (status, err) == (0, ""), (command, err)
         assert (folder / made).is_file()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from helpers.small_library import small_library
 
 from manifold.brdf.analytic import corpus
-from manifold.errors import UsageError
+from manifold.errors import LatentError, UsageError
 from manifold.io_rgl import write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -37,6 +38,7 @@ def models(tmp_path_factory) -> dict[str, Path]:
         ("rgb blend", rgb, Settings(kind="blend")),
         ("rgb material", rgb, Settings(kind="material", kernel="matern32+linear")),
         ("spectral blend", spectral, Settings(kind="blend")),
+        ("monochrome", spectral, Settings(kind="monochrome")),
     ):
         paths[name] = folder / f"{name}.h5"
         Manifold.fit(Library.open(source), settings, calibrate=False).save(paths[name])
@@ -55,6 +57,16 @@ def textures(mi, latents) -> dict:
     }  # fmt: skip
 
 
+def fixed(model: Manifold, path: Path, latent, **given) -> dict:
+    """A BSDF of one latent."""
+    return {
+        "type": "manifold",
+        "model": str(path),
+        "latent": ",".join(repr(float(v)) for v in latent),
+        **given,
+    }
+
+
 def two_balls(mi, bsdf, integrator: str):
     """A ball that mirrors itself in another one of the same material, in studio light."""
     scene = scenes.material_ball(mi, {"type": "ref", "id": "material"}, rgb_film(4))
@@ -71,14 +83,19 @@ def two_balls(mi, bsdf, integrator: str):
 
 def uniform_sampling(monkeypatch) -> None:
     """Draw all materials with equal shares: a picture of equal seeds then is a smooth function of the weights."""
-    choose, weight = Evaluation._choose, Evaluation._weight
+    choose, weight, set_weights = Evaluation._choose, Evaluation._weight, Evaluation.set_weights
     monkeypatch.setattr(Evaluation, "_choose", lambda self, lobes, sample: choose(self, None, sample))
+
+    def set_with_equal_shares(self, found, *given):
+        n = len(found.names)
+        set_weights(self, replace(found, lobes=np.full(n, 1.0 / n)), *given)
 
     def with_equal_share(self, lobes, i, active):
         v, _, slopes = weight(self, lobes, i, active)
         return v, 1.0 / self._n, slopes
 
     monkeypatch.setattr(Evaluation, "_weight", with_equal_share)
+    monkeypatch.setattr(Evaluation, "set_weights", set_with_equal_shares)
 
 
 def derivative(mi, scene, key: str, direction, spp: int = 64) -> tuple[float, float]:
@@ -152,10 +169,58 @@ def test_derivatives_by_textures_are_central_differences(models, rng, monkeypatc
         assert abs(found - expected) < 0.01 * abs(expected)
 
 
+@pytest.mark.parametrize(
+    ("kind", "given", "integrator"),
+    [
+        ("rgb blend", {}, "prb"),
+        ("rgb blend", {"srgb": "#b06030"}, "direct"),
+        ("rgb material", {"tolerance": 0.05}, "direct"),
+        ("spectral blend", {}, "direct"),
+        ("monochrome", {"srgb": "#b06030"}, "direct"),
+    ],
+)
+def test_derivatives_by_one_latent_and_its_colours_are_central_differences(
+    models, rng, monkeypatch, kind, given, integrator
+):
+    model = Manifold.load(models[kind])
+    mi = mitsuba_for(model)
+    uniform_sampling(monkeypatch)
+    at = model.between(model.names[0], model.names[1], 0.4)
+    scene = two_balls(mi, fixed(model, models[kind], at, **given), integrator)
+    offered = {"latent": 2} | ({"colours": model.bands.count} if "srgb" in given else {})
+    for name, size in offered.items():
+        found, expected = derivative(mi, scene, f"material.{name}", 1.0 + 0.5 * rng.random(size))
+        assert abs(found - expected) < 0.01 * abs(expected)
+
+
+@pytest.mark.parametrize("kind", ["rgb blend", "rgb material"])
+def test_a_changed_latent_gives_the_picture_of_a_bsdf_with_that_latent(models, kind):
+    model = Manifold.load(models[kind])
+    mi = mitsuba_for(model)
+    start, end = (np.float32(model.between(*model.names[:2], t)) for t in (0.3, 0.7))
+    scene = two_balls(mi, fixed(model, models[kind], start), "direct")
+    params = mi.traverse(scene)
+    for latent in (model.X[2], end):  # a measured file, and back to a mixture
+        params["material.latent"] = mi.Float(latent)
+        params.update()
+        expected = mi.render(two_balls(mi, fixed(model, models[kind], latent), "direct"), spp=16)
+        np.testing.assert_allclose(mi.render(scene, spp=16), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_latent_of_the_wrong_size_is_refused_as_in_a_scene(models):
+    model = Manifold.load(models["rgb blend"])
+    mi = mitsuba_for(model)
+    bsdf = mi.load_dict(fixed(model, models["rgb blend"], model.X[0]))
+    params = mi.traverse(bsdf)
+    params["latent"] = mi.Float([0.1, 0.2, 0.3])
+    with pytest.raises(LatentError, match="found 3 coordinates"):
+        params.update()
+
+
 def test_derivatives_by_directions_are_refused(models):
     model = Manifold.load(models["rgb blend"])
     mi, dr = mitsuba_for(model), backend.drjit()
-    bsdf = mi.load_dict({"type": "manifold", "model": str(models["rgb blend"]), "latent": "0.1,0.2"})
+    bsdf = mi.load_dict(fixed(model, models["rgb blend"], [0.1, 0.2]))
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.6, 0.8)
     dr.enable_grad(si.wi)

@@ -17,6 +17,14 @@ Properties:
     like, reflectance, srgb: the colour on a monochrome manifold, as in `manifold predict`.
     tolerance: leave out as many materials as change the mapped values by no more than this share of their norm; the
         weights of the others are fitted again. 0 by default, which keeps all.
+
+Parameters of `mi.traverse`, all differentiable:
+    latent: its Q coordinates; where it moves, chosen colours keep their coordinates.
+    colours: coordinates of a chosen colour, one per band; on a map of blends, cube roots of reflectances at 8 degrees.
+    latent_0.data, latent_1.data, ...: texels of the textures.
+
+Weights carry the derivatives; samples and their densities do not depend on parameters. Where negative values are cut or
+a weight is 0, the derivative is 0, and so it is at a material's own latent. Derivatives by directions are refused.
 """
 
 # Models and what evaluates them are imported where they are used: the plugin is registered for every render.
@@ -27,13 +35,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from manifold.errors import UsageError
 from manifold.model.colours import ColourChoice
 from manifold.rendering import backend
 
 if TYPE_CHECKING:
     from manifold.model.manifold import Manifold
-    from manifold.rendering.plugin.mixture import Mixture
+    from manifold.rendering.plugin.mixture import FixedLatent
 
 NAME = "manifold"
 _registered: set[str] = set()
@@ -93,6 +103,7 @@ def _plugin_class(mi: Any, variant: str) -> Any:
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
             from manifold.rendering.plugin.evaluation import Evaluation
+            from manifold.rendering.plugin.mixture import varying_mixture
 
             model = load_model(_path(properties, "model"), _optional_path(properties, "library"))
             if model.bands.is_rgb == is_spectral:
@@ -100,9 +111,15 @@ def _plugin_class(mi: Any, variant: str) -> Any:
                 raise UsageError(
                     f"variant {variant} with a library of {kind} materials; set a {kind} variant"
                 )
-            self._textures, mixture = _read_latent(mi, properties, model)
-            self.mixture = mixture
-            self._evaluation = Evaluation(mi, backend.drjit(), mixture)
+            self._textures, self._fixed = _read_latent(mi, properties, model)
+            self._parameters = {}
+            if self._fixed is None:
+                self.mixture = varying_mixture(model)
+            else:
+                self.mixture = self._fixed.mixture()
+                given = {"latent": self._fixed.latent, "colours": self._fixed.colours}
+                self._parameters = {name: mi.Float(v) for name, v in given.items() if v is not None}
+            self._evaluation = Evaluation(mi, backend.drjit(), self.mixture)
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
             if self._textures:
                 flags |= mi.BSDFFlags.SpatiallyVarying
@@ -138,8 +155,25 @@ def _plugin_class(mi: Any, variant: str) -> Any:
             return value & active, pdf & active
 
         def traverse(self, callback: Any) -> None:
-            for k, texture in enumerate(self._textures):
-                callback.put(f"latent_{k}", texture, mi.ParamFlags.Differentiable)
+            named = {f"latent_{k}": texture for k, texture in enumerate(self._textures)} | self._parameters
+            for name, value in named.items():
+                callback.put(name, value, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: Any) -> None:
+            if self._fixed is None:
+                return
+            from manifold.rendering.plugin.evaluation import Evaluation
+
+            dr = backend.drjit()
+            latent, colours = self._parameters["latent"], self._parameters.get("colours")
+            self._fixed = self._fixed.moved(
+                np.array(dr.detach(latent)), None if colours is None else np.array(dr.detach(colours))
+            )
+            before = self.mixture
+            self.mixture = self._fixed.mixture(before, has_slopes=dr.grad_enabled(latent, colours))
+            if self.mixture.tables is not before.tables:
+                self._evaluation = Evaluation(mi, dr, self.mixture)
+            self._evaluation.set_weights(self.mixture, latent, colours)
 
         def to_string(self) -> str:
             return f"ManifoldBSDF[{self.mixture}]"
@@ -147,9 +181,9 @@ def _plugin_class(mi: Any, variant: str) -> Any:
     return ManifoldBSDF
 
 
-def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], Mixture]:
-    """The textures of the latent, none where it is fixed, and the mixture."""
-    from manifold.rendering.plugin.mixture import fixed_mixture, varying_mixture
+def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], FixedLatent | None]:
+    """The textures of the latent, or a fixed one."""
+    from manifold.rendering.plugin.mixture import FixedLatent
 
     names = [f"latent_{k}" for k in range(model.settings.latent_dim)]
     given = [name for name in names if name in properties]
@@ -160,7 +194,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         for name in ("tolerance", "like", "reflectance", "srgb"):
             if name in properties:
                 raise UsageError(f"plugin manifold: {name} needs one latent, not textures; leave it out")
-        return [properties.get_texture(name) for name in names], varying_mixture(model)
+        return [properties.get_texture(name) for name in names], None
     if "latent" not in properties:
         raise UsageError(
             f"plugin manifold: no latent; give `latent` as 'x,y', or textures {', '.join(names)}"
@@ -176,7 +210,7 @@ def _read_latent(mi: Any, properties: Any, model: Manifold) -> tuple[list[Any], 
         reflectance=_optional_path(properties, "reflectance"),
         srgb=str(properties["srgb"]) if "srgb" in properties else None,
     )
-    return [], fixed_mixture(model, latent, colour, tolerance)
+    return [], FixedLatent.of(model, latent, colour, tolerance)
 
 
 def _path(properties: Any, name: str) -> Path:

@@ -11,6 +11,7 @@ import numpy as np
 
 from manifold.errors import UsageError
 from manifold.mapping import CubeRoot, Identity, Log, LogRelative, Mapping
+from manifold.records import Array
 from manifold.rendering.plugin.mixture import Mixture
 from manifold.rendering.plugin.packed_tables import ISOTROPIC, META, MOST_BANDS_AT_ONCE, SPECTRUM_PACKET
 from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
@@ -54,7 +55,7 @@ class Evaluation:
         self._n = len(mixture.names)
         self._groups = _Group.all_of(tables.meta.reshape(-1, META).astype(np.int64))
         self._n_theta, self._n_phi = tables.n_theta, tables.n_phi
-        self._n_stored = tables.n_bands
+        self._n_stored, self._has_samples = tables.n_bands, False
         self._meta = mi.UInt32(tables.meta)
         self._theta_nodes, self._phi_nodes = mi.Float(tables.theta_nodes), mi.Float(tables.phi_nodes)
         self._grids = mi.Float(tables.grids)
@@ -66,22 +67,43 @@ class Evaluation:
         self._mapping = _DrJitMapping(mi, dr, mixture.mapping)
         self._is_rgb = mixture.bands.is_rgb
         self._is_clipped = mixture.is_clipped
-        self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
-        self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
         if mixture.bands.wavelengths_nm is not None:
             self._wavelengths = mi.Float(np.asarray(mixture.bands.wavelengths_nm, dtype=np.float32))
             self._n_bands = mixture.bands.count
             self._is_dense = bool(np.diff(mixture.bands.wavelengths_nm).max() <= _DENSE_NM)
-        self._sample_weights = None
-        if mixture.weights is not None and mixture.weights.ndim == 3:
-            padded = np.zeros((*mixture.weights.shape[:2], self._n_stored), dtype=np.float32)
-            padded[..., : mixture.weights.shape[2]] = mixture.weights
-            self._sample_weights = mi.Float(padded.ravel())
-        elif mixture.weights is not None:
-            self._weights = mi.Float(mixture.weights.astype(np.float32))
+        self.set_weights(mixture)
         self._varying = None if mixture.gp is None else VaryingWeights(mi, dr, mixture)
 
     # -- weights -------------------------------------------------------------------------------------------
+
+    def set_weights(self, mixture: Mixture, latent: Any = None, colours: Any = None) -> None:
+        """Take the weights of a mixture of the same materials.
+
+        Args:
+            mixture: with slopes, if derivatives are to pass through the weights.
+            latent, colours: by which these are, shapes (Q,) and (B,); None in place of colours that are not chosen.
+        """
+        mi, dr = self._mi, self._dr
+        self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
+        self._lobe_shares = mi.Float(mixture.lobes.astype(np.float32))
+        if mixture.weights is None:
+            return
+        self._has_samples = mixture.weights.ndim == 3
+        self._weights = self._uploaded(mixture.weights)
+        if mixture.slopes:
+            offset = latent - dr.detach(latent)  # of value 0
+            offsets = [dr.gather(mi.Float, offset, mi.UInt32(q)) for q in range(len(latent))]
+            if colours is not None:
+                offsets.append(dr.repeat(colours - dr.detach(colours), len(self._weights) // len(colours)))
+            for slope, along in zip(mixture.slopes, offsets, strict=True):
+                self._weights += self._uploaded(slope) * along
+            dr.eval(self._weights)
+
+    def _uploaded(self, weights: Array) -> Any:
+        """Weights of materials, or of samples padded as they are stored."""
+        if self._has_samples:
+            weights = np.pad(weights, ((0, 0), (0, 0), (0, self._n_stored - weights.shape[2])))
+        return self._mi.Float(weights.astype(np.float32).ravel())
 
     def weights(self, latent: list[Any] | None) -> Lobes | None:
         """Weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
@@ -94,7 +116,7 @@ class Evaluation:
             v, slopes = self._varying.weight(lobes, i)
             return v, dr.abs(v) / lobes.magnitude, slopes
         share = dr.gather(mi.Float, self._lobe_shares, i, active)
-        if self._sample_weights is not None:
+        if self._has_samples:
             return 1.0, share, []
         return dr.gather(mi.Float, self._weights, i, active), share, []
 
@@ -229,9 +251,9 @@ class Evaluation:
         def forward(value: Any) -> Any:
             return self._mapping.forward(value * scale, cosines)
 
-        if self._is_rgb or self._sample_weights is not None:
+        if self._is_rgb or self._has_samples:
             mapped = [forward(value) for value in self._all_bands(packets, active)]
-            if self._sample_weights is None:
+            if not self._has_samples:
                 return mi.Spectrum(*mapped[:3])
             if self._is_rgb:
                 return mi.Spectrum(*(self._dot(b, material, mapped, active) for b in range(3)))
@@ -286,9 +308,7 @@ class Evaluation:
     def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:
         dr, n = self._dr, self._n_stored
         index = self._mi.UInt32(band) * self._n + material
-        weights = dr.gather(
-            self._mi.ArrayXf, self._sample_weights, index, active, shape=(n, dr.width(material))
-        )
+        weights = dr.gather(self._mi.ArrayXf, self._weights, index, active, shape=(n, dr.width(material)))
         return sum(weights[k] * mapped[k] for k in range(n))
 
     def _locate_bands(self, wavelengths: Any) -> list[tuple[Any, Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from manifold.mapping import Mapping
 from manifold.model.blend_space import BlendSpace
 from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
-from manifold.records import Array, Bands, BsdfFile, Indices
+from manifold.records import AnyArray, Array, Bands, BsdfFile, Indices
 from manifold.rendering.plugin import packed_tables
 from manifold.rendering.plugin.packed_tables import Tables
 
 _NO_TOLERANCE = (
     "tolerance needs a Gram matrix of whole materials; leave it out, or embed with kind `material`"
 )
+
+_STEP = 1e-5  # of central differences of weights, in length scales of the latents and units of the colours
 
 SEEN_NM = (360.0, 830.0)
 """Wavelengths that Mitsuba renders."""
@@ -38,7 +40,8 @@ class Mixture:
         weights: of whole materials, (N,); of monochrome samples, (B, N, B_s); None where the latent varies.
         lobes: shares of the materials in sampling, (N,), positive, of sum 1.
         gp: what turns latents into weights, where they vary.
-        order: index of each material in `gp`, (N,).
+        order: index of each material in the model, (N,); none of a measured file, which holds unmeasured cells.
+        slopes: of the weights by the latent's coordinates, and by the colour of a band; none unless asked for.
         is_blend: whether varying weights are those of `blend_weights` instead of the process's.
         is_clipped: whether negative values are cut, as in predicted files; a measured file keeps its own, which are
             colours outside sRGB.
@@ -54,6 +57,7 @@ class Mixture:
     lobes: Array
     gp: GPWeights | None = None
     order: Sequence[int] = ()
+    slopes: Sequence[Array] = ()
     is_blend: bool = False
     is_clipped: bool = True
     left_out: int = 0
@@ -64,42 +68,105 @@ class Mixture:
         return f"{len(self.names)} materials{left}, {self.bands}, mapping {self.mapping.name}"
 
 
-def fixed_mixture(
-    model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, tolerance: float = 0.0
-) -> Mixture:
-    """The prediction at a latent; at a training latent the measured file.
+@dataclass(frozen=True, eq=False)
+class FixedLatent:
+    """One latent and its colours, in double precision; Mitsuba has them in single precision.
 
-    Args:
+    Attributes:
         model: a fitted manifold.
-        latent: Q coordinates.
-        colour: on a monochrome manifold.
+        latent: shape (Q,).
+        colours: coordinates of a chosen colour, (B,); None where the latent carries it.
         tolerance: how much leaving materials out may change; see `leave_out`.
-    Raises:
-        LatentError: the latent does not have Q finite coordinates.
-        UsageError: the manifold is monochrome and materials are to be left out, or it is not and a colour is chosen.
     """
-    place = model.place(latent)
-    x, chosen = place.latent, choose_colour(model, place, colour)
-    combination = model.combination(x, chosen.colours)
-    if combination.source is not None:
-        return _of_materials(model, np.array([combination.source]), np.ones(1), 0, 0.0)
-    weights, sample_bands = combination.weights, combination.sample_bands
-    if sample_bands is None:
-        S = model.space.arrays.get("S")
-        if tolerance != 0.0 and S is None:
+
+    model: Manifold
+    latent: Array
+    colours: Array | None
+    tolerance: float = 0.0
+
+    @classmethod
+    def of(
+        cls, model: Manifold, latent: Sequence[float], colour: ColourChoice = NEAREST, tolerance: float = 0.0
+    ) -> FixedLatent:
+        """The latent of Q coordinates, in a colour that is chosen there.
+
+        Raises:
+            LatentError: the latent does not have Q finite coordinates.
+            UsageError: a colour is chosen on a map of whole materials.
+        """
+        place = model.place(latent)
+        return cls(model, place.latent, choose_colour(model, place, colour).colours, tolerance)
+
+    def moved(self, latent: AnyArray, colours: AnyArray | None) -> FixedLatent:
+        """Another latent, and other colours; what rounds to a material's latent, or to what was, is taken for that.
+
+        Args:
+            latent, colours: float32, shape (Q,) and (B,).
+        Raises:
+            LatentError: the latent does not have Q finite coordinates.
+        """
+        known = (self.latent, *self.model.X)
+        exact = next((x for x in known if np.array_equal(np.float32(x), latent)), latent)
+        if colours is not None and np.array_equal(np.float32(self.colours), colours):
+            colours = self.colours
+        return replace(self, latent=self.model.place(exact.tolist()).latent, colours=colours)
+
+    def mixture(self, before: Mixture | None = None, *, has_slopes: bool = False) -> Mixture:
+        """The prediction; at a training latent the measured file.
+
+        Args:
+            before: one of the same model, whose tables serve again where they hold all materials that are needed.
+            has_slopes: whether slopes of the weights are asked for.
+        Raises:
+            UsageError: materials are to be left out of a map without a Gram matrix of whole materials.
+            ShapeError: the colours are not B finite values.
+        """
+        model, x, colours = self.model, self.latent, self.colours
+        combination = model.combination(x, colours)
+        sample_bands = combination.sample_bands
+        if combination.source is not None:
+            bands, seen = _seen_bands(model.bands)
+            name, one = model.names[combination.source], np.ones(1)
+            tables = packed_tables.pack([model.library.read(name)], seen)
+            return Mixture((name,), tables, model.mapping, bands, one, one, is_clipped=False)
+        S = model.space.arrays.get("S") if sample_bands is None else None
+        if self.tolerance != 0.0 and S is None:
             raise UsageError(_NO_TOLERANCE)
-        kept, fitted, error = leave_out(weights, S, tolerance)
-        return _of_materials(model, kept, fitted, int(np.count_nonzero(weights)) - len(kept), error)
-    if tolerance > 0.0:
-        raise UsageError(_NO_TOLERANCE)
-    used, combination = combination.used
-    files = _read(model, used)
-    order = _by_size(files)
-    samples = combination.weights.reshape(model.bands.count, len(used), len(sample_bands))[:, order]
-    lobes = np.abs(samples).sum(axis=(0, 2))
-    tables = packed_tables.pack([files[k] for k in order], sample_bands.tolist())
-    names = tuple(model.names[used[k]] for k in order)
-    return Mixture(names, tables, model.mapping, model.bands, samples, lobes / lobes.sum())
+        slopes = _slopes(model, x, colours) if has_slopes else []
+        stack = np.stack([combination.weights, *slopes], axis=-1)  # [N, K] or [B, N B_s, K]
+        left_out, error = 0, 0.0
+        if sample_bands is None:
+            kept, _, error = leave_out(combination.weights, S, self.tolerance)
+            left_out = int(np.count_nonzero(combination.weights)) - len(kept)
+            used = stack[kept] if S is None or left_out == 0 else _fitted_again(kept, stack, S)
+            bands, tabled = _seen_bands(model.bands)
+        else:
+            kept = combination.used[0]
+            by_material = stack.reshape(len(stack), len(model.names), len(sample_bands), -1)
+            used = np.moveaxis(by_material[:, kept], 0, 1)  # [n, B, B_s, K]
+            bands, tabled = model.bands, sample_bands.tolist()
+        order, tables = _tables(model, kept, tabled, before)
+        every = np.zeros((len(order), *used.shape[1:]))
+        every[[order.index(k) for k in kept]] = used
+        lobes = np.abs(every[..., 0]).reshape(len(order), -1).sum(axis=1)
+        weights, *slopes = np.moveaxis(every if sample_bands is None else np.moveaxis(every, 0, 1), -1, 0)
+        names = tuple(model.names[k] for k in order)
+        return Mixture(
+            names, tables, model.mapping, bands, weights, lobes / lobes.sum(),
+            order=order, slopes=slopes, left_out=left_out, left_out_error=error,
+        )  # fmt: skip
+
+
+def _slopes(model: Manifold, x: Array, colours: Array | None) -> list[Array]:
+    """Slopes of the weights by each coordinate of x (Q,), and by a band's colour: Q or Q + 1 arrays like the weights.
+
+    Weights are smooth functions that cost little, in double precision: central differences have nine digits.
+    """
+    ends = [((x + step, colours), (x - step, colours)) for step in _STEP * np.eye(len(x))]
+    if colours is not None:
+        ends.append(((x, colours + _STEP), (x, colours - _STEP)))
+    weights = model.space.weights
+    return [(weights(*above) - weights(*below)) / (2.0 * _STEP) for above, below in ends]
 
 
 def varying_mixture(model: Manifold) -> Mixture:
@@ -119,10 +186,8 @@ def varying_mixture(model: Manifold) -> Mixture:
             f"textures of latents on a map of {model.space.materials_in_words}, expected all to be laid out: they keep "
             "all in memory; embed fewer"
         )
-    files = _read(model, range(n))
-    order = _by_size(files)
     bands, seen = _seen_bands(model.bands)
-    tables = packed_tables.pack([files[k] for k in order], seen)
+    order, tables = _tables(model, range(n), seen)
     names, lobes = tuple(model.names[k] for k in order), np.full(n, 1.0 / n)
     return Mixture(
         names,
@@ -169,25 +234,28 @@ def leave_out(weights: Array, S: Array | None, tolerance: float) -> tuple[Indice
         u = np.delete(u - column * u[k], k)
         inverse = np.delete(np.delete(inverse - np.outer(column, inverse[k]), k, axis=0), k, axis=1)
         kept = np.delete(kept, k)
-    fitted = np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0].astype(np.float64)
+    fitted = _fitted_again(kept, weights, S)
     change = -weights
     change[kept] += fitted
     return kept, fitted, float(np.sqrt(max(float(change @ S @ change), 0.0) / float(weights @ S @ weights)))
 
 
-def _of_materials(model: Manifold, kept: Indices, weights: Array, left_out: int, error: float) -> Mixture:
-    is_measured = len(kept) == 1 and weights[0] == 1.0
-    files = [model.library.read(model.names[kept[0]])] if is_measured else _read(model, kept)
+def _fitted_again(kept: Indices, weights: Array, S: Array) -> Array:
+    """The weights of kept materials, (n, ...), whose mapped values are nearest to those of all, (N, ...)."""
+    return np.linalg.lstsq(S[np.ix_(kept, kept)], S[kept] @ weights, rcond=1e-12)[0].astype(np.float64)
+
+
+def _tables(
+    model: Manifold, materials: Iterable[int], bands: list[int], before: Mixture | None = None
+) -> tuple[list[int], Tables]:
+    """An order of some materials, and of those of a mixture before, and their tables: its own, where they do."""
+    known = [] if before is None else list(before.order)
+    if before is not None and set(materials) <= set(known):
+        return known, before.tables
+    wanted = sorted({*map(int, materials), *known})
+    files = _read(model, wanted)
     order = _by_size(files)
-    files, kept, weights = [files[k] for k in order], kept[order], weights[order]
-    lobes = np.abs(weights) / np.abs(weights).sum()
-    names = tuple(model.names[k] for k in kept)
-    bands, seen = _seen_bands(model.bands)
-    tables = packed_tables.pack(files, seen)
-    return Mixture(
-        names, tables, model.mapping, bands, weights, lobes,
-        is_clipped=not is_measured, left_out=left_out, left_out_error=error,
-    )  # fmt: skip
+    return [wanted[k] for k in order], packed_tables.pack([files[k] for k in order], bands)
 
 
 def _seen_bands(bands: Bands) -> tuple[Bands, list[int]]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -170,6 +171,15 @@ def import_(
         bool, typer.Option("--compact", help="Store them as `manifold compact` does; by default bit for bit.")
     ] = False,
     tolerance: ToleranceOption = None,
+    rotation: Annotated[
+        str | None,
+        typer.Option(
+            "--rotation",
+            help="Azimuth in degrees by which anisotropic samples lay turned, which predictions undo; or auto, which "
+            "turns the direction in which normals spread most to y.",
+            metavar="DEG|auto",
+        ),
+    ] = None,
     processes: Annotated[int | None, workers_option("threads of this process")] = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -191,8 +201,8 @@ def import_(
     results = terminal.Results(json)
     with terminal.progress("Importing") as step:
         result = import_files(
-            library, sources, replace=replace, tolerance=tolerance, on_progress=step,
-            workers=workers_of(processes, scheduler, THREADS),
+            library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation),
+            on_progress=step, workers=workers_of(processes, scheduler, THREADS),
         )  # fmt: skip
     results.rows(
         f"Library {library}",
@@ -211,6 +221,21 @@ def import_(
     )
     if result.failed:
         raise LibraryError(_shortened(list(result.failed.values()), "left out"))
+
+
+def _rotation(text: str | None) -> float | Literal["auto"] | None:
+    """An azimuth in radians."""
+    if text is None:
+        return None
+    if text == "auto":
+        return "auto"
+    try:
+        degrees = float(text)
+    except ValueError:
+        degrees = math.nan
+    if not abs(degrees) <= 180.0:
+        raise UsageError(f"--rotation {text}: expected degrees from -180 to 180, or auto")
+    return math.radians(degrees)
 
 
 @app.command(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from manifold.workflows.sources import MaterialSource
 
 AUTO = "auto"
+_LEAST_TURN_DEG = 5.0  # that is worth a word
 
 
 Kind = Literal["blend", "monochrome", "material"]
@@ -180,6 +182,7 @@ def embed(
             "objective": f"{fitted.statistics['objective']:.6g}, from "
             f"{fitted.statistics['objective_start']:.6g} at the principal components",
             **({} if kind == "blend" else {"condition of K": f"{fitted.gp.condition:.3g}"}),
+            **_notes_of_turns(*fitted.materials.farthest_turned),
         },
     )
     results.document(
@@ -192,6 +195,15 @@ def embed(
             "latents": {n: x.tolist() for n, x in zip(fitted.names, fitted.X, strict=True)},
         },
     )
+
+
+def _notes_of_turns(first: str, second: str, angle_rad: float) -> dict[str, str]:
+    """A row on anisotropic samples that lie turned against each other."""
+    degrees = math.degrees(angle_rad)
+    if degrees < _LEAST_TURN_DEG:
+        return {}
+    turned = f"{first} and {second} lie turned by {degrees:.0f} degrees against each other"
+    return {"orientations": f"{turned}; manifold import --replace --rotation auto aligns anisotropic samples"}
 
 
 def parse_latent_dim(text: str) -> int:

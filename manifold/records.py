@@ -124,6 +124,7 @@ class BsdfFile:
         jacobian: whether values are multiplied by ndf / (4 sigma) to give f_cos in 1/sr.
         valid: the mask as the file holds it (uint8, usually packed bits); see `measured_mask`.
         extra: fields this package does not interpret, by name.
+        rotation_rad: azimuth by which the sample lay turned, which evaluation undoes; a library tells it, no file.
     """
 
     name: str
@@ -140,6 +141,7 @@ class BsdfFile:
     jacobian: bool
     valid: NDArray[np.uint8]
     extra: Mapping[str, AnyArray] = field(default_factory=lambda: MappingProxyType({}))
+    rotation_rad: float = 0.0
 
     def __repr__(self) -> str:
         kind = "isotropic" if self.is_isotropic else "anisotropic"

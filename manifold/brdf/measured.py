@@ -10,10 +10,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from manifold.brdf import lookup
-from manifold.brdf.pairs import DirectionPairs, flat_samples
+from manifold.brdf.pairs import DirectionPairs, Symmetry, flat_samples
 from manifold.brdf.picture import NotebookPicture
 from manifold.brdf.warp import Warp
-from manifold.directions import require_directions
+from manifold.directions import require_directions, rotate_z
 from manifold.errors import UsageError
 from manifold.records import Array, Bands, BsdfFile
 
@@ -80,7 +80,8 @@ class MeasuredBRDF(NotebookPicture):
         name: of the material.
         bands: the spectral axis.
         is_isotropic: whether the file depends on the difference of the azimuths only.
-        symmetry: the arguments of `DirectionPairs.located`: whether it is isotropic, and how often azimuths repeat.
+        symmetry: the arguments of `DirectionPairs.located`: whether it is isotropic, how often azimuths repeat, and
+            the azimuth by which the sample lay turned.
         tables: what `manifold.brdf.lookup` reads.
     Source: Dupuy & Jakob 2018, section 5; f * cos(theta_o) = spectra * ndf / (4 sigma).
     """
@@ -96,7 +97,8 @@ class MeasuredBRDF(NotebookPicture):
         self.name = file.name
         self.bands = file.bands
         self.is_isotropic = file.is_isotropic
-        self.symmetry = (self.is_isotropic, 1 if self.is_isotropic else file.azimuth_repeats)
+        repeats, rotation_rad = (1, 0.0) if self.is_isotropic else (file.azimuth_repeats, file.rotation_rad)
+        self.symmetry: Symmetry = (self.is_isotropic, repeats, rotation_rad)
         self._stored_luminance = file.luminance
         warp = Warp.from_values(file.vndf, file.phi_i_rad, file.theta_i_rad)
         band_last = np.moveaxis(file.spectra, 2, -1)  # (P, T, H, W, B)
@@ -134,10 +136,19 @@ class MeasuredBRDF(NotebookPicture):
         selected.tables = (*self.tables[:-1], np.ascontiguousarray(self.tables[-1][..., list(bands)]))
         return selected
 
+    def turned(self, angle_rad: float) -> MeasuredBRDF:
+        """The same sample turned by an azimuth; tables are shared."""
+        if self.is_isotropic:
+            return self
+        turned = copy.copy(self)
+        turned.symmetry = (*self.symmetry[:2], self.symmetry[2] - angle_rad)
+        return turned
+
     def _evaluate(self, wi: Array, wo: Array, divide: bool) -> Array:
         pairs = DirectionPairs(wi, wo)
         out = np.empty((len(pairs), self.bands.count))
-        lookup.eval_pairs(pairs.wi, pairs.wo, *self.symmetry, divide, self.tables, out)
+        isotropic, repeats, rotation = self.symmetry
+        lookup.eval_pairs(*pairs.turned(rotation), isotropic, repeats, divide, self.tables, out)
         return out.reshape(*pairs.shape, out.shape[1])
 
     def eval_at(self, pairs: DirectionPairs) -> Array:
@@ -167,7 +178,10 @@ class MeasuredBRDF(NotebookPicture):
         """Density of `sample` in 1/sr, shape (...); arguments and errors as in `eval`."""
         pairs = DirectionPairs(wi, wo)
         out = np.empty(len(pairs))
-        lookup.pdf_of_pairs(pairs.wi, pairs.wo, *self.symmetry, self.tables, self._luminance.data, out)
+        isotropic, repeats, rotation = self.symmetry
+        lookup.pdf_of_pairs(
+            *pairs.turned(rotation), isotropic, repeats, self.tables, self._luminance.data, out
+        )
         return out.reshape(pairs.shape)
 
     def sample(self, wi: Array, u: Array) -> tuple[Array, Array]:
@@ -180,11 +194,14 @@ class MeasuredBRDF(NotebookPicture):
             ShapeError: as in `eval`, or u is not (..., 2) in [0, 1].
         """
         flat_wi, flat_u, shape = flat_samples(wi, u)
+        isotropic, repeats, rotation = self.symmetry
+        flat_wi = rotate_z(flat_wi, rotation) if rotation else flat_wi
         wo = np.empty_like(flat_wi)
         pdf = np.empty(flat_wi.shape[0])
         warp = self._luminance
         luminance = (warp.data, warp.conditional, warp.marginal)
-        lookup.sample_directions(flat_wi, flat_u, *self.symmetry, self.tables, luminance, wo, pdf)
+        lookup.sample_directions(flat_wi, flat_u, isotropic, repeats, self.tables, luminance, wo, pdf)
+        wo = rotate_z(wo, -rotation) if rotation else wo
         return wo.reshape(*shape, 3), pdf.reshape(shape)
 
     def albedo(self, wi: Array, resolution: int = 64) -> Array:
@@ -196,7 +213,8 @@ class MeasuredBRDF(NotebookPicture):
             ShapeError: as in `eval`.
         """
         wi = require_directions(wi, "wi")
-        flat = np.ascontiguousarray(wi.reshape(-1, 3))
+        isotropic, repeats, rotation = self.symmetry
+        flat = np.ascontiguousarray(rotate_z(wi, rotation).reshape(-1, 3))
         sums = np.empty((flat.shape[0], resolution, self.bands.count))
-        lookup.integrate(flat, *self.symmetry, self.tables, sums)
+        lookup.integrate(flat, isotropic, repeats, self.tables, sums)
         return np.asarray((sums.sum(axis=1) / resolution**2).reshape(*wi.shape[:-1], sums.shape[2]))

@@ -8,9 +8,12 @@ from collections.abc import Iterator
 import numba as nb
 import numpy as np
 
-from manifold.directions import require_directions
+from manifold.directions import require_directions, rotate_z
 from manifold.errors import ShapeError
 from manifold.records import Array
+
+Symmetry = tuple[bool, int, float]
+"""What `DirectionPairs.located` takes."""
 
 
 @nb.njit(cache=True, inline="always")
@@ -114,7 +117,7 @@ class DirectionPairs:
         # No pairs at all are a view that must not be written, another type to compile for.
         flat = [np.ascontiguousarray(w.reshape(-1, 3)) if w.size else np.empty((0, 3)) for w in (wi, wo)]
         self.wi, self.wo, self.shape = flat[0], flat[1], wi.shape[:-1]
-        self._located: dict[tuple[bool, int], Array] = {}
+        self._located: dict[Symmetry, Array] = {}
 
     def __len__(self) -> int:
         return len(self.wi)
@@ -128,7 +131,13 @@ class DirectionPairs:
             block.shape = block.wi.shape[:1]
             yield rows, block
 
-    def located(self, isotropic: bool, reduction: int) -> Array:
+    def turned(self, angle_rad: float) -> tuple[Array, Array]:
+        """Both directions turned about the normal, (K, 3) each."""
+        if angle_rad == 0.0:
+            return self.wi, self.wo
+        return rotate_z(self.wi, angle_rad), rotate_z(self.wo, angle_rad)
+
+    def located(self, isotropic: bool, reduction: int, rotation_rad: float = 0.0) -> Array:
         """`theta_i, phi_i, u_x, u_y` of the half vector and cos(theta_o), shape (K, 5).
 
         A pair below the horizon has cosine 0, and nothing else. Cached: this takes as long as looking up fifty
@@ -137,10 +146,11 @@ class DirectionPairs:
         Args:
             isotropic: u_y is relative to the incident azimuth.
             reduction: 1, or 2 or 4 where a file holds half or a quarter of the azimuths.
+            rotation_rad: azimuth by which the sample lay turned.
         """
-        key = (isotropic, reduction)
+        key = (isotropic, reduction, rotation_rad)
         if key not in self._located:
             out = np.empty((len(self), 5))
-            _locate_all(self.wi, self.wo, isotropic, reduction, out)
+            _locate_all(*self.turned(rotation_rad), isotropic, reduction, out)
             self._located[key] = out
         return self._located[key]

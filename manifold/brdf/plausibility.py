@@ -14,7 +14,6 @@ from manifold.directions import (
     gauss_legendre,
     hemisphere_quadrature,
     require_directions,
-    rotate_z,
 )
 from manifold.records import Array, BsdfFile
 
@@ -89,12 +88,10 @@ def largest_albedo(measured: MeasuredBRDF) -> Array:
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
     """Depth of the deepest valley around the mirror direction, shape (M,)."""
-    wi, wo = np.broadcast_arrays(*valleys.profile_pairs(valleys.ASSESSED_INCIDENCES_DEG))
-    depths = []
-    for azimuth in (0,) if is_isotropic else AZIMUTHS_DEG:
-        f = evaluate(*(rotate_z(w.reshape(-1, 3), np.deg2rad(azimuth)) for w in (wi, wo))).mean(axis=2)
-        depths.append(valleys.valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
-    return np.asarray(np.max(depths, axis=0))
+    azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
+    wi, wo = np.broadcast_arrays(*valleys.profile_pairs(valleys.ASSESSED_INCIDENCES_DEG, azimuths))
+    f = evaluate(wi.reshape(-1, 3), wo.reshape(-1, 3)).mean(axis=2)
+    return np.asarray(valleys.valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
 
 
 def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:

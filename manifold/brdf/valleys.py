@@ -8,25 +8,35 @@ import numba as nb
 import numpy as np
 from scipy.sparse import csr_array
 
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, rotate_z
 from manifold.records import Array, Indices
 
 LAYOUT_INCIDENCES_DEG = (25.0, 40.0, 50.0, 65.0)
 ASSESSED_INCIDENCES_DEG = (30.0, 45.0, 60.0)
 """Not those of layouts: predictions are assessed at incidences for which nothing was optimised."""
+LAYOUT_AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
+"""Of incidence, where a material is anisotropic: most look the same after half a turn."""
 REACH_DEG = 20.0
 """Largest angle of profiles from the mirror direction."""
 _DARK = 1e-9  # 1/sr
 _SHARPNESS = 32  # power of the weights in smooth maxima
 
 
-def profile_pairs(incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG) -> tuple[Array, Array]:
-    """Directions wi (I, 1, 3) and wo (I, D, 3): in the plane of incidence, around the mirror direction."""
+def profile_pairs(
+    incidences_deg: Sequence[float] = LAYOUT_INCIDENCES_DEG, azimuths_deg: Sequence[float] = (0.0,)
+) -> tuple[Array, Array]:
+    """Directions wi (I, 1, 3) and wo (I, D, 3): in the plane of incidence, around the mirror direction.
+
+    I counts all incidences at all azimuths.
+    """
     offset = np.arange(-REACH_DEG, REACH_DEG + 1.0)
     incidence = np.array(incidences_deg)
     outgoing = np.deg2rad(np.minimum(incidence[:, None] + offset, 85.0))
     wo = np.stack([-np.sin(outgoing), np.zeros_like(outgoing), np.cos(outgoing)], axis=2)
-    return from_spherical(np.deg2rad(incidence), np.zeros(len(incidence)))[:, None], wo
+    wi = from_spherical(np.deg2rad(incidence), 0.0)[:, None]
+    azimuths = np.deg2rad(azimuths_deg)
+    turned = [np.concatenate([rotate_z(w, azimuth) for azimuth in azimuths]) for w in (wi, wo)]
+    return turned[0], turned[1]
 
 
 def valley_depth(f: Array) -> Array:

@@ -9,7 +9,7 @@ import numba as nb
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
-from manifold.brdf.pairs import DirectionPairs
+from manifold.brdf.pairs import DirectionPairs, Symmetry
 from manifold.brdf.summed_lookup import GROUP, add_located
 from manifold.records import Array
 
@@ -32,7 +32,7 @@ class WeightedSum:
         for material, weight in zip(materials, weights, strict=True):
             tables = material.tables
             alike.setdefault((material.symmetry, nb.typeof(tables)), []).append((tables, weight))
-        self._groups: list[tuple[tuple[bool, int], Any, Array]] = []
+        self._groups: list[tuple[Symmetry, Any, Array]] = []
         for (symmetry, _), terms in alike.items():
             for first in range(0, len(terms), GROUP):
                 group = terms[first : first + GROUP]

@@ -54,6 +54,7 @@ class MaterialInfo:
         shape: of the spectra: (P, T, B, H, W) as in `BsdfFile`.
         bytes: of all arrays together, before any compression.
         accuracy: of a compact material; None where it is stored as it was imported.
+        rotation_rad: azimuth by which the sample lay turned; see `BsdfFile`.
     """
 
     name: str
@@ -66,6 +67,7 @@ class MaterialInfo:
     shape: tuple[int, ...]
     bytes: int
     accuracy: Accuracy | None = None
+    rotation_rad: float = 0.0
 
     @property
     def origin(self) -> str:
@@ -113,6 +115,7 @@ def describe(
         bytes=sum(array.nbytes for array in present_arrays(file).values())
         + sum(array.nbytes for array in file.extra.values()),
         accuracy=accuracy,
+        rotation_rad=file.rotation_rad,
     )
 
 
@@ -140,10 +143,12 @@ def content_sha256(
 
     Returns:
         SHA-256 in hexadecimal over one line of JSON (name, source file, hash of the file, description,
-        version, jacobian) and then, as `hash_arrays` has it, of the fields and the extra fields.
+        version, jacobian, and the rotation where there is one) and then, as `hash_arrays` has it, of the fields and
+        the extra fields.
     """
     version = [int(part) for part in file.version]
     header = [file.name, source_file, sha256, file.description, version, bool(file.jacobian)]
+    header += [file.rotation_rad] if file.rotation_rad else []
     digest = hashlib.sha256(json.dumps(header).encode())
     if arrays is None:
         arrays = present_arrays(file) | {f"extra {name}": array for name, array in file.extra.items()}
@@ -196,9 +201,9 @@ def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
         LookupError: one is missing.
         ValueError: one is of another type.
     """
-    optional = ("name", "accuracy")
+    optional = ("name", "accuracy", "rotation_rad")
     known = {field.name: values[field.name] for field in fields(MaterialInfo) if field.name not in optional}
-    accuracy = values.get("accuracy")
+    accuracy, rotation_rad = values.get("accuracy"), float(values.get("rotation_rad", 0.0))
     expected = {
         "source_file": str,
         "sha256": str,
@@ -213,10 +218,12 @@ def info_of(name: str, values: Mapping[str, Any]) -> MaterialInfo:
         raise ValueError("attribute 'bytes' or 'shape' is out of range")
     if len(known["shape"]) != 5:
         raise ValueError(f"attribute 'shape' has {len(known['shape'])} entries, expected 5")
+    if not abs(rotation_rad) <= np.pi:
+        raise ValueError("attribute 'rotation_rad' is out of range")
     lists = {key: tuple(known[key]) for key in ("shape", "pipeline_version")}
     if accuracy is not None:
         accuracy = Accuracy(*(float(accuracy[field.name]) for field in fields(Accuracy)))
-    return MaterialInfo(name=name, accuracy=accuracy, **(known | lists))
+    return MaterialInfo(name=name, accuracy=accuracy, rotation_rad=rotation_rad, **(known | lists))
 
 
 def _update(digest: Any, name: str, array: Array) -> None:

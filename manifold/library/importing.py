@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as changed
 from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Literal, TypeVar
 
+import numpy as np
+
+from manifold.brdf.orientation import rotation_of
 from manifold.errors import LibraryError, ManifoldError, MissingFileError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library import staging
@@ -23,6 +27,7 @@ from manifold.system.workers import THREADS, Workers
 _MANY_TASKS = 64  # from which on tasks have several files
 _MOST_TOGETHER = 16  # files of a task
 
+Rotation = float | Literal["auto"] | None
 Outcome = Literal["imported", "skipped", "replaced"]
 
 T = TypeVar("T")
@@ -53,6 +58,7 @@ class _Source:
     sha256: str
     name: str
     bands: Bands
+    rotation_rad: float | None
 
 
 def import_files(
@@ -61,6 +67,7 @@ def import_files(
     *,
     replace: bool = False,
     tolerance: float | None = None,
+    rotation_rad: Rotation = None,
     on_progress: Progress | None = None,
     workers: Workers = THREADS,
 ) -> ImportResult:
@@ -74,25 +81,30 @@ def import_files(
         sources: `.bsdf` files, or folders searched at every depth for `*.bsdf`; one of them, or several.
         replace: exchange materials that are there under the same name with other content, or in another form.
         tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
+        rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
+            undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
         on_progress: called with (done, total, name) after each file.
         workers: who check files, and write materials.
     Returns:
         What became of each file; `failed` must be looked at.
     Raises:
-        UsageError: a source does not exist, a folder holds no `*.bsdf`, or the library would lie in another one.
+        UsageError: a source does not exist, a folder holds no `*.bsdf`, the library would lie in another one, or the
+            rotation is out of range.
         BandMismatchError: a file has other bands than the library or the first file; nothing was written.
         LibraryError: what is there is no library, another process writes to it, or the disk is full.
         ManifoldError: a worker was lost.
     """
     if tolerance is not None:
         require_tolerance(tolerance)
+    if isinstance(rotation_rad, float) and not abs(rotation_rad) <= np.pi:
+        raise UsageError(f"rotation is {rotation_rad:g}, expected -pi to pi, in radians")
     paths = find_files([sources] if isinstance(sources, str | Path) else sources)
     library = Path(library_path).expanduser().resolve()  # staging beside the library, not beside a link
     require_outside_libraries(library)
     is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
     expected = None if is_new else Library(library).bands
     report = _Report(2 * len(paths), on_progress)
-    loaded = _load(paths, workers, report)
+    loaded = _load(paths, rotation_rad, workers, report)
     _require_one_grid(loaded, expected, library)
     if loaded:
         with staging.writing(library) as staged:
@@ -166,11 +178,11 @@ class _Report:
         return ImportResult(names("imported"), names("skipped"), names("replaced"), failed)
 
 
-def _load(paths: Sequence[Path], workers: Workers, report: _Report) -> list[_Source]:
+def _load(paths: Sequence[Path], rotation_rad: Rotation, workers: Workers, report: _Report) -> list[_Source]:
     """Check and hash every file; the bad ones are reported and left out."""
     tasks = _in_groups(paths)
     loaded: dict[int, list[_Source]] = {}
-    for k, checked, _ in workers.run(_check, tasks):
+    for k, checked, _ in workers.run(partial(_check, rotation_rad=rotation_rad), tasks):
         assert checked is not None
         for path, source in zip(tasks[k], checked, strict=True):
             if isinstance(source, str):
@@ -180,16 +192,18 @@ def _load(paths: Sequence[Path], workers: Workers, report: _Report) -> list[_Sou
     return [source for k in range(len(tasks)) for source in loaded[k]]
 
 
-def _check(paths: Sequence[Path]) -> list[_Source | str]:
+def _check(paths: Sequence[Path], *, rotation_rad: Rotation) -> list[_Source | str]:
     """What is known of files, or why one cannot be imported."""
-    return [_checked(path) for path in paths]
+    return [_checked(path, rotation_rad) for path in paths]
 
 
-def _checked(path: Path) -> _Source | str:
+def _checked(path: Path, rotation_rad: Rotation) -> _Source | str:
     try:
         file = read_bsdf(path)
         require_material_name(file.name)
-        return _Source(path, file_sha256(path), file.name, file.bands)
+        if rotation_rad == "auto" or file.is_isotropic:
+            rotation_rad = rotation_of(file) or 0.0
+        return _Source(path, file_sha256(path), file.name, file.bands, rotation_rad)
     except ManifoldError as error:
         return str(error)
     except OSError as error:
@@ -210,12 +224,18 @@ def _choose(
     first_of: dict[str, _Source] = {}
     chosen: dict[Outcome, list[_Source]] = {"imported": [], "replaced": []}
     for source in loaded:
+        known = library.attributes(source.name) if source.name in library else None
+        if source.rotation_rad is None:
+            source = changed(source, rotation_rad=known.rotation_rad if known else 0.0)
         first = first_of.setdefault(
             source.name.casefold(), source
         )  # on some file systems, case does not count
-        known = library.attributes(source.name) if source.name in library else None
         is_same = known is not None and known.sha256 == source.sha256
-        is_same_form = known is not None and (known.accuracy and known.accuracy.tolerance) == tolerance
+        is_same_form = (
+            known is not None
+            and (known.accuracy and known.accuracy.tolerance) == tolerance
+            and known.rotation_rad == source.rotation_rad
+        )
         if first is not source:
             if (first.name, first.sha256) != (source.name, source.sha256):
                 report.fail(
@@ -269,7 +289,7 @@ def _store(
 
 
 def _stored(source: _Source, library: Path, staged: Path, tolerance: float | None) -> str | None:
-    file, compact = read_bsdf(source.path), None
+    file, compact = changed(read_bsdf(source.path), rotation_rad=source.rotation_rad or 0.0), None
     if tolerance is not None:
         from manifold.library import compacting  # which loads what evaluates materials
 

@@ -42,6 +42,7 @@ def read_material(group: zarr.Group, info: MaterialInfo, *, is_rgb: bool) -> tup
         description=info.description,
         version=info.pipeline_version,
         jacobian=bool(group.attrs["jacobian"]),
+        rotation_rad=info.rotation_rad,
         **{"wavelengths_nm": None, **fields},
     )
     return file, content_sha256(file, info.source_file, info.sha256, hashed)

@@ -185,10 +185,12 @@ class Library:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 over the bands and every name and file hash, by which a model identifies its library."""
+        """SHA-256 over the bands and every name, file hash and rotation, by which a model identifies its library."""
         digest = hashlib.sha256(json.dumps(self.bands.wavelengths_nm).encode())
         for name in self.names:
-            digest.update(f"\n{name}\t{self.attributes(name).sha256}".encode())
+            info = self.attributes(name)
+            turned = f"\t{info.rotation_rad}" if info.rotation_rad else ""
+            digest.update(f"\n{name}\t{info.sha256}{turned}".encode())
         return digest.hexdigest()
 
     def verify(self, callback: Progress | None = None) -> list[str]:

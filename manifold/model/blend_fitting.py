@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.brdf.measured import MeasuredBRDF, all_isotropic
-from manifold.brdf.valleys import profile_pairs, squared_valleys, squared_valleys_of_some, valley_depth
+from manifold.brdf.valleys import (
+    LAYOUT_AZIMUTHS_DEG,
+    profile_pairs,
+    squared_valleys,
+    squared_valleys_of_some,
+    valley_depth,
+)
 from manifold.colour import ball_colours
 from manifold.colour.conversion import srgb_to_xyz
 from manifold.colour.difference import delta_e_2000_lab, to_lab
@@ -194,7 +200,7 @@ def evaluate(
 ) -> tuple[Appearance, BlendSamples]:
     """What maps of blends are fitted to, of materials one after another; `bands` (B_s,) become samples."""
     ball, white, grid = ball_colours.ball(), srgb_to_xyz(np.ones(3)), EncodingPairs.default(is_isotropic)
-    wi_wo = profile_pairs()
+    wi_wo = profile_pairs() if is_isotropic else profile_pairs(azimuths_deg=LAYOUT_AZIMUTHS_DEG)
     spheres = [integrating_sphere(), *(integrating_sphere(degrees) for degrees in _ALBEDO_INCIDENCES_DEG)]
     on_ball: list[Halves] = []
     amplitude = np.sqrt(grid.cosines)[:, None]

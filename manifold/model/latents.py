@@ -21,10 +21,12 @@ class Place:
     Attributes:
         latent: shape (Q,).
         path: the materials and t of `FROM:TO:T`, a step of the walk between them; None for other places.
+        rotation_rad: azimuth by which an anisotropic sample lies turned there, against the materials of the map.
     """
 
     latent: Array
     path: tuple[str, str, float] | None = None
+    rotation_rad: float = 0.0
 
 
 PlaceLike = Place | Array | Sequence[float] | str

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.orientation import rotation_of
 from manifold.brdf.plausibility import Plausibility
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UsageError
@@ -35,6 +38,8 @@ class Reconstruction:
         plausibility: of the file that it was written to, or would have been; None where none was asked for.
         diagnostics: defects found, as sentences.
         refusal: why the file was not written, else None.
+        rotation_rad: azimuth by which an anisotropic sample lay turned against the materials, found by trial; the
+            description is turned likewise.
     """
 
     brdf: PredictedBRDF
@@ -43,6 +48,7 @@ class Reconstruction:
     plausibility: Plausibility | None = None
     diagnostics: tuple[str, ...]
     refusal: str | None = None
+    rotation_rad: float = 0.0
 
     @property
     def rows(self) -> dict[str, object]:
@@ -53,6 +59,8 @@ class Reconstruction:
             f"{self.errors.linear:.0%} linear",
         ]
         rows: dict[str, object] = {"reconstruction error": errors}
+        if self.rotation_rad:
+            rows["rotation of the sample"] = f"{np.rad2deg(self.rotation_rad):.1f} degrees, undone to find it"
         if self.plausibility is not None:
             rows["largest albedo"] = f"{self.plausibility.max_albedo:.3f}"
         return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
@@ -73,6 +81,7 @@ class Reconstruction:
             "plausibility": self.plausibility and vars(self.plausibility),
             "diagnostics": self.diagnostics,
             "refusal": self.refusal,
+            "rotation_deg": float(np.rad2deg(self.rotation_rad)),
         }
 
 
@@ -111,21 +120,27 @@ def locate(model: Manifold, file: BsdfFile) -> Located:
     Raises:
         BandMismatchError: its bands are not the library's.
     """
-    return locate_brdf(model, *_filled(file))
+    return locate_brdf(model, *_filled(file), trial_rotations(file))
 
 
-def locate_brdf(model: Manifold, brdf: BRDF, notes: tuple[str, ...] = ()) -> Located:
+def locate_brdf(
+    model: Manifold, brdf: BRDF, notes: tuple[str, ...] = (), rotations_rad: Sequence[float] = (0.0,)
+) -> Located:
     """Embed any BRDF in a fitted manifold.
 
     Args:
         model: the manifold.
         brdf: in the bands of its library.
         notes: on the BRDF, which become part of the diagnostics.
+        rotations_rad: azimuths by which the sample may lie turned; other than 0, of a measured file only.
     Raises:
         BandMismatchError: its bands are not the library's.
     """
-    found = model.embed(brdf)
-    predicted = model.predict(found.latent, found.colours)
+    trials = [0.0] if model.materials.is_isotropic else rotations_rad
+    rotation, found = min(
+        ((angle, model.embed(_turned(brdf, -angle))) for angle in trials), key=lambda trial: trial[1].residual
+    )
+    predicted = model.predict(found.latent, found.colours).turned(rotation)
     errors = brdf_errors(brdf, predicted)
     return Located(
         brdf=predicted,
@@ -142,6 +157,7 @@ def locate_brdf(model: Manifold, brdf: BRDF, notes: tuple[str, ...] = ()) -> Loc
         colours=found.colours,
         expected=model.expected_error(found.latent, found.colours, found.residual),
         nearest=model.nearest(found.latent, 3),
+        rotation_rad=rotation,
     )
 
 
@@ -175,7 +191,11 @@ def reconstruct_file(
     materials = MaterialCache(library, names, is_nonnegative=True)
     bands = evenly_spaced(library.bands.count, Settings().sample_bands)
     materials.in_bands(bands.tolist(), on_progress)
-    found = reconstruct(materials, bands, brdf, numbers)
+    trials = [0.0] if materials.is_isotropic else trial_rotations(file)
+    tried = [reconstruct(materials, bands, _turned(brdf, -angle), numbers).turned(angle) for angle in trials]
+    of_tried = [brdf_errors(brdf, found) for found in tried]
+    best = int(np.argmin([errors.cube_root for errors in of_tried]))
+    found = tried[best]
     if brdf.name in names:
         notes += (
             f"{brdf.name} is in the library and reconstructed from itself, too; leave it out to see the errors of a "
@@ -184,7 +204,8 @@ def reconstruct_file(
     return Reconstruction(
         brdf=found,
         materials=len(names),
-        errors=brdf_errors(brdf, found),
+        errors=of_tried[best],
+        rotation_rad=trials[best],
         diagnostics=notes + _of_anisotropy(brdf, found),
     )
 
@@ -194,6 +215,23 @@ def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
     cells = unmeasured_cells(file)
     brdf, share = MeasuredBRDF(fill_unmeasured(file, cells)), unmeasured_share(file, cells)
     return brdf, diagnostics.of_unmeasured(share)
+
+
+def trial_rotations(file: BsdfFile) -> list[float]:
+    """Azimuths by which a sample may lie turned: as it is, or with its normals spread along y or along x."""
+    rotation = rotation_of(file) or 0.0
+    trials = [
+        file.rotation_rad,
+        rotation,
+        rotation + 0.5 * np.pi if rotation <= 0.0 else rotation - 0.5 * np.pi,
+    ]
+    return list(dict.fromkeys(angle - file.rotation_rad for angle in trials if not file.is_isotropic)) or [
+        0.0
+    ]
+
+
+def _turned(brdf: BRDF, angle_rad: float) -> BRDF:
+    return brdf.turned(angle_rad) if angle_rad and isinstance(brdf, MeasuredBRDF) else brdf
 
 
 def _of_anisotropy(brdf: BRDF, found: BRDF) -> tuple[str, ...]:

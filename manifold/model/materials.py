@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UnknownNameError
 from manifold.library.store import Library
@@ -48,6 +50,7 @@ class MaterialCache:
         self._unmeasured_shares: dict[str, float] = {}
         self._changed: set[str] = set()  # names of materials with cells that were filled or cut
         self._cut: set[str] = set()  # those of which negative values were taken for 0
+        self._turned: dict[str, float] = {}  # azimuths by which those with a direction lie turned
 
     def __repr__(self) -> str:
         return f"<MaterialCache: {len(self.names)} materials of {self.library.path.name}>"
@@ -129,6 +132,8 @@ class MaterialCache:
         file = self.library.read(name)
         cells = unmeasured_cells(file)
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
+        if (rotation := rotation_of(file)) is not None:
+            self._turned[name] = rotation - file.rotation_rad
         filled = fill_unmeasured(file, cells)
         if self.is_nonnegative and filled.spectra.min() < 0:
             filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
@@ -142,6 +147,18 @@ class MaterialCache:
         if name not in self._unmeasured_shares:
             self.filled_file(name)
         return self._unmeasured_shares[name]
+
+    @property
+    def farthest_turned(self) -> tuple[str, str, float]:
+        """Of the materials read, two that lie turned most against each other, and by what angle in radians.
+
+        At most a quarter of a turn; 0 where the normals of fewer than two have a direction.
+        """
+        apart = [
+            (a, b, abs((self._turned[a] - self._turned[b] + 0.5 * np.pi) % np.pi - 0.5 * np.pi))
+            for a, b in itertools.combinations(sorted(self._turned), 2)
+        ]
+        return max(apart, key=lambda found: found[2], default=("", "", 0.0))
 
     def _fill(self, name: str) -> MeasuredBRDF:
         found = self._filled.get(name)

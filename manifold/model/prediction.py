@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -116,6 +117,17 @@ class PredictedBRDF(NotebookPicture):
         if self._lobes.size == 0:
             return shares, []
         return np.append(shares, of_lobes.sum()), [LobeSampling(dictionary.lobes, of_lobes)]
+
+    def turned(self, angle_rad: float) -> PredictedBRDF:
+        """The same sample turned by an azimuth: lobes are isotropic, measured materials share their tables."""
+        if angle_rad == 0.0 or self.is_isotropic:
+            return self
+        turned = copy.copy(self)
+        turned.__dict__.pop("_sums", None)
+        turned._materials = [cast(MeasuredBRDF, material).turned(angle_rad) for material in self._materials]
+        turned._measured = None if self._measured is None else turned._materials[0]
+        turned._samplers = [*turned._materials, *self._samplers[len(self._materials) :]]
+        return turned
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """BRDF f in 1/sr, shape (..., B); may be negative where weights are.

@@ -212,7 +212,9 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
     table = [
         (
             m.name,
-            f"{m.shape[3]} x {m.shape[4]}" + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else ""),
+            f"{m.shape[3]} x {m.shape[4]}"
+            + (f" x {m.shape[0]} azimuths" if m.shape[0] > 1 else "")
+            + (f", turned by {np.rad2deg(m.rotation_rad):.1f} degrees" if m.rotation_rad else ""),
             ".".join(str(v) for v in m.pipeline_version),
             f"{m.bytes / 1e6:.1f}",
             *(

@@ -58,7 +58,7 @@ def predict(
     else:
         adjusted = adjust(model, place, attributes, colour)
         place, chosen = Place(adjusted.latent), ChosenColour(adjusted.colours, str(adjusted), 0.0)
-    brdf = model.predict(place, chosen.colours, on_progress)
+    brdf = model.predict(place, chosen.colours, on_progress).turned(place.rotation_rad)
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place.latent, chosen.words, options.physical)

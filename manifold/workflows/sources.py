@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import glob, has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -138,7 +138,7 @@ def matching(text: str) -> list[str]:
 
 
 def read_source(source: MaterialSource, on_progress: Progress | None = None) -> BsdfFile:
-    """The RGL file of a source; a prediction is measured by the virtual goniometer.
+    """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer.
 
     Raises:
         UsageError, FileFormatError, LibraryError, ModelError: it cannot be read or predicted.
@@ -148,7 +148,7 @@ def read_source(source: MaterialSource, on_progress: Progress | None = None) -> 
     if isinstance(source, LibrarySource):
         from manifold.library.store import Library
 
-        return Library(source.library).read(source.name)
+        return replace(Library(source.library).read(source.name), rotation_rad=0.0)
     with source_file(source, on_progress) as path:
         return read_bsdf(path)
 
@@ -165,7 +165,8 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
     if isinstance(source, FileSource | LibrarySource):
         from manifold.model.located import locate
 
-        return Place(locate(model, read_source(source)).latent)
+        found = locate(model, read_source(source))
+        return Place(found.latent, rotation_rad=found.rotation_rad)
     return model.place(source.place if isinstance(source, PlaceSource) else source)
 
 

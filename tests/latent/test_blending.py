@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import MeasuredBRDF, all_isotropic
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.brdf.valleys import profile_pairs, squared_valleys, valley_depth
 from manifold.colour import ball_colours
@@ -109,8 +109,9 @@ def test_places_inside_the_hull_are_drawn_evenly(rng):
 
 
 def distances(materials) -> AppearanceDistances:
-    """Between a few isotropic materials."""
-    return evaluate(materials, np.arange(materials[0].bands.count), True)[0].distances()
+    """Between a few materials."""
+    bands = np.arange(materials[0].bands.count)
+    return evaluate(materials, bands, all_isotropic(materials))[0].distances()
 
 
 def test_rounding_of_the_inputs_does_not_change_a_map(rng):
@@ -175,6 +176,23 @@ def test_a_materials_own_groove_does_not_move_it_onto_another():
     assert looks.valley.max() < 0.02  # half of a groove is hardly less deep than the mean of one and none
     places = looks.layout(1).X[:, 0]
     assert np.all(np.diff(places) > 0.0) or np.all(np.diff(places) < 0.0)
+
+
+class GroovedAcross(Grooved):
+    """Its groove is seen by light along y only."""
+
+    is_isotropic = False
+
+    def eval(self, wi, wo):
+        along_y = wi[..., 1] ** 2 / np.maximum(wi[..., 0] ** 2 + wi[..., 1] ** 2, 1e-12)
+        grooved, smooth = super().eval(wi, wo), Grooved(self.width, 0.0).eval(wi, wo)
+        return smooth + along_y[..., None] * (grooved - smooth)
+
+
+def test_valleys_of_anisotropic_materials_are_seen_at_all_azimuths():
+    looks = distances([GroovedAcross(0.2, 0.6), Grooved(0.25, 0.0), Grooved(0.3, 0.0)])
+    assert looks.allowed[0] > 0.4
+    assert looks.allowed[1:].max() < 0.1
 
 
 def test_a_blend_of_a_highlight_and_a_rise_to_grazing_has_a_valley():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import hashlib
 import json
@@ -636,3 +637,23 @@ def test_a_library_may_be_a_mount_point(tmp_path, monkeypatch):
     assert len(Library(volume)) == 2
     assert {path.name for path in volume.iterdir()} == {"zarr.json", "materials", "cache"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["files", "volume"]
+
+
+def test_a_rotation_is_stored_beside_the_file_as_it_was_measured(tmp_path: Path) -> None:
+    paths = write_samples(tmp_path, 2, azimuths=9)
+    path, plain = tmp_path / "library.zarr", tmp_path / "plain.zarr"
+    import_files(plain, paths)
+    import_files(path, paths, rotation_rad=0.5)
+    library = Library(path)
+    assert library.attributes("m00").rotation_rad == library.read("m00").rotation_rad == 0.5
+    assert_same(dataclasses.replace(library.read("m00"), rotation_rad=0.0), read_bsdf(paths[0]))
+    assert library.verify() == []
+    assert library.content_hash != Library(plain).content_hash
+    assert import_files(path, paths, rotation_rad=0.5, replace=True).skipped == ("m00", "m01")
+    assert import_files(path, paths, rotation_rad=0.0, replace=True).replaced == ("m00", "m01")
+    assert library.content_hash == Library(plain).content_hash
+
+
+def test_isotropic_materials_have_no_rotation(tmp_path: Path) -> None:
+    import_files(tmp_path / "library.zarr", write_samples(tmp_path, 1), rotation_rad=0.5)
+    assert Library(tmp_path / "library.zarr").attributes("m00").rotation_rad == 0.0

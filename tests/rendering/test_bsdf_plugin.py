@@ -62,7 +62,7 @@ def library_of_six_bands(library: Path, folder: Path) -> Path:
 
 
 def brushed_library(folder: Path) -> Path:
-    """Materials brushed in three directions, one measured over a quarter turn, and an isotropic one; RGB."""
+    """Materials brushed in three directions, one measured over a quarter turn, aligned; and an isotropic one."""
     brushed = {
         "along_x": GGX.anisotropic(0.2, 0.4), "along_y": GGX.anisotropic(0.5, 0.3),
         "aslant": GGX.anisotropic(0.25, 0.5, 0.6),
@@ -76,7 +76,7 @@ def brushed_library(folder: Path) -> Path:
     files[1] = replace(whole, valid=goniometer.pack_valid(whole.measured_mask[:5], whole.version), **quarter)
     for file in files:
         write_bsdf(folder / f"{file.name}_rgb.bsdf", file)
-    assert not import_files(folder / "library.zarr", [folder]).failed
+    assert not import_files(folder / "library.zarr", [folder], rotation_rad="auto").failed
     return folder / "library.zarr"
 
 

@@ -18,6 +18,7 @@ from manifold.rendering.plugin.varying_weights import Lobes, VaryingWeights
 from manifold.rendering.plugin.warp import Family, PackedWarps, Slices, bisect
 
 _DENSE_NM = 5.0  # largest distance of bands for which a wavelength takes the nearest one
+_SYMMETRY = 17  # its entry of `Tables.meta`
 _OFFSETS = (0, 1, 4, 5, 8, 11, 14)  # entries of `Tables.meta` that say where something begins
 
 
@@ -35,6 +36,16 @@ class _Group:
     end: int
     first: Any
     step: Any
+
+    @property
+    def symmetry(self) -> int:
+        """`ISOTROPIC`, or how often azimuths repeat in a turn."""
+        return int(self.first[_SYMMETRY])
+
+    @property
+    def rotation_rad(self) -> float:
+        """The azimuth by which the samples lay turned."""
+        return float(np.uint32(self.first[_SYMMETRY + 1]).view(np.float32))
 
     @classmethod
     def all_of(cls, meta: Any) -> list[_Group]:
@@ -159,12 +170,17 @@ class Evaluation:
         a, b = (dr.gather(mi.Float, nodes, first + k, active) for k in (low, high))
         return (low, high), dr.select(b > a, dr.clip((value - a) / (b - a), 0.0, 1.0), 0.0)
 
-    def _signs(self, symmetry: Any, w: Any) -> Any:
-        """What moves incident directions into the measured azimuths, a sign for each axis; see `brdf.pairs.signs`."""
+    def _in_its_frame(self, symmetry: Any, rotation: Any, wi: Any) -> tuple[Any, Any]:
+        """Cosine and sine of the turn into the frame in which a sample was measured, and signs for each axis after it.
+
+        The signs move incident directions into the measured azimuths; see `brdf.pairs.signs`.
+        """
         mi, dr = self._mi, self._dr
+        turn = mi.Vector2f(dr.cos(rotation), dr.sin(rotation))
+        w = _turned(mi, wi, turn)
         y = dr.select((w.y >= 0.0) & (symmetry >= 2), -1.0, 1.0)
         x = dr.select(symmetry == 4, dr.select(w.x >= 0.0, -1.0, 1.0), y)
-        return mi.Vector3f(x, y, 1.0)
+        return turn, mi.Vector3f(x, y, 1.0)
 
     def _grid(self, grid: list[Any], x: Any, y: Any, active: Any) -> Any:
         """Bilinear value of a packed grid: where its cells begin, its rows and columns."""
@@ -198,13 +214,7 @@ class Evaluation:
 
         def add(i: Any, total: Any, tangents: list[Any], density: Any) -> Any:
             visible, luminance, rest = self._families_of(group, i)
-            n_theta, n_phi, symmetry = rest[7:10]
-            sign = self._signs(symmetry, wi)
-            phi_i, phi_m = _azimuth(dr, sign * wi), _azimuth(dr, sign * m)
-            uy = (phi_m - phi_i if symmetry == ISOTROPIC else phi_m) / (2.0 * math.pi) + 0.5
-            uy -= dr.floor(uy)
-            sigma_y = phi_i / (2.0 * math.pi) + 0.5
-            slices = self._slices(i, theta_i, phi_i, n_theta, n_phi, active)
+            slices = self._slices(i, theta_i, phi_i, rest[7], rest[8], active)
             u, v, pdf = self._warps.invert(visible, slices, ux, uy, active)
             pdf *= self._warps.density(luminance, slices, u, v, active)
             scale = self._grid(rest[0:3], ux, uy, active) / (
@@ -218,6 +228,11 @@ class Evaluation:
         total, density = mi.Spectrum(0.0), mi.Float(0.0)
         tangents = [] if lobes is None else [mi.Spectrum(0.0) for _ in lobes.slopes]
         for group in self._groups:
+            turn, sign = self._in_its_frame(group.symmetry, group.rotation_rad, wi)
+            phi_i, phi_m = (_azimuth(dr, sign * _turned(mi, w, turn)) for w in (wi, m))
+            uy = (phi_m - phi_i if group.symmetry == ISOTROPIC else phi_m) / (2.0 * math.pi) + 0.5
+            uy -= dr.floor(uy)
+            sigma_y = phi_i / (2.0 * math.pi) + 0.5
             _, total, tangents, density = dr.while_loop(
                 (mi.UInt32(group.start), total, tangents, density),
                 lambda i, *_, end=group.end: i < end,
@@ -332,16 +347,16 @@ class Evaluation:
         mi, dr = self._mi, self._dr
         i = self._choose(lobes, sample1)
         visible, luminance, rest = self._families(i, active)
-        n_theta, n_phi, symmetry = rest[7:10]
-        sign = self._signs(symmetry, wi)
-        phi_i = _azimuth(dr, sign * wi)
+        n_theta, n_phi, symmetry, rotation_bits = rest[7:11]
+        turn, sign = self._in_its_frame(symmetry, dr.reinterpret_array(mi.Float, rotation_bits), wi)
+        phi_i = _azimuth(dr, sign * _turned(mi, wi, turn))
         slices = self._slices(i, _elevation(mi, dr, wi), phi_i, n_theta, n_phi, active)
         x, y = self._warps.sample(luminance, slices, sample2.y, sample2.x, active)
         ux, uy = self._warps.sample(visible, slices, x, y, active)
         theta_m = ux * ux * (0.5 * math.pi)
         phi_m = (2.0 * uy - 1.0) * math.pi + dr.select(symmetry == ISOTROPIC, phi_i, 0.0)
         (sin_p, cos_p), (sin_t, cos_t) = dr.sincos(phi_m), dr.sincos(theta_m)
-        m = sign * mi.Vector3f(cos_p * sin_t, sin_p * sin_t, cos_t)
+        m = _turned(mi, sign * mi.Vector3f(cos_p * sin_t, sin_p * sin_t, cos_t), mi.Vector2f(turn.x, -turn.y))
         cos_im = dr.dot(wi, m)
         wo = 2.0 * cos_im * m - wi
         return dr.select(cos_im > 0.0, wo, mi.Vector3f(0.0, 0.0, -1.0))
@@ -370,6 +385,11 @@ def _elevation(mi: Any, dr: Any, w: Any) -> Any:
 
 def _azimuth(dr: Any, w: Any) -> Any:
     return dr.atan2(w.y, w.x)
+
+
+def _turned(mi: Any, w: Any, turn: Any) -> Any:
+    """Vectors turned about the normal by an angle with these cosine and sine."""
+    return mi.Vector3f(turn.x * w.x - turn.y * w.y, turn.y * w.x + turn.x * w.y, w.z)
 
 
 class _DrJitMapping:

@@ -42,7 +42,7 @@ class Tables:
         meta: where the parts of each material begin and how large they are, uint32, shape (N * META,): vndf cell,
             its marginal, its rows, columns; luminance cell, its marginal, its rows, columns; ndf cell, rows,
             columns; sigma cell, rows, columns; spectra cell; elevations and azimuths of incidence; `ISOTROPIC`, or
-            how often azimuths repeat in a turn.
+            how often azimuths repeat in a turn; the bits of the azimuth by which the sample lay turned, a float32.
         theta_nodes: incident elevations in radians, padded by repeating the last, float32, shape (N * T,).
         n_theta: T, the most that any material has.
         phi_nodes: incident azimuths in radians, likewise, float32, shape (N * P,).
@@ -124,6 +124,7 @@ def pack(files: Sequence[BsdfFile], bands: Sequence[int] | None = None) -> Table
             len(file.theta_i_rad),
             len(file.phi_i_rad),
             ISOTROPIC if file.is_isotropic else file.azimuth_repeats,
+            int(np.float32(file.rotation_rad).view(np.uint32)),
         ]
         if file.spectra.shape[3:] != file.luminance.shape[2:]:
             raise UsageError(f"material {file.name}: luminance and spectra have grids of different sizes")

@@ -9,15 +9,13 @@ import numpy as np
 
 from manifold.colour import ball_colours
 from manifold.completion.atoms import LibraryAtoms
-from manifold.latent.lobes import Lobes, cos_theta_d, microfacet_lobe
 from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import DICTIONARY
 from manifold.records import Array, Bands, Indices, Mask
 
-_LOBES: Lobes = DICTIONARY.lobes
-_F0 = 0.04  # reflectance of dielectrics at normal incidence
+_LOBES = DICTIONARY.lobes
 TURNED_DEG = 180.0
 """Of the studio in which errors of balls are measured."""
 
@@ -26,9 +24,9 @@ TURNED_DEG = 180.0
 class PhotoAtoms:
     """BRDFs whose non-negative sums explain photographs, all in one band.
 
-    They are the library's materials and coats, band by band; roots of the library's bands, which have broader lobes; a
-    Lambertian; and for every shape of `Lobes` a perfect mirror of microfacets and a dielectric one. The Fresnel term of
-    these is fixed: what no lamp lights, such as grazing incidence, follows from what lamps light.
+    They are the library's materials and coats, band by band; roots of the library's bands, which have broader lobes;
+    and a Lambertian and lobes with free Fresnel terms, see `latent.lobes`: colours that change with incidence, such as
+    those of iridescent paints, are in no other.
 
     Attributes:
         library: materials and coats.
@@ -44,13 +42,13 @@ class PhotoAtoms:
         """Index of each atom's material or coat, that of the Lambertian and lobes being N: shape (n,)."""
         own = self.library.material_of[:-1]
         roots = np.tile(own[: self.library.n_measured], len(DICTIONARY.exponents) - 1)
-        return np.concatenate([own, roots, np.full(1 + 2 * len(_LOBES.shapes), own[-1] + 1)])
+        return np.concatenate([own, roots, np.full(len(_LOBES), own[-1] + 1)])
 
     @property
     def mixed(self) -> Indices:
         """Atoms whose mixtures are the prior: materials and coats, then the Lambertian."""
         n = len(self.library.material_of) - 1
-        return np.append(np.arange(n), len(self) - 1 - 2 * len(_LOBES.shapes))
+        return np.append(np.arange(n), len(self) - len(_LOBES))
 
     def without(self, material: int) -> Mask:
         """Which atoms are left without one material of the library."""
@@ -63,7 +61,7 @@ class PhotoAtoms:
     def _from_roots(self, roots: Array, wi: Array, wo: Array) -> Array:
         measured = roots[: self.library.n_measured]
         powers = [measured ** (3.0 * exponent) for exponent in DICTIONARY.exponents[1:]]
-        return np.vstack([roots[:-1] ** 3, *powers, _lobes(wi, wo)])
+        return np.vstack([roots[:-1] ** 3, *powers, _LOBES.values(wi, wo)])
 
     @cached_property
     def on_grid(self) -> Array:
@@ -86,23 +84,8 @@ class PhotoAtoms:
         for k in range(roots):
             part = weights[:, n + k * measured : n + (k + 1) * measured]
             columns.append(np.hstack([part, np.zeros((len(weights), n - measured))]))
-        lobes = weights[:, n + roots * measured :]
-        mirrors, dielectrics = lobes[:, 1::2], lobes[:, 2::2]
-        of_degrees = np.repeat((mirrors + _F0 * dielectrics)[..., None], _LOBES.degree + 1, axis=2)
-        of_degrees[..., 0] += (1.0 - _F0) * dielectrics
-        columns += [lobes[:, :1], of_degrees.reshape(len(weights), -1)]
+        columns.append(weights[:, n + roots * measured :])
         combination = Combination(
             Identity(), np.hstack(columns), self.library.atom_bands, dictionary=DICTIONARY
         )
         return PredictedBRDF(self.library.materials, combination, bands)
-
-
-def _lobes(wi: Array, wo: Array) -> Array:
-    """f of a Lambertian, and of the mirror and dielectric lobes of every shape: (1 + 2 shapes, P)."""
-    lit = (wi[:, 2] > 0.0) & (wo[:, 2] > 0.0)
-    dielectric = _F0 + (1.0 - _F0) * (1.0 - cos_theta_d(wi, wo)) ** 5
-    rows = [np.full(len(wi), 1.0 / np.pi)]
-    for alpha, tail in _LOBES.shapes:
-        lobe = microfacet_lobe(wi, wo, alpha, tail)
-        rows += [lobe, lobe * dielectric]
-    return np.where(lit, np.array(rows), 0.0)

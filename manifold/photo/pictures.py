@@ -17,6 +17,9 @@ from manifold.rendering import images
 _LINEAR = (".exr", ".hdr", ".pfm")
 _TIFF = (".tif", ".tiff")
 _DISPLAY = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+SUFFIXES = _LINEAR + _TIFF + _DISPLAY
+"""Of files that are read."""
+
 _LEAST_SIZE, _MOST_PIXELS = 16, 100_000_000
 _PLATEAU = 4  # pixels of the very same largest value are clipped
 

@@ -23,6 +23,8 @@ from manifold.records import Array
 SAMPLES = 256
 """Direction pairs of a block."""
 
+_POWER = 4  # of the uniform variate in the elevation of half vectors
+
 _STEPS = (
     np.array([0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101, 0.46140274])
     % 1.0
@@ -115,15 +117,15 @@ def direction_pairs(
 
 
 def _half_vectors(u: Array, v: Array) -> Array:
-    """Half vectors whose elevation grows with the square of u: dense around the normal."""
-    return from_spherical(0.5 * np.pi * u * u, 2.0 * np.pi * v)
+    """Half vectors whose elevation grows with a power of u: dense around the normal, where mirrors reflect."""
+    return from_spherical(0.5 * np.pi * u**_POWER, 2.0 * np.pi * v)
 
 
 def _half_density(cos_theta_h: Array) -> Array:
     """Density of `_half_vectors` in 1/sr."""
     theta = np.maximum(np.arccos(np.clip(cos_theta_h, -1.0, 1.0)), 1e-7)
-    root = np.sqrt(2.0 * theta / np.pi)
-    return np.where(theta < 0.5 * np.pi, 1.0 / (np.pi * root * np.sin(theta) * 2.0 * np.pi), 0.0)
+    slope = _POWER * 0.5 * np.pi * (2.0 * theta / np.pi) ** (1.0 - 1.0 / _POWER)  # of theta by u
+    return np.where(theta < 0.5 * np.pi, 1.0 / (slope * np.sin(theta) * 2.0 * np.pi), 0.0)
 
 
 def _frames(normal: Array) -> Array:

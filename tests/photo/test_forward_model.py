@@ -58,7 +58,7 @@ def test_a_lambertian_in_uniform_light_has_its_albedo_everywhere():
     light = Environment.of(np.full((8, 16, 3), 2.0))
     pairs = direction_pairs(blocks, Camera(), light, 512)
     sums = block_sums(lambda wi, wo: np.full((1, len(wi)), 0.3 / np.pi), *pairs)
-    assert np.allclose(sums, 0.6, rtol=0.03)  # 512 samples
+    assert np.allclose(sums, 0.6, rtol=0.05)  # 512 samples: a standard deviation of 1.3 %
 
 
 @pytest.mark.parametrize("height", [10, 64, 700])

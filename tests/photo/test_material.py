@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,14 @@ import pytest
 from manifold.colour.environments import environment
 from manifold.directions import from_spherical
 from manifold.formats.readings import Readings
+from manifold.latent.lobes import bernstein, cos_theta_d, microfacet_lobe
 from manifold.photo.atoms import PhotoAtoms
 from manifold.photo.blocks import blocks_of
 from manifold.photo.circle import Circle
 from manifold.photo.light import Environment
 from manifold.photo.material import Sighting, errors_of, find_material
 from manifold.photo.pictures import Photograph
-from manifold.photo.pixels import Camera
+from manifold.photo.pixels import Camera, block_sums
 from manifold.photo.spectra import wiener_matrix
 from manifold.records import Bands
 
@@ -60,6 +62,18 @@ def test_a_channel_without_any_light_is_black(photo_atoms, render):
     assert np.isfinite(list(found.expected.values())).all()
     wi, wo = from_spherical(0.7, 0.0), from_spherical(0.2, 2.0)
     assert found.brdf.eval(wi, wo)[2] < 0.01 * found.brdf.eval(wi, wo)[1]
+
+
+def test_a_colour_that_changes_with_incidence_is_found(photo_atoms, felt):
+    def iridescent(wi, wo):
+        lobe = 0.3 * microfacet_lobe(wi, wo, 0.1) * bernstein(cos_theta_d(wi, wo), 5)[[1, 3, 5]]
+        return 0.02 + np.where((wi[:, 2] > 0.0) & (wo[:, 2] > 0.0), lobe, 0.0)
+
+    sums = block_sums(iridescent, *felt[0].pairs)
+    values = np.stack([sums[c, c] for c in range(3)], axis=1)
+    seen = replace(felt[0], blocks=replace(felt[0].blocks, values=values))
+    found = find_material(photo_atoms, [seen], RGB, np.eye(3))
+    assert found.residual < 0.05  # 0.08 with Fresnel terms of dielectrics and mirrors alone
 
 
 def test_the_brdf_is_the_sum_of_its_atoms(rng, photo_atoms):

@@ -277,6 +277,41 @@ def test_dropped_readings_are_completed_under_their_name_and_removed(served, con
     assert not Path(job.action.arguments[1]).exists()
 
 
+def test_a_dropped_photograph_and_its_light_are_located(serve):
+    script = (
+        "import sys; from pathlib import Path\n"
+        "value = {a.split('=')[0]: a.split('=', 1)[1] for a in sys.argv if '=' in a}\n"
+        "print(*(Path(value[key]).name + ' ' + Path(value[key]).read_text() for key in ('--photo', '--light')))"
+    )
+    server = serve((sys.executable, "-c", script))
+    taken = {"suffix": ".jpg", "light_suffix": ".exr", "light_bytes": 5, "circle": "10,20.5,8", "turn": -30}
+    job = post(server, "/do/photograph", b"pixelslight", X_Name="ball", X_Request=json.dumps(taken))
+    assert job.message == "ball.jpg pixels light.exr light"
+    assert {"--circle=10,20.5,8", "--turn=-30", "--json=-"} < set(job.action.arguments)
+    assert job.action.output.name == "ball_photo.png"
+    server.queue.close()
+    assert not any(path.exists() for path in job.action.inputs)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"suffix": ".sh"}, {"suffix": "/../x.png"}, {"light": "/etc/passwd"}, {"light": "sky", "light_bytes": 2},
+        {"light": None}, {"circle": "1,2"}, {"circle": "1,2,--force"}, {"circle": "1,2,3\n"}, {"turn": "1"},
+        {"turn": 1e9}, {"elevation": 90}, {"distance": 0.5}, {"exposure": "--force"}, {"camera": "/etc/passwd"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_hostile_photographs_are_refused(served, context, changed):
+    asked = json.dumps({"suffix": ".png", "light": "sky"} | changed)
+    assert request(served, "POST", "/do/photograph", b"pixels", X_Name="ball", X_Request=asked)[0] == 400
+    for light in ({"light_suffix": ".exr", "light_bytes": 6}, {"light_suffix": ".exr", "light_bytes": 0}):
+        asked = json.dumps({"suffix": ".png"} | light)
+        assert request(served, "POST", "/do/photograph", b"pixels", X_Name="ball", X_Request=asked)[0] == 400
+    assert served.queue.jobs == []
+    assert files(context) == []
+
+
 def test_a_spectrum_reaches_the_command_as_a_file(serve):
     script = "import sys; p = [a for a in sys.argv if a.startswith('--reflectance=')][0][14:]; print(open(p).read())"
     server = serve((sys.executable, "-c", script))

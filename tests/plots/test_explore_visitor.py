@@ -346,6 +346,69 @@ def test_dropped_files_are_located_completed_or_a_colour_by_what_they_hold(serve
     assert served_page.errors == []
 
 
+def drop_picture(page, name):
+    """A grey picture of 200 x 100 is dropped on the page."""
+    page.evaluate(
+        """async (name) => {
+      const canvas = Object.assign(document.createElement("canvas"), { width: 200, height: 100 });
+      canvas.getContext("2d").fillRect(0, 0, 200, 100);
+      const files = new DataTransfer(), blob = await new Promise((done) => canvas.toBlob(done));
+      files.items.add(new File([blob], name));
+      document.dispatchEvent(new DragEvent("drop", { dataTransfer: files, bubbles: true, cancelable: true }));
+    }""",
+        name,
+    )
+    page.locator("#photo").wait_for()
+
+
+def test_the_circle_of_a_dropped_photograph_is_dragged_and_its_light_chosen(served_page, served):
+    page = served_page.page
+    drop_picture(page, "my ball.PNG")
+    canvas = page.locator("#photo-canvas")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    scale = box["width"] / 200
+
+    def drag(start, end):
+        page.mouse.move(box["x"] + start[0] * scale, box["y"] + start[1] * scale)
+        page.mouse.down()
+        page.mouse.move(box["x"] + end[0] * scale, box["y"] + end[1] * scale)
+        page.mouse.up()
+
+    drag((90, 40), (90, 80))  # an outline from its middle
+    drag((90, 40), (100, 50))  # it is moved
+    drag((140, 50), (130, 50))  # its radius becomes smaller
+    circle = [float(v) for v in page.locator("#photo-circle").input_value().split(",")]
+    assert circle == pytest.approx([100, 50, 30], abs=1)
+    page.locator("#photo-light").select_option("sky")
+    page.locator("#photo-turn").fill("-30")
+    page.locator("#photo-find").click()
+    page.locator("#jobs li[data-state=done]", has_text="locate my-ball").wait_for()
+    arguments = served.queue.jobs[-1].action.arguments
+    assert {"--light=sky", "--turn=-30", f"--circle={','.join(f'{v:.1f}' for v in circle)}"} < set(arguments)
+    assert arguments[1].endswith("/my-ball.png")
+    assert served_page.errors == []
+
+
+def test_pictures_that_no_browser_shows_are_located_with_a_picture_of_their_light(served_page, served):
+    page = served_page.page
+    raw = {"name": "raw.exr", "mimeType": "image/x-exr", "buffer": b"1234567"}
+    control(page, "#photo-file").set_input_files(raw)
+    page.locator("#photo-unseen").wait_for()
+    page.locator("#photo-light-file").set_input_files(raw | {"name": "probe.hdr", "buffer": b"123"})
+    page.locator("#photo-find").click()
+    page.locator("#jobs li[data-state=done]", has_text="locate raw").wait_for()
+    photograph, light = served.queue.jobs[-1].action.inputs
+    assert (photograph.name, light.name) == ("raw.exr", "light.hdr")
+    assert served_page.errors == []
+
+
+def test_without_a_server_a_photograph_is_told_what_it_needs(page):
+    drop_picture(page, "ball.png")
+    assert "manifold explore" in page.locator("#photo").inner_text()
+    assert not page.locator("#photo-form").is_visible()
+
+
 def test_a_tab_that_is_shown_again_lists_the_jobs_of_another(browser, served, served_page):
     other, asked = visit(browser, served.address).page, "render here.png"
     control(other, "#do-render").click()

@@ -6,6 +6,7 @@ Nothing of a request becomes a path but a plain name, and no shell is between.
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import sys
 import tempfile
@@ -16,14 +17,18 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
+from manifold.colour.environments import ENVIRONMENTS
 from manifold.errors import UsageError
 from manifold.fitting.exports import TARGETS
 from manifold.model.latents import parse_path
+from manifold.photo.pictures import SUFFIXES
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".fit.json", "export": ""}
 _MOST_ROWS = 5000  # of a spectrum
 _MOST_SAMPLE = 200  # characters of a sample's name
+_PIXELS = r"[0-9]{1,6}(\.[0-9]{1,6})?"
+_PHOTO_OPTIONS = ("circle", "turn", "elevation", "distance", "exposure")
 _NUMBER = {"type": "number", "minimum": -sys.float_info.max, "maximum": sys.float_info.max}
 
 
@@ -57,14 +62,14 @@ class Action:
         arguments: of `manifold`.
         output: the file that it writes, if any.
         picture: the picture among what it writes, if any.
-        input: a temporary file that it reads, if any, removed at its end.
+        inputs: temporary files that it reads, removed at its end.
     """
 
     title: str
     arguments: tuple[str, ...]
     output: Path | None = None
     picture: Path | None = None
-    input: Path | None = None
+    inputs: tuple[Path, ...] = ()
 
 
 def action(
@@ -105,7 +110,7 @@ def action(
     output = _output(name, ending, context, request.get("replace", False), is_taken)
     return Action(
         f"{kind} {output.name}", (kind, *options, f"--output={output}", *_model(context)), output,
-        output if kind == "render" else None, spectrum,
+        output if kind == "render" else None, () if spectrum is None else (spectrum,),
     )  # fmt: skip
 
 
@@ -132,12 +137,46 @@ def complete(
         "complete", str(path), f"--library={context.library}", f"--output={output}", "--picture", "--json=-",
         *([f"--sample={sample}"] if sample else []),
     )  # fmt: skip
-    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"), path)
+    return Action(f"complete {output.name}", arguments, output, output.with_suffix(".png"), (path,))
 
 
 def locate(path: Path, context: Context) -> Action:
     """Find the latent of a file that was dropped."""
-    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)), input=path)
+    return Action(f"locate {path.name}", ("locate", str(path), "--json=-", *_model(context)), inputs=(path,))
+
+
+def photograph(
+    path: Path, request: Mapping[str, Any], context: Context, is_taken: Callable[[Path], bool]
+) -> Action:
+    """Find the latent of a photographed ball that was dropped, and draw what differs from the prediction.
+
+    Args:
+        path: the photograph, followed by its light where that is a file; its name is that of what is written.
+        request: `suffix` of the photograph, `light`, a name, or `light_suffix` and `light_bytes` of the file; and, if
+            known, `circle` of the ball as X,Y,R, `turn` and `elevation` in degrees, `distance` in radii of the ball,
+            and `exposure`, `free` where it is not known; see `manifold locate --photo`.
+        context, is_taken: as of `action`.
+    Raises:
+        UsageError: it is anything else.
+    """
+    _require_photograph(request, path.stat().st_size)
+    picture = path.with_suffix(request["suffix"])
+    path.rename(picture)
+    inputs = [picture]
+    if "light_bytes" in request:
+        inputs.append(path.with_name(f"light{request['light_suffix']}"))
+        with picture.open("r+b") as stream:
+            stream.seek(-request["light_bytes"], os.SEEK_END)
+            inputs[1].write_bytes(stream.read())
+            stream.truncate(picture.stat().st_size - request["light_bytes"])
+    light = request.get("light", str(inputs[-1]))
+    given = [f"--{key}={request[key]}" for key in _PHOTO_OPTIONS if key in request]
+    output = _output(path.name, "_photo.png", context, request.get("replace", False), is_taken)
+    arguments = (
+        "locate", f"--photo={picture}", f"--light={light}", *given, f"--picture={output}", "--json=-",
+        *_model(context),
+    )  # fmt: skip
+    return Action(f"locate {path.name}", arguments, output, output, tuple(inputs))
 
 
 def plain_name(name: Any) -> str:
@@ -175,6 +214,29 @@ def _require_valid(request: Mapping[str, Any], kind: str, context: Context) -> N
         raise UsageError(f"request: {'.'.join(map(str, error.path))}: {error.message:.200}")
     if len({"like", "srgb", "spectrum"} & set(request)) > 1:
         raise UsageError("request: expected one of like, srgb and spectrum")
+
+
+def _require_photograph(request: Mapping[str, Any], size: int) -> None:
+    """Raise UsageError unless a request says how a photograph, and its light, of so many bytes were taken."""
+    fields: dict[str, Any] = {
+        "suffix": {"enum": list(SUFFIXES)},
+        "light": {"enum": list(ENVIRONMENTS)},
+        "light_suffix": {"enum": list(SUFFIXES)},
+        "light_bytes": {"type": "integer", "minimum": 1, "maximum": size - 1},
+        "circle": {"type": "string", "pattern": rf"\A{_PIXELS},{_PIXELS},{_PIXELS}\Z"},
+        "turn": {"type": "number", "minimum": -360, "maximum": 360},
+        "elevation": {"type": "number", "minimum": -89, "maximum": 89},
+        "distance": {"type": "number", "exclusiveMinimum": 1, "maximum": 1e6},
+        "exposure": {"enum": ["free"]},
+        "replace": {"type": "boolean"},
+    }
+    schema = {
+        "type": "object", "properties": fields, "required": ["suffix"], "additionalProperties": False,
+        "oneOf": [{"required": ["light"]}, {"required": ["light_bytes"]}],
+        "dependentRequired": {"light_bytes": ["light_suffix"], "light_suffix": ["light_bytes"]},
+    }  # fmt: skip
+    for error in Draft202012Validator(schema).iter_errors(request):
+        raise UsageError(f"request: {'.'.join(map(str, error.path))}: {error.message:.200}")
 
 
 def _latent(latent: list[float] | str, context: Context) -> str:

@@ -2,7 +2,7 @@
 
 import { fixed } from "./elements.js";
 import { interpolate, parseSpectrum } from "./numerics.js";
-
+import { isPicture } from "./photo.js";
 import { fromFragment, lampWithin, toFragment } from "./state.js";
 
 const DEGREES_ACROSS = 270; // by which a drag across the whole picture turns it
@@ -301,7 +301,8 @@ export const controls = {
         this.problem(`${file.name}: ${error.message}`); // a folder, or a file that is gone
         continue;
       }
-      await this.takeSpectrum(file);
+      if (isPicture(file)) this.showTab("photo"); // which says what finds it
+      else await this.takeSpectrum(file);
     }
   },
 

@@ -138,8 +138,8 @@ class Queue:
                 follower.start()
                 self._finish(job, *job.process.communicate())
                 follower.join()
-        if job.action.input is not None:
-            job.action.input.unlink()
+        for path in job.action.inputs:
+            path.unlink()
 
     def _finish(self, job: Job, stdout: str, stderr: str) -> None:
         assert job.process is not None

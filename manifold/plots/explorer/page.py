@@ -11,7 +11,7 @@ from typing import Any
 
 _MODULES = (
     "colour", "numerics", "elements", "webgl", "blend", "shapes", "ball", "layout", "map", "plots", "state", "facts",
-    "tabs", "controls", "documents", "guests", "variants", "attributes", "served", "explorer",
+    "tabs", "photo", "controls", "documents", "guests", "variants", "attributes", "served", "explorer",
 )  # fmt: skip  # a module after what it imports
 _BODY = re.compile(r'<body class="explorer">(.*)</body>', re.DOTALL)
 _IMPORT = re.compile(r"^import .*?;\n", re.MULTILINE | re.DOTALL)

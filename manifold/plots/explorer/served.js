@@ -1,6 +1,7 @@
 // Commands that a served page can request from its server; a page opened as a file has none.
 
 import { percent } from "./elements.js";
+import { Photo, isPicture } from "./photo.js";
 import { isBetween } from "./state.js";
 
 const POLL = 600, LONGEST = 30_000; // ms between requests for the state of the jobs; at most, while the server does not answer
@@ -38,7 +39,8 @@ function summary(result) {
   }
   if (result?.expected) {
     const like = Object.entries(result.made_of).slice(0, 3).map(([name, weight]) => `${weight.toFixed(2)} ${name}`);
-    return `expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`;
+    const notes = result.located ? result.diagnostics : []; // of the photograph, too
+    return [`expected error ${result.expected.ball.toFixed(1)} CIEDE2000, made of ${like.join(", ")}`, ...notes].join("; ");
   }
   return "";
 }
@@ -66,6 +68,7 @@ class Actions {
         if (file) this[kind](file);
       });
     }
+    this.photo = new Photo(explorer, (file, request, light) => this.locatePhoto(file, request, light));
     window.addEventListener("focus", () => this.poll()); // another tab may have requested a job
     this.poll();
   }
@@ -111,6 +114,11 @@ class Actions {
 
   /** Take a file that was dropped, unless it is a spectrum; whether it was taken. */
   async take(file) {
+    if (isPicture(file)) {
+      this.explorer.showTab("photo");
+      await this.photo.show(file);
+      return true;
+    }
     if ((await file.slice(0, MAGIC.length).text()) === MAGIC) this.locate(file);
     else if (file.size > 1e6 || !isSpectrum(await file.text())) this.complete(file);
     else return false;
@@ -122,6 +130,15 @@ class Actions {
     const headers = { "Content-Type": "application/octet-stream", "X-Name": plainName(file) || "file" };
     this.requested.add(`locate ${headers["X-Name"]}`);
     await this.post("/do/locate", { body: file, headers });
+  }
+
+  /** The light, where it is a file, follows the photograph. */
+  async locatePhoto(file, request, light) {
+    const name = plainName(file) || "photo";
+    const headers = { "Content-Type": "application/octet-stream", "X-Name": name,
+      "X-Request": JSON.stringify({ ...request, replace: this.replaces }) };
+    this.requested.add(`locate ${name}`);
+    if (await this.post("/do/photograph", { body: new Blob(light ? [file, light] : [file]), headers })) this.explorer.showTab("export");
   }
 
   /** The completed file has the name of the readings, as far as the server accepts it. */
@@ -180,7 +197,8 @@ class Actions {
     details.open = isOpen || job.state === "failed"; // what is done collapses
     if (job.state !== "running") this.explorer.announce([`${job.title}: ${job.state}`, detail].filter((part) => part).join(", "));
     if (job.state === "done" && job.picture) this.showPicture(details, job);
-    if (job.state === "done" && job.result?.latent) this.showPlace(details, job);
+    const located = job.result?.located ?? job.result;
+    if (job.state === "done" && located?.latent) this.showPlace(details, job.title, located);
   }
 
   addItem(job) {
@@ -206,7 +224,7 @@ class Actions {
   }
 
   /** What was located stands on the map, in its own colours; where another tab located it, after a click. */
-  showPlace(item, { title, result }) {
+  showPlace(item, title, result) {
     const { latent, nearest } = result, button = document.createElement("button");
     const show = () => this.explorer.addGuest({ ...result, name: title.replace(/^locate /, "") });
     button.type = "button";

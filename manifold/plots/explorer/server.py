@@ -19,7 +19,7 @@ from typing import Any, cast
 from urllib.parse import parse_qs, unquote
 
 from manifold.errors import UsageError
-from manifold.plots.explorer.actions import Context, action, complete, locate, plain_name
+from manifold.plots.explorer.actions import Context, action, complete, locate, photograph, plain_name
 from manifold.plots.explorer.jobs import Job, Queue
 
 LOOPBACK = "127.0.0.1"
@@ -141,7 +141,11 @@ class _Handler(BaseHTTPRequestHandler):
             is_cancelled = server.queue.cancel(self._json_body().get("number", 0))
             self._send_json(HTTPStatus.OK, {"cancelled": is_cancelled})
             return
-        job = self._file_action(kind) if kind in ("locate", "complete") else self._latent_action(kind)
+        job = (
+            self._file_action(kind)
+            if kind in ("locate", "complete", "photograph")
+            else self._latent_action(kind)
+        )
         self._send_json(HTTPStatus.ACCEPTED, {"number": job.number})
 
     def _latent_action(self, kind: str) -> Job:
@@ -155,6 +159,10 @@ class _Handler(BaseHTTPRequestHandler):
         server, path = self._explorer, self._file()
         if kind == "locate":
             return server.queue.add(locate(path, server.context))
+        if kind == "photograph":
+            request = _json_object(self.headers.get("X-Request", ""))
+            with server.naming:
+                return server.queue.add(photograph(path, request, server.context, self._is_taken))
         sample = unquote(self.headers.get("X-Sample", ""), errors="replace")
         replace = self.headers.get("X-Replace") == "true"
         with server.naming:
@@ -174,13 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
 
     def _json_body(self) -> dict[str, Any]:
-        try:
-            content = json.loads(b"".join(self._blocks(MOST_JSON)), parse_constant=_refuse_constant)
-        except (ValueError, RecursionError):
-            content = None
-        if not isinstance(content, dict):
-            raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
-        return content
+        return _json_object(b"".join(self._blocks(MOST_JSON)))
 
     def _file(self) -> Path:
         """The body as a temporary file of the name that the request gives."""
@@ -213,6 +215,16 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(content)
+
+
+def _json_object(text: str | bytes) -> dict[str, Any]:
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise _RequestError(HTTPStatus.BAD_REQUEST, "expected a JSON object")
+    return content
 
 
 def _refuse_constant(name: str) -> None:

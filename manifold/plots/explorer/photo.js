@@ -1,0 +1,136 @@
+// A photographed ball: its outline is dragged, its light chosen, and `manifold locate --photo` finds its place.
+
+const SUFFIX = /\.(exr|hdr|pfm|tiff?|png|jpe?g|bmp|webp)$/i;
+const LARGEST = 640; // pixels of the longer side in which a photograph is shown
+const GRIP = 24; // pixels of the screen beside the outline within which a drag changes the radius
+
+export const isPicture = (file) => SUFFIX.test(file.name);
+const suffixOf = (file) => SUFFIX.exec(file.name)[0].toLowerCase();
+
+/** What is asked of one photograph; `locate(file, request, light)` sends it. */
+export class Photo {
+  constructor(explorer, locate) {
+    const byId = (id) => explorer.byId(`photo-${id}`);
+    Object.assign(this, { explorer, byId, locate, file: null, light: null, image: null, circle: null });
+    this.canvas = byId("canvas");
+    byId("needs").hidden = true;
+    byId("form").hidden = false;
+    this.listenToFile("file", (file) => this.show(file));
+    this.listenToFile("light-file", (file) => this.useLight(file));
+    byId("light").addEventListener("change", ({ target }) => target.value || byId("light-file").click());
+    byId("circle").addEventListener("change", () => this.readCircle());
+    byId("find").addEventListener("click", () => this.find());
+    this.canvas.addEventListener("pointerdown", (event) => this.grab(event));
+    this.canvas.addEventListener("pointermove", (event) => this.drag(event));
+    for (const kind of ["pointerup", "pointercancel"]) this.canvas.addEventListener(kind, () => (this.grip = null));
+  }
+
+  listenToFile(id, take) {
+    this.byId(id).addEventListener("change", ({ target }) => {
+      const [file] = target.files;
+      target.value = ""; // so that the same file can be chosen again
+      if (file) take(file);
+    });
+  }
+
+  /** Show a photograph; of those that a browser cannot show, the outline is found, or written. */
+  async show(file) {
+    Object.assign(this, { file, image: null, circle: null });
+    this.byId("circle").value = "";
+    this.byId("name").textContent = file.name;
+    this.byId("find").disabled = false;
+    try {
+      this.image = await createImageBitmap(file);
+    } catch {
+      this.image = null;
+    }
+    if (this.file !== file) return; // another was chosen meanwhile
+    this.byId("unseen").hidden = this.image !== null;
+    this.canvas.hidden = this.image === null;
+    if (this.image) {
+      const { width, height } = this.image, scale = Math.min(1, LARGEST / Math.max(width, height));
+      this.canvas.width = Math.round(width * scale);
+      this.canvas.height = Math.round(height * scale);
+    }
+    this.draw();
+  }
+
+  useLight(file) {
+    const select = this.byId("light"), own = [...select.options].find((option) => option.value === "");
+    this.light = file;
+    own.textContent = file.name;
+    own.selected = true;
+  }
+
+  /** The outline as the field has it; empty, it is found. */
+  readCircle() {
+    const numbers = this.byId("circle").value.split(",").map(Number);
+    this.circle = numbers.length === 3 && numbers.every(Number.isFinite) ? numbers : null;
+    this.draw();
+  }
+
+  /** Pixels of the photograph by pixels of the screen, and where a pointer is in the photograph. */
+  at(event) {
+    const box = this.canvas.getBoundingClientRect(), scale = this.image.width / box.width;
+    return { scale, x: (event.clientX - box.left) * scale, y: (event.clientY - box.top) * scale };
+  }
+
+  /** Near the outline a drag changes the radius, within it the place; elsewhere it draws an outline from its middle. */
+  grab(event) {
+    const { scale, x, y } = this.at(event), [cx, cy, radius] = this.circle ?? [0, 0, 0];
+    const away = Math.hypot(x - cx, y - cy);
+    this.canvas.setPointerCapture(event.pointerId);
+    if (this.circle && Math.abs(away - radius) < GRIP * scale) this.grip = { radius: radius - away };
+    else if (this.circle && away < radius) this.grip = { dx: cx - x, dy: cy - y };
+    else {
+      this.circle = [x, y, 1];
+      this.grip = { radius: 0 };
+    }
+  }
+
+  drag(event) {
+    if (!this.grip) return;
+    const { x, y } = this.at(event), [cx, cy, radius] = this.circle, { width, height } = this.image;
+    const within = (v, most) => Math.min(Math.max(v, 0), most);
+    this.circle = "radius" in this.grip
+      ? [cx, cy, within(Math.hypot(x - cx, y - cy) + this.grip.radius, Math.max(width, height))]
+      : [within(x + this.grip.dx, width), within(y + this.grip.dy, height), radius];
+    this.byId("circle").value = this.circle.map((v) => v.toFixed(1)).join(",");
+    this.draw();
+  }
+
+  draw() {
+    if (!this.image) return;
+    const { width, height } = this.canvas, context = this.canvas.getContext("2d");
+    context.drawImage(this.image, 0, 0, width, height);
+    if (!this.circle) return;
+    const scale = width / this.image.width, [x, y, radius] = this.circle.map((v) => v * scale);
+    for (const [style, thick] of [["#000", 4], ["#fff", 2]]) {
+      context.beginPath();
+      context.arc(x, y, radius, 0, 2 * Math.PI);
+      context.moveTo(x - 6, y);
+      context.lineTo(x + 6, y);
+      context.moveTo(x, y - 6);
+      context.lineTo(x, y + 6);
+      Object.assign(context, { strokeStyle: style, lineWidth: thick });
+      context.stroke();
+    }
+  }
+
+  find() {
+    const light = this.byId("light").value ? null : this.light;
+    if (light || this.byId("light").value) this.locate(this.file, this.request(light), light);
+    else this.explorer.problem("no picture of the light was chosen; choose one, or a light by its name");
+  }
+
+  /** As the server takes it. */
+  request(light) {
+    const value = (id) => this.byId(id).value.trim(), request = { suffix: suffixOf(this.file) };
+    if (light) Object.assign(request, { light_suffix: suffixOf(light), light_bytes: light.size });
+    else request.light = value("light");
+    if (value("circle")) request.circle = value("circle");
+    for (const id of ["turn", "elevation", "distance"]) if (value(id)) request[id] = Number(value(id));
+    if (this.byId("exposure").checked) request.exposure = "free";
+    return request;
+  }
+}

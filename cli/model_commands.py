@@ -127,10 +127,15 @@ def embed(
         ),
     ] = None,
     without: WithoutOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Embed the materials of a library into a low-dimensional manifold."""
+    """Embed the materials of a library into a low-dimensional manifold.
+
+    It runs in this process, on all cores; with --scheduler, as one task of one worker.
+    """
     from manifold.model.manifold import Settings
+    from manifold.system.workers import HERE
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
@@ -149,7 +154,8 @@ def embed(
         chosen["latent_dim"] = parse_latent_dim(latent_dim)
     fitted, candidates = pipeline.embed(
         library, output, Settings(kind=kind, **chosen), without=without or (),
-        auto_mapping=auto_mapping, auto_latent_dim=auto_dim, stage=terminal.progress,
+        auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers_of(None, scheduler, HERE),
+        stage=terminal.progress,
     )  # fmt: skip
     settings = fitted.settings
     if candidates:

@@ -136,15 +136,15 @@ def _run(order: _Order, index: int, task: bytes) -> Finished[Any]:
     """Run one task in a worker."""
     from distributed import get_worker
 
-    here = get_worker().address
+    worker = get_worker()
     for package, known in versions().items():
         if order.versions.get(package) != known:
             raise ManifoldError(
-                f"worker {here}: found {package} {known}, expected {order.versions.get(package)}; install the same "
-                "versions everywhere"
+                f"worker {worker.address}: found {package} {known}, expected {order.versions.get(package)}; install "
+                "the same versions everywhere"
             )
-    if "numba" not in sys.modules:  # a machine has a worker per core
-        os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    if "numba" not in sys.modules:
+        os.environ.setdefault("NUMBA_NUM_THREADS", str(worker.state.nthreads))
     with _one_at_a_time:
         try:
             with contextlib.chdir(order.folder):
@@ -152,8 +152,8 @@ def _run(order: _Order, index: int, task: bytes) -> Finished[Any]:
                 return attempt(pickle.loads(order.function), index, pickle.loads(task))
         except OSError as error:  # not of the task, whose failures are results
             raise ManifoldError(
-                f"worker {here}: cannot work in {order.folder} ({error.strerror}); start in a folder that all machines "
-                "share"
+                f"worker {worker.address}: cannot work in {order.folder} ({error.strerror}); start in a folder "
+                "that all machines share"
             ) from error
 
 

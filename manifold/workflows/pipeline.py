@@ -6,12 +6,13 @@ Reports, figures and choices are imported where they are used: with scikit-learn
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.unmeasured import fill_unmeasured
-from manifold.errors import UsageError
+from manifold.errors import ManifoldError, UsageError
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.materials import names_without
@@ -19,6 +20,7 @@ from manifold.model.settings import Settings
 from manifold.system import atomic
 from manifold.system.names import counted
 from manifold.system.stages import Progress, Stage, no_stage, with_progress
+from manifold.system.workers import HERE, Workers
 
 if TYPE_CHECKING:
     from manifold.experiments.evaluation.report import Report
@@ -33,13 +35,28 @@ def embed(
     without: Collection[str] = (),
     auto_mapping: bool = False,
     auto_latent_dim: bool = False,
+    workers: Workers = HERE,
     stage: Stage = no_stage,
 ) -> tuple[Manifold, list[Candidate]]:
     """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`.
 
+    The whole is one task: others than this process run it without telling its progress.
+
     Returns:
         The manifold, and the settings that were tried, where any was to be chosen.
+    Raises:
+        ManifoldError: it failed where it ran, or the worker was lost.
     """
+    if workers != HERE:
+        task = partial(
+            _embed_there, library, settings=settings, without=tuple(without), auto_mapping=auto_mapping,
+            auto_latent_dim=auto_latent_dim,
+        )  # fmt: skip
+        with stage("Embedding"):
+            (done,) = workers.run(task, [model])
+        if done.value is None:
+            raise ManifoldError(done.failure)
+        return Manifold.load(model, library), done.value
     atomic.require_writable(model)
     opened = Library(library)
     names = names_without(opened, without)
@@ -58,6 +75,10 @@ def embed(
         fitted = Manifold.fit(opened, settings, step, names=names)
     fitted.save(model)
     return fitted, candidates
+
+
+def _embed_there(library: Path, model: Path, **how: Any) -> list[Candidate]:
+    return embed(library, model, **how)[1]
 
 
 def report(

@@ -11,13 +11,15 @@ from helpers.small_library import small_library
 
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.errors import ManifoldError
 from manifold.library import importing
 from manifold.library.importing import import_files
 from manifold.library.store import Library
+from manifold.model.manifold import Settings
 from manifold.model.output_file import OutputOptions
 from manifold.system.cluster import Cluster
 from manifold.system.workers import HERE
-from manifold.workflows import many_files
+from manifold.workflows import many_files, pipeline
 from manifold.workflows.conversion_targets import Options
 from manifold.workflows.inputs import find_inputs, find_samples
 from manifold.workflows.sources import FileSource
@@ -71,6 +73,24 @@ def test_a_material_that_is_stored_again_is_the_same(tmp_path, monkeypatch):
     made = import_files(tmp_path / "twice", tmp_path / "files", workers=HERE)
     assert made.imported == ("m00", "m01")
     assert contents(tmp_path / "twice") == contents(tmp_path / "once")
+
+
+def test_an_embedding_is_the_same(tmp_path, workers):
+    library, models = small_library(tmp_path), {}
+    for name, someone in (("here", HERE), ("there", workers)):
+        model, _ = pipeline.embed(library, tmp_path / f"{name}.h5", Settings(), workers=someone)
+        models[name] = model
+    here, there = models.values()
+    np.testing.assert_array_equal(here.X, there.X)
+    assert here.left_out.arrays.keys() == there.left_out.arrays.keys()
+    for name, values in here.left_out.arrays.items():
+        np.testing.assert_array_equal(values, there.left_out.arrays[name], err_msg=name)
+
+
+def test_an_embedding_that_fails_there_says_why(tmp_path, workers):
+    library = small_library(tmp_path)
+    with pytest.raises(ManifoldError, match="no material 'missing'"):
+        pipeline.embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
 
 
 @pytest.mark.slow

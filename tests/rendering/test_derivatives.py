@@ -196,12 +196,13 @@ def test_derivatives_by_one_latent_and_its_colours_are_central_differences(
 @pytest.mark.parametrize("kind", ["rgb blend", "rgb material"])
 def test_a_changed_latent_gives_the_picture_of_a_bsdf_with_that_latent(models, kind):
     model = Manifold.load(models[kind])
-    mi = mitsuba_for(model)
+    mi, dr = mitsuba_for(model), backend.drjit()
     start, end = (np.float32(model.between(*model.names[:2], t)) for t in (0.3, 0.7))
     scene = two_balls(mi, fixed(model, models[kind], start), "direct")
     params = mi.traverse(scene)
     for latent in (model.X[2], end):  # a measured file, and back to a mixture
         params["material.latent"] = mi.Float(latent)
+        dr.enable_grad(params["material.latent"])
         params.update()
         expected = mi.render(two_balls(mi, fixed(model, models[kind], latent), "direct"), spp=16)
         np.testing.assert_allclose(mi.render(scene, spp=16), expected, rtol=1e-4, atol=1e-5)

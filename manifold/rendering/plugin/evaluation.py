@@ -91,8 +91,8 @@ class Evaluation:
         """Take the weights of a mixture of the same materials.
 
         Args:
-            mixture: with slopes, if derivatives are to pass through the weights.
-            latent, colours: by which these are, shapes (Q,) and (B,); None in place of colours that are not chosen.
+            mixture: with slopes where derivatives are to pass through the weights.
+            latent, colours: by which the slopes are, shapes (Q,) and (B,); None in place of colours not chosen.
         """
         mi, dr = self._mi, self._dr
         self._lobe_ends = mi.Float(np.cumsum(mixture.lobes).astype(np.float32))
@@ -101,7 +101,7 @@ class Evaluation:
             return
         self._has_samples = mixture.weights.ndim == 3
         self._weights = self._uploaded(mixture.weights)
-        if mixture.slopes:
+        if latent is not None and mixture.slopes:
             offset = latent - dr.detach(latent)  # of value 0
             offsets = [dr.gather(mi.Float, offset, mi.UInt32(q)) for q in range(len(latent))]
             if colours is not None:

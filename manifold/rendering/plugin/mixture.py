@@ -145,7 +145,9 @@ class FixedLatent:
             by_material = stack.reshape(len(stack), len(model.names), len(sample_bands), -1)
             used = np.moveaxis(by_material[:, kept], 0, 1)  # [n, B, B_s, K]
             bands, tabled = model.bands, sample_bands.tolist()
-        order, tables = _tables(model, kept, tabled, before)
+        # An optimiser crosses the map: all at once, instead of new tables whenever another material gets a weight.
+        has_all = has_slopes and self.tolerance == 0.0 and model.space.landmarks is None
+        order, tables = _tables(model, range(len(model.names)) if has_all else kept, tabled, before)
         every = np.zeros((len(order), *used.shape[1:]))
         every[[order.index(k) for k in kept]] = used
         lobes = np.abs(every[..., 0]).reshape(len(order), -1).sum(axis=1)

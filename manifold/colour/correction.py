@@ -25,6 +25,7 @@ from manifold.system.reading import read_json
 
 _DARK = 1e-3  # of the largest value: errors of darker ones are relative to this
 _FORMAT = "manifold colour correction"
+FORMAT_VERSION = 1
 _CHEUNG = {f"Cheung 2004, {terms} terms": terms for terms in (5, 7, 8, 10, 11, 14, 20)}
 FORMS = ("linear", "root polynomial of degree 2", *_CHEUNG)
 """Forms of a correction, simplest first."""
@@ -162,6 +163,7 @@ def write_correction(path: Path, correction: ColourCorrection) -> None:
     """Write a correction as a JSON file, atomically; wavelengths are in nm, or null for linear sRGB."""
     content = {
         "format": _FORMAT,
+        "format_version": FORMAT_VERSION,
         "program": f"manifold {__version__}",
         "source_wavelengths_nm": correction.source.wavelengths_nm,
         "wavelengths_nm": correction.reference.wavelengths_nm,
@@ -188,6 +190,8 @@ def read_correction(path: Path) -> ColourCorrection:
 def _from_json(content: Any) -> ColourCorrection:
     if content["format"] != _FORMAT or content["form"] not in FORMS:
         raise ValueError("its format or form is unknown")
+    if content.get("format_version", FORMAT_VERSION) != FORMAT_VERSION:  # 0.1.0 wrote none
+        raise ValueError(f"format version {content['format_version']}, expected {FORMAT_VERSION}")
     source, reference = (
         Bands(None if content[key] is None else tuple(float(nm) for nm in content[key]))
         for key in ("source_wavelengths_nm", "wavelengths_nm")

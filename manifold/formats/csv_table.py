@@ -1,7 +1,8 @@
 """CSV files of readings: a row per geometry of a spectrophotometer, or directions in degrees beside f in 1/sr.
 
 Separators are `;`, tab or comma, or blanks below a header of directions. Unless commas separate, decimal commas are
-numbers. Lines that begin with # are comments; `# name:`, `# instrument:` and `# gloss 60:` are the package's own.
+numbers. Lines that begin with # are comments; `# format:`, `# name:`, `# instrument:` and `# gloss 60:` are the
+package's own.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from manifold.system.names import in_one_line
 
 _REMEDY = f"give the table a header such as {HEADERS}"
 _SEPARATORS = (";", "\t", ",", None)  # None: blanks
+_FORMAT = "manifold readings 1"  # a version that is read, whatever has none
 _MOST_COMMENTS = 40  # lines at the top
 
 
@@ -58,6 +60,9 @@ def read(path: Path) -> list[Readings]:
     context = ErrorContext(path, _REMEDY)
     lines = [_uncommented(line) for line in decode(read_bytes(path)).split("\n")]
     own = dict(_own_comments(lines))
+    if own.get("format", _FORMAT) != _FORMAT and own["format"].startswith("manifold readings"):
+        found = f"'{own['format']}', expected '{_FORMAT}'"
+        raise context.error(found, remedy="read it with a newer version of manifold")
     table, columns = _table(["" if line.startswith("#") else line for line in lines], context)
     is_spectro = columns.geometry is not None
     instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"
@@ -129,6 +134,7 @@ def _require_width(table: Table, columns: Columns, separator: str | None, contex
 def write(path: Path, readings: Readings) -> None:
     """Directions in degrees and f in 1/sr, one row per pair; empty cells are not measured."""
     out = io.StringIO()
+    out.write(f"# format: {_FORMAT}\n")
     out.write(f"# name: {in_one_line(readings.name)}\n# instrument: {in_one_line(readings.instrument)}\n")
     out.writelines(f"# gloss {angle:g}: {units:.9g}\n" for angle, units in readings.gloss.items())
     out.write("# BRDF in 1/sr; angles in degrees about the normal\n")

@@ -45,8 +45,6 @@ def main() -> None:
             target: [losses(options.files, target, work, is_mapped=mapped) for mapped in (True, False)]
             for target in targets
         }
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=2))
     principled = {name: loss["principled"] for name, loss in found[targets[0]][0].items()}
     print("| file | `principled` |", " | ".join(targets), "|")
     print("|---" * (2 + len(targets)) + "|")
@@ -61,6 +59,13 @@ def main() -> None:
         print(
             f"| **{word}** | {summary(principled.values()):.2f} |", " | ".join(f"**{c}**" for c in cells), "|"
         )
+    if options.json:
+        rows = {"principled": list(principled.values())}
+        for target, (mapped, fitted) in found.items():
+            rows[f"{target}_mapped"] = [loss["own"] for loss in mapped.values()]
+            rows[f"{target}_fitted"] = [loss["own"] for loss in fitted.values()]
+        figures = {name: [summary(row) for summary in SUMMARIES.values()] for name, row in rows.items()}
+        options.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -185,7 +185,13 @@ def appearance(brdfs: dict[str, BRDF]) -> dict[str, Any]:
     for metric, made in rows.items():
         both = [np.percentile([row[column] for row in made], (50, 90)) for column in columns]
         print(f"| {metric} |", " | ".join(f"{median:.3g} / {p90:.3g}" for median, p90 in both), "|")
-    return {"names": list(brdfs), "rows": rows}
+    summary = {
+        metric: {
+            column: np.percentile([row[column] for row in made], (50, 90)).tolist() for column in columns
+        }
+        for metric, made in rows.items()
+    }
+    return {"names": list(brdfs), "summary": summary, "rows": rows}
 
 
 def materials(folder: Path, n_baseline: int) -> dict[str, Any]:

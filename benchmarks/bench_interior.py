@@ -14,6 +14,7 @@ the rest out.
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -117,8 +118,9 @@ class Interior:
         return ball_colours.delta_e(*xyz)
 
 
-def print_table(model: Manifold, count: int, seeds: Sequence[int]) -> None:
-    """A row per seed."""
+def print_table(model: Manifold, count: int, seeds: Sequence[int]) -> dict[str, float]:
+    """A row per seed; over all seeds, per cent of places with holes and negative values, and the largest step."""
+    rows = []
     print("| seed | holes over 10 % | more than 0.5 % negative | albedo above 1.02 (largest) | step of 0.01: median, "
           "95th percentile, largest | rounded, largest | not supported |\n|---|---|---|---|---|---|---|")  # fmt: skip
     for seed in seeds:
@@ -130,6 +132,13 @@ def print_table(model: Manifold, count: int, seeds: Sequence[int]) -> None:
         print(f"| {seed} | {np.mean(hole > 0.1):.1%} | {np.mean(negative > 0.005):.1%} | {np.mean(albedo > 1.02):.1%} "
               f"({albedo.max():.2f}) | {np.median(step):.2f}, {np.quantile(step, 0.95):.2f}, {step.max():.2f} | "
               f"{max(interior.rounded()):.2f} | {1.0 - count / interior.drawn:.0%} |", flush=True)  # fmt: skip
+        rows.append((100.0 * np.mean(hole > 0.1), 100.0 * np.mean(negative > 0.005), step.max()))
+    holes, negatives, steps = np.array(rows).T
+    return {
+        "percent_with_holes": round(float(holes.mean()), 1),
+        "percent_negative": round(float(negatives.mean()), 1),
+        "largest_step": float(steps.max()),
+    }
 
 
 def print_written(model: Manifold, count: int, *, physical: bool) -> None:
@@ -158,10 +167,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--written", type=int, default=0)
+    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     model = Manifold.fit(Library.open(given.library), Settings(kind=given.kind, latent_dim=given.latent_dim))
     if given.count:
-        print_table(model, given.count, [int(seed) for seed in given.seeds.split(",")])
+        found = print_table(model, given.count, [int(seed) for seed in given.seeds.split(",")])
+        if given.json:
+            given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for physical in (False, True) if given.written else ():
         print_written(model, given.written, physical=physical)
 

@@ -11,6 +11,7 @@ non-negative least squares sees the second. Results: docs/explanation/reconstruc
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import time
 from collections.abc import Sequence
@@ -33,6 +34,8 @@ from manifold.records import Array
 
 DEFAULT = ("nearest", "gplvm_6", "monochrome_3_1", "nonnegative", "few_atoms")
 """Keys of the registry of methods."""
+
+COLUMNS = ("linear", "cube_root", "ball", "ball_in_turned_light")
 
 
 class Network:
@@ -86,6 +89,7 @@ def main() -> None:
     parser.add_argument("--draw", type=int, help="take so many materials at random")
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--materials", action="store_true", help="also print the errors of every material")
+    parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     materials = load(arguments.source)
     if arguments.draw:
@@ -98,6 +102,7 @@ def main() -> None:
         "| method | numbers | linear | cube root | ball CIEDE2000 | ball, turned light | seconds per material |\n"
         "|---|---|---|---|---|---|---|"
     )
+    rows: dict[str, dict[str, object]] = {}
     for method in methods(arguments.methods, arguments.numbers, arguments.anchors):
         start = time.perf_counter()
         splits = leave_out(data.n_materials)[:: arguments.every]
@@ -115,16 +120,17 @@ def main() -> None:
                     *(each.differences(i, ball)[0] for each in balls),
                 )
             )
-        cells = [
-            f"{m:.{d}f} / {p:.{d}f}"
-            for (m, p), d in zip(map(MedianAndP90.of, np.array(errors).T), (3, 3, 2, 2), strict=True)
-        ]
+        both = [list(MedianAndP90.of(column)) for column in np.array(errors).T]
+        rows[method.key] = {"numbers": method.numbers(3), **dict(zip(COLUMNS, both, strict=True))}
+        cells = [f"{m:.{d}f} / {p:.{d}f}" for (m, p), d in zip(both, (3, 3, 2, 2), strict=True)]
         print(f"| {method.title} | {method.numbers(3)} | {' | '.join(cells)} | {seconds:.2f} |", flush=True)
         for (_, out), row in zip(splits, errors, strict=True):
             if arguments.materials:
                 print(
                     f"    {materials[int(out[0])].name:30s} {row[0]:.3f} {row[1]:.3f} {row[2]:.2f} {row[3]:.2f}"
                 )
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ Results: docs/explanation/completion.md.
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ def errors(
     return np.array(errors_of(atoms, m, made.on_grid, made.on_ball))
 
 
-def suggestions(atoms: LibraryAtoms) -> None:
+def suggestions(atoms: LibraryAtoms) -> dict[str, object]:
     """Five readings, chosen one after the other from what the ones before said, against five at random."""
     wi, wo = all_directions()
     at = atoms.at(wi, wo)
@@ -77,9 +78,13 @@ def suggestions(atoms: LibraryAtoms) -> None:
         f"five suggested readings better than five random ones, of {cases} cases, by {', '.join(KINDS)}: {wins[0]}"
     )
     print(f"better than an MA-T12's first five, of {len(atoms.names)}: {wins[1]}")
+    return {
+        "cases": cases,
+        **{f"better_by_{kind}": int(won) for kind, won in zip(KINDS, wins[0], strict=True)},
+    }
 
 
-def expectations(atoms: LibraryAtoms) -> None:
+def expectations(atoms: LibraryAtoms) -> dict[str, dict[str, object]]:
     """Errors from an instrument's directions and a gloss meter's angles, beside those that are expected."""
     one = aspecular_pair(45.0, 45.0)
     instruments = {"MA-T12": geometry_ma_t12(), "45/0": (one[0][None], one[1][None])}
@@ -87,6 +92,7 @@ def expectations(atoms: LibraryAtoms) -> None:
     print(
         "| readings | gloss at | linear | cube root | ball | rank correlation | below twice the expected, % |"
     )
+    rows: dict[str, dict[str, object]] = {}
     for name, (wi, wo) in instruments.items():
         for angles in ((), (60,), (20,), (20, 60), (20, 60, 85)):
             blank = Readings(
@@ -100,6 +106,15 @@ def expectations(atoms: LibraryAtoms) -> None:
             below = [f"{100 * share:.0f}" for share in np.mean(errors < 2.0 * expected, axis=0)]
             gloss = ", ".join(map(str, angles))
             print(f"| {name} | {gloss} | {' | '.join(summary)} | {', '.join(ranks)} | {', '.join(below)} |")
+            rows["_".join((name, *map(str, angles)))] = {
+                kind: {
+                    "error": np.quantile(errors[:, k], [0.5, 0.9]).tolist(),
+                    "rank": float(spearmanr(expected[:, k], errors[:, k])[0]),
+                    "percent_below_twice": int(below[k]),
+                }
+                for k, kind in enumerate(("linear", "cube_root", "ball"))
+            }
+    return rows
 
 
 def paint(rng: np.random.Generator, nm: Array, aspecular_deg: Array) -> Array:
@@ -155,11 +170,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("library", type=Path)
-    opened = Library.open(parser.parse_args().library)
-    atoms = LibraryAtoms.of_library(opened)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    atoms = LibraryAtoms.of_library(Library.open(given.library))
     corrections()
-    expectations(atoms)
-    suggestions(atoms)
+    figures = {"completed_from": expectations(atoms), "five_suggested": suggestions(atoms)}
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

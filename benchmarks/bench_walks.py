@@ -18,6 +18,7 @@ of cube roots, and at equal visible distance in cube roots.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
@@ -136,6 +137,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=13)
     parser.add_argument("--pairs", type=int, default=190)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     library = Library.open(asked.library)
     materials = [MeasuredBRDF(fill_unmeasured(library.read(name))) for name in library.names]
@@ -154,6 +156,15 @@ def main() -> None:
             for column in zip(*rows, strict=True)
         ]
         print(f"{name:24s}" + "   ".join(cells))
+    if asked.json:
+        kept = {
+            name: {
+                key: np.quantile([row[k] for row in rows], [0.5, 0.9, 1.0]).tolist()
+                for key, k in (("largest_over_mean_step", 1), ("lightness_turns_back", 4))
+            }
+            for name, rows in found.items()
+        }
+        asked.json.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     midpoints()
 
 

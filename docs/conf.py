@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import typer
 
-from manifold import __version__
+from manifold import __version__, import_files
 from manifold.cli.main import app
 
 HERE = Path(__file__).resolve().parent
-RESULTS = HERE.parent / "benchmarks" / "results"
+sys.path[:0] = [str(HERE), str(HERE / "examples")]
+from figures import RESULTS, figures  # noqa: E402  # beside this file
+
+SAMPLE = "corpus/syn_satin_rose_rgb.bsdf"  # of which tutorials take readings
 WORK = HERE / "_work"  # libraries and models of the tutorials, kept between builds
 
 project = "manifold"
@@ -47,6 +51,7 @@ nitpicky = False
 
 html_theme = "pydata_sphinx_theme"
 html_title = "manifold"
+html_extra_path = ["_work/extra"]  # the explorer of the corpus, embedded in the gallery
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
@@ -61,6 +66,7 @@ nb_execution_mode = "cache"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_output_stderr = "remove"  # progress of commands
 nb_execution_cache_path = str(WORK / "notebooks")
 
 autodoc_typehints = "signature"
@@ -73,7 +79,8 @@ napoleon_custom_sections = ["Source"]
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
-    "filename_pattern": r"\.py$",
+    "filename_pattern": "/plot_",
+    "ignore_pattern": "balls",
     "image_scrapers": ("matplotlib",),
     "remove_config_comments": True,
     "show_memory": False,
@@ -83,21 +90,7 @@ sphinx_gallery_conf = {
 }
 
 
-def _figures() -> dict[str, str]:
-    """Every number in benchmarks/results/*.json, as `file_key_key`, for `{{ file_key_key }}` in pages."""
-
-    def flat(prefix: str, value: object) -> dict[str, str]:
-        if isinstance(value, dict):
-            return {k: v for key, inner in value.items() for k, v in flat(f"{prefix}_{key}", inner).items()}
-        if isinstance(value, bool | int | float | str):
-            return {re.sub(r"\W+", "_", prefix): str(value)}
-        return {}
-
-    files = sorted(RESULTS.glob("*.json"))
-    return {k: v for file in files for k, v in flat(file.stem, json.loads(file.read_text())).items()}
-
-
-myst_substitutions = _figures()
+myst_substitutions = figures()
 
 
 def _write_commands(*_: object) -> None:
@@ -114,20 +107,46 @@ def _write_commands(*_: object) -> None:
         target.write_text(text, encoding="utf-8")
 
 
+def _write_failure_modes(*_: object) -> None:
+    """The table of failure modes, from the results of `manifold stability`: explanation/failure-modes.csv."""
+    kept = json.loads((RESULTS / "stability.json").read_text(encoding="utf-8"))
+    rows = []
+    for mode in kept["modes"]:
+        outcomes: dict[str, list[str]] = {}
+        for row in kept["rows"]:
+            if row["mode"] == mode["key"]:
+                found = [(one["outcome"], one["severity"]) for one in row["results"]]
+                changes = [f"{b} from {s:g}" for (a, _), (b, s) in itertools.pairwise(found) if a != b]
+                outcomes.setdefault(", ".join([found[0][0], *changes]), []).append(row["method"])
+        said = [f"{', '.join(methods)}: {outcome}" for outcome, methods in outcomes.items()]
+        severity = f"{mode['severity']} ({', '.join(f'{s:g}' for s in mode['severities'])})"
+        rows.append((f"{mode['key']}: {mode['concerns']}", severity, "; ".join(said), mode["advice"]))
+    with (HERE / "explanation" / "failure-modes.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([("mode", "severity", "what happened", "what to do"), *rows])
+
+
 def _make_materials(*_: object) -> None:
-    """The corpus in RGB as a library with its model, once: tutorials and the gallery begin with them."""
-    WORK.mkdir(exist_ok=True)
-    if (WORK / "model.h5").exists():
+    """What tutorials and the gallery begin with, once: the corpus in RGB, its model, a library without one sample."""
+    (WORK / "extra").mkdir(parents=True, exist_ok=True)
+    if (WORK / "others.zarr").exists():
         return
-    manifold = [sys.executable, "-m", "manifold"]
-    for command in (["corpus", "corpus", "--rgb"], ["import", "corpus"], ["embed"]):
-        subprocess.run(manifold + command, cwd=WORK, check=True)
+    for command in (
+        "corpus corpus --rgb",
+        "corpus ma-t12 --instrument ma-t12",
+        "import corpus",
+        "embed",
+        "explore --html extra/explorer.html",
+    ):
+        subprocess.run([sys.executable, "-m", "manifold", *command.split()], cwd=WORK, check=True)
+    import_files(WORK / "others.zarr", sorted({*(WORK / "corpus").glob("*.bsdf")} - {WORK / SAMPLE}))
 
 
 os.environ["MANIFOLD_DOCS_WORK"] = str(WORK)
+os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # `manifold`
 
 
 def setup(sphinx: object) -> None:
     """Write what pages are made from."""
     sphinx.connect("config-inited", _write_commands)
+    sphinx.connect("config-inited", _write_failure_modes)
     sphinx.connect("config-inited", _make_materials)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import re
 
 import pytest
@@ -11,8 +12,16 @@ from helpers.paths import REPOSITORY
 
 DOCUMENTS = [
     *(REPOSITORY / name for name in ("README.md", "ARCHITECTURE.md")),
-    *sorted((REPOSITORY / "docs").rglob("*.md")),
+    *(
+        path
+        for path in sorted((REPOSITORY / "docs").rglob("*.md"))
+        if not {"_build", "_work", "gallery", "generated"} & {*path.parts} and path.name != "commands.md"
+    ),
 ]
+_spec = importlib.util.spec_from_file_location("figures", REPOSITORY / "docs" / "figures.py")
+_module = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(_module)
+figures = _module.figures
 FOLDERS = ("manifold", "cli", "tests", "benchmarks", "tools", "docs")
 
 
@@ -40,3 +49,44 @@ def test_options_of_commands_in_documents_exist(document):
             known = {o for p in commands[name].params for o in (*p.opts, *p.secondary_opts)}
             unknown = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line)) - known
             assert not unknown, f"manifold {name}{line}"
+
+
+# Numbers with a unit or a decimal point are measured figures, which come from benchmarks/results. What is defined, not
+# measured, stands in code or mathematics, and versions of programs follow a name.
+FIGURE = re.compile(
+    r"(?<![\w.,])(?:\d[\d,.]* / \d[\d,. /]*\d|\d[\d,]*\.\d+"
+    r"|\d[\d,.]* ?(?:%|m?s|[kMG]?B|seconds|minutes|times|CIEDE2000))(?!\w)"
+)
+NOT_FIGURES = re.compile(
+    r"^---\n.*?\n---\n|```.*?```|\$\$.*?\$\$|\$[^$]+\$|`[^`\n]+`|\{\{.*?\}\}|\]\([^)]*\)|<!--.*?-->"
+    r"|[A-Z]\w* \d+\.\d+(?:\.\d+)*|^ {4}[^\n]*",
+    flags=re.DOTALL | re.MULTILINE,
+)
+
+
+def measured_figures(document):
+    """Numbers of a page that look as if somebody had measured them."""
+    return FIGURE.findall(NOT_FIGURES.sub(" ", document.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize(
+    "document",
+    [d for d in DOCUMENTS if d.parent.name in ("explanation", "how-to") and d.stem != "photographs"],
+    ids=lambda path: path.name,
+)
+def test_figures_in_pages_are_filled_in_from_results(document):
+    assert measured_figures(document) == []
+    named = re.findall(r"\{\{ *(\w+) *\}\}", document.read_text(encoding="utf-8"))
+    assert [name for name in named if name not in figures()] == []
+
+
+def test_figures_in_the_readme_are_those_of_the_results():
+    held = set(figures().values())
+    assert [one for one in measured_figures(REPOSITORY / "README.md") if one not in held] == []
+
+
+def test_documents_are_short():
+    words = {document: len(document.read_text(encoding="utf-8").split()) for document in DOCUMENTS}
+    assert words[REPOSITORY / "README.md"] <= 900
+    assert sum(n for document, n in words.items() if document.parent.name == "explanation") <= 15_000
+    assert sum(n for document, n in words.items() if "docs" in document.parts) <= 30_000

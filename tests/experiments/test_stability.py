@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import re
 
 import pytest
+from helpers.paths import REPOSITORY
 
 from manifold.errors import RendererError, UsageError
-from manifold.experiments.stability import advice_page
+from manifold.experiments.stability import conclusions
 from manifold.experiments.stability.catalogue import MODES
 from manifold.experiments.stability.testbed import TestBed
 from manifold.experiments.stability.trials import (
@@ -26,8 +26,6 @@ from manifold.experiments.stability.trials import (
     select_modes,
 )
 from manifold.plots import plot_stability
-
-PAGE = "docs/explanation/stability.md"
 
 Found = Measurement | list[Measurement] | Exception
 
@@ -67,7 +65,6 @@ def test_a_method_that_this_machine_cannot_run_is_skipped_and_named():
     assert made.skipped == {"made_up: it": "it needs LLVM; use another"}
     assert [row.is_false_alarm for row in made.rows] == [False]
     assert made.to_json(MODES)["skipped"] == made.skipped
-    assert "made_up: it was skipped: it needs LLVM; use another." in advice_page.markdown(made, MODES)
 
 
 def test_of_several_results_each_is_judged_by_what_was_said_about_it():
@@ -84,7 +81,7 @@ def test_a_row_is_as_wrong_as_its_worst_undetected_error():
     assert row.undetected_error == 0.2
     assert not row.is_wrong
     assert not row.is_false_alarm
-    assert advice_page.outcomes(row) == "fine, warned, refused"
+    assert conclusions.outcomes(row) == "fine, warned, refused"
 
 
 @pytest.mark.parametrize("first", [Measurement(0.1, ("beware",)), UsageError("no")])
@@ -92,10 +89,9 @@ def test_a_warning_or_a_refusal_at_the_harmless_end_is_a_false_alarm(first):
     made = run_modes([mode_of(first, Measurement(9.0, ("beware",)))])
     assert len(made.false_alarms) == 1
     assert made.wrong == ()
-    assert advice_page.outcomes(made.rows[0]) == "false alarm"
-    assert "1 false alarms in 1 rows" in advice_page.summary(made)
+    assert conclusions.outcomes(made.rows[0]) == "false alarm"
+    assert "1 false alarms in 1 rows" in conclusions.summary(made)
     assert made.to_json([])["false_alarms"] == 1
-    assert f"{made.rows[0].results[0].outcome} (false alarm)" in advice_page.markdown(made, [mode_of(first)])
 
 
 def test_warnings_of_errors_within_the_limit_are_counted_as_early():
@@ -106,7 +102,7 @@ def test_warnings_of_errors_within_the_limit_are_counted_as_early():
 def test_unknown_names_are_answered_with_those_known():
     with pytest.raises(
         UsageError,
-        match=r"did you mean duplicates, near_duplicates\? \(docs/explanation/stability\.md lists all\)",
+        match=r"did you mean duplicates, near_duplicates\? \(benchmarks/results/stability\.json lists all\)",
     ):
         select_modes(MODES, ["duplicate"])
     assert [mode.key for mode in select_modes(MODES, ["outlier", "duplicates"])] == ["duplicates", "outlier"]
@@ -136,7 +132,7 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(wrong_mode
     from manifold.cli.main import run
 
     (tmp_path / "images").mkdir()
-    files = {"--json": "s.json", "--markdown": "s.md", "--picture": "images/s.png"}
+    files = {"--json": "s.json", "--picture": "images/s.png"}
     with pytest.raises(SystemExit) as left:
         run(
             [
@@ -149,9 +145,6 @@ def test_the_command_ends_with_status_1_where_a_row_is_silently_wrong(wrong_mode
     written = json.loads((tmp_path / "s.json").read_text())
     assert [one["outcome"] for one in written["rows"][0]["results"]] == [FINE, WARNED, WRONG]
     assert written["modes"][0]["advice"] == "Do this."
-    page = (tmp_path / "s.md").read_text()
-    assert "fine; warned from 1; silently wrong from 2 | beware \\| of this |" in page
-    assert "](images/s.png)" in page
     assert (tmp_path / "images/s.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -192,13 +185,13 @@ def test_stability_says_what_to_trust_and_which_kind_of_map_to_choose():
             row("b", "blend", FINE, FINE, FINE),
         )
     )
-    said = advice_page.conclusion(made)
+    said = conclusions.conclusion(made)
     assert said.startswith("Results without a message can be trusted")
     assert "choose: material, fine in 2 of 2 trials (blend 1)" in said
-    assert advice_page.conclusion(Stability((row("a", "blend", FINE, WRONG),))) == (
+    assert conclusions.conclusion(Stability((row("a", "blend", FINE, WRONG),))) == (
         "Wrong without a message, so check these by other means: blend (a)."
     )
-    assert "choose by accuracy" in advice_page.conclusion(all_fine())
+    assert "choose by accuracy" in conclusions.conclusion(all_fine())
     assert "can be trusted" in plot_stability.panels(all_fine(), MODES).get_suptitle()
 
 
@@ -213,15 +206,9 @@ def test_the_picture_counts_outcomes_and_false_alarms():
     assert labels[:5] == ["fine (0)", "warned (1)", "refused (0)", "silently wrong (1)", "false alarm (1)"]
 
 
-def test_the_page_of_the_documentation_lists_every_mode_with_its_advice(request):
-    text = (request.config.rootpath / PAGE).read_text(encoding="utf-8")
-    assert re.findall(r"^## (.+)$", text, flags=re.MULTILINE) == [mode.key for mode in MODES]
-    for mode in MODES:
-        assert f"**What to do.** {mode.advice}" in text
-        assert mode.limit.reason in text
-        chapter = text.split(f"## {mode.key}\n")[1].split("\n## ")[0]
-        assert re.findall(r"^\| (?!method|-)([^|]+) \|", chapter, flags=re.MULTILINE) == list(mode.methods)
-    wrong = [line.split(" | ")[0] for line in text.splitlines() if WRONG + " from" in line]
-    assert wrong == ["| blend"]  # the path of latents, of `across_classes`
-    assert "(false alarm)" not in text
-    assert " 0 false alarms" in text
+def test_the_results_in_the_documentation_are_of_every_mode():
+    kept = json.loads((REPOSITORY / "benchmarks/results/stability.json").read_text())
+    assert {one["key"]: one["advice"] for one in kept["modes"]} == {mode.key: mode.advice for mode in MODES}
+    wrong = [row["mode"] for row in kept["rows"] if any(r["outcome"] == WRONG for r in row["results"])]
+    assert wrong == ["across_classes"]  # the path of latents
+    assert kept["false_alarms"] == 0

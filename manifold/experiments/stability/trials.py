@@ -198,7 +198,7 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     if unknown:
         near = names_like(sorted(known), unknown[0], "there are")
         raise UsageError(
-            f"no failure mode is called '{unknown[0]}'; {near} (docs/explanation/stability.md lists all)"
+            f"no failure mode is called '{unknown[0]}'; {near} (benchmarks/results/stability.json lists all)"
         )
     return tuple(mode for mode in modes if not only or mode.key in only)
 

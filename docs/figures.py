@@ -1,0 +1,44 @@
+"""Figures of documents, from benchmarks/results/*.json: what `{{ held_out_blend_2_ball }}` stands for."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
+
+
+def figures() -> dict[str, str]:
+    """Every number of the results by `file_key_key`, to two digits; lists (median, 90th percentile) with a stroke."""
+    found: dict[str, str] = {}
+    for file in sorted(RESULTS.glob("*.json")):
+        _add(found, file.stem, json.loads(file.read_text(encoding="utf-8")))
+    return found
+
+
+def _add(found: dict[str, str], prefix: str, value: object) -> None:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _add(found, f"{prefix}_{key}", inner)
+    elif isinstance(value, list) and value and all(isinstance(one, dict) and "key" in one for one in value):
+        _add(found, prefix, {one["key"]: one for one in value})
+    elif isinstance(value, list) and all(isinstance(one, int | float) for one in value):
+        found[_key(prefix)] = " / ".join(map(shown, value))
+    elif isinstance(value, str | int | float):
+        found[_key(prefix)] = shown(value)
+
+
+def _key(text: str) -> str:
+    return re.sub(r"\W+", "_", text)
+
+
+def shown(value: str | float) -> str:
+    """As documents print it: numbers to two digits, whole ones as they are."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"{value:,}"
+    if not isinstance(value, float) or not math.isfinite(value):
+        return str(value)
+    decimals = 0 if value == 0.0 else max(0, 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{decimals}f}"

@@ -61,8 +61,8 @@ def read(path: Path) -> list[Readings]:
     lines = [_uncommented(line) for line in decode(read_bytes(path)).split("\n")]
     own = dict(_own_comments(lines))
     if own.get("format", _FORMAT) != _FORMAT and own["format"].startswith("manifold readings"):
-        found = f"'{own['format']}', expected '{_FORMAT}'"
-        raise context.error(found, remedy="read it with a newer version of manifold")
+        version = f"'{own['format']}', expected '{_FORMAT}'"
+        raise context.error(version, remedy="read it with a newer version of manifold")
     table, columns = _table(["" if line.startswith("#") else line for line in lines], context)
     is_spectro = columns.geometry is not None
     instrument = own.get("instrument") or f"{'spectrophotometer' if is_spectro else 'goniometer'} (CSV)"

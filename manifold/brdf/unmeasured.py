@@ -53,7 +53,7 @@ def blank_unmeasured(file: BsdfFile) -> BsdfFile:
     return replace(file, spectra=np.where(cells[:, :, None], np.float32(np.nan), file.spectra))
 
 
-def fill_unmeasured(file: BsdfFile, cells: Mask | None = None) -> BsdfFile:
+def fill_unmeasured(file: BsdfFile, cells: Mask | None = None, *, copy: bool = True) -> BsdfFile:
     """The same file with its unmeasured cells filled from their rims inwards; the file itself where it has none.
 
     Every pass gives the cells that touch known ones the mean of those, nearer ones counting double. A slice
@@ -62,11 +62,13 @@ def fill_unmeasured(file: BsdfFile, cells: Mask | None = None) -> BsdfFile:
     Args:
         file: any file.
         cells: its `unmeasured_cells`, if they are known already.
+        copy: leave the file as it is; otherwise its spectra, which must be writeable, are filled.
     """
     cells = unmeasured_cells(file) if cells is None else cells
     if not np.any(cells):
         return file
-    spectra = file.spectra.copy(order="K")  # bands stay next to each other, as evaluation wants them
+    # bands stay next to each other, as evaluation wants them
+    spectra = file.spectra.copy(order="K") if copy else file.spectra
     for p, t in np.argwhere(np.any(cells, axis=(2, 3))):
         _fill(spectra[p, t], cells[p, t], np.any(spectra[p, t] != 0, axis=0) & ~cells[p, t])
     return replace(file, spectra=spectra)
@@ -80,14 +82,13 @@ def _fill(values: Array, unmeasured: Mask, known: Mask) -> None:
         rim = unmeasured & (weight > 0)
         if not np.any(rim):
             return
-        for row, column in np.argwhere(rim):
-            i, j = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2)
-            near = _NEIGHBOURS[_cut(row, values.shape[1]), _cut(column, values.shape[2])] * known[i, j]
-            values[:, row, column] = np.tensordot(values[:, i, j], near, axes=2) / near.sum()
+        rows, columns = np.nonzero(rim)
+        sums, around = np.zeros((values.shape[0], len(rows))), np.pad(known, 1)
+        for (i, j), near in np.ndenumerate(_NEIGHBOURS):
+            row, column = (
+                np.clip(k, 1, n) - 1 for k, n in zip((rows + i, columns + j), known.shape, strict=True)
+            )
+            sums += near * around[rows + i, columns + j] * values[:, row, column]
+        values[:, rows, columns] = sums / weight[rim]
         known = known | rim
         unmeasured &= ~rim
-
-
-def _cut(index: int, size: int) -> slice:
-    """The part of a 3-cell neighbourhood that lies on an axis of that size."""
-    return slice(1 if index == 0 else 0, 2 if index == size - 1 else 3)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from manifold.library import visible_normals
 from manifold.library.identity import Accuracy
+from manifold.library.zarr_arrays import compressed_bytes, pack
 from manifold.records import AnyArray
 
 EXTRA = "extra "
@@ -46,6 +47,11 @@ class Compact:
     def arrays(self) -> dict[str, AnyArray]:
         """All arrays by name."""
         return {"coefficients": self.coefficients, **self.tables}
+
+    @property
+    def stored_bytes(self) -> int:
+        """Bytes of all arrays as a library stores them."""
+        return compressed_bytes(self.coefficients) + compressed_bytes(pack(self.tables)[0])
 
     def decode(self) -> dict[str, Any]:
         """The fields of `BsdfFile` that hold arrays.

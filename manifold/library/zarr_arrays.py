@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import zarr
+from numcodecs.blosc import Blosc
 from zarr.codecs import BloscCodec
 
 from manifold.library.schema import StoredArray
@@ -53,6 +54,11 @@ def write_array(folder: Path, stored: StoredArray) -> None:
         config={"write_empty_chunks": True},
     )
     array[...] = values
+
+
+def compressed_bytes(values: AnyArray) -> int:
+    """How many bytes an array takes that is stored compressed."""
+    return len(Blosc("zstd", clevel=5, shuffle=Blosc.BITSHUFFLE, typesize=4).encode(values))
 
 
 def _compressor() -> BloscCodec:

@@ -134,7 +134,7 @@ class MaterialCache:
         self._unmeasured_shares[name] = unmeasured_share(file, cells)
         if (rotation := rotation_of(file)) is not None:
             self._turned[name] = rotation - file.rotation_rad
-        filled = fill_unmeasured(file, cells)
+        filled = fill_unmeasured(file, cells, copy=False)
         if self.is_nonnegative and filled.spectra.min() < 0:
             filled = replace(filled, spectra=np.maximum(filled.spectra, 0))
             self._cut.add(name)

@@ -150,6 +150,7 @@ def settings(n_bands: int) -> list[Method]:
             _stored(setting, storage_forms.half())
             for setting in (pca, gplvm, monochromes[2], blends[0], nonnegative)
         ),
+        *(_stored(setting, storage_forms.compact()) for setting in (blends[0], nonnegative)),
         *(_stored(gplvm, storage) for storage in angles),
         *(_stored(s, storage) for s in (monochromes[2], blends[0], nonnegative) for storage in coarse),
     ]

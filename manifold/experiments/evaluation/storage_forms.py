@@ -1,4 +1,4 @@
-"""Forms of storage of the measured files: complete, float16, few bands, few angles."""
+"""Forms of storage of the measured files: complete, compact, float16, few bands, few angles."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from manifold.colour.conversion import interpolation_matrix
 from manifold.colour.illuminants import illuminant_power
 from manifold.experiments.budget import reduced_file
+from manifold.library.compacting import encode
 from manifold.records import Array, Bands, BsdfFile
 
 _FLOAT_BYTES = 4
@@ -24,6 +25,7 @@ class Storage:
         reduce: a file as it is stored.
         bands: how many bands are stored; None is all.
         number_bytes: bytes of a number.
+        stored_bytes: of a reduced file, where that is not what its numbers take.
     """
 
     key: str
@@ -31,15 +33,30 @@ class Storage:
     reduce: Callable[[BsdfFile], BsdfFile]
     bands: int | None = None
     number_bytes: int = _FLOAT_BYTES
+    stored_bytes: Callable[[BsdfFile], int] | None = None
 
     def file_bytes(self, stored: BsdfFile, band_share: float = 1.0) -> int:
         """Bytes of a stored file that evaluation reads: values in a share of the bands, and distributions."""
+        if self.stored_bytes is not None:
+            return self.stored_bytes(stored)
         tables = stored.ndf.size + stored.sigma.size + stored.vndf.size
         return round((tables + band_share * stored.spectra.size) * self.number_bytes)
 
 
 WHOLE = Storage("", "", lambda file: file)
 """As measured, float32."""
+
+
+def compact() -> Storage:
+    """The compact form of libraries at its default tolerance, which is read as a whole."""
+    sizes: dict[str, int] = {}
+
+    def reduce(file: BsdfFile) -> BsdfFile:
+        found = encode(file)
+        sizes[file.name] = found.stored_bytes
+        return replace(file, **found.decode())
+
+    return Storage("compact", "compact", reduce, stored_bytes=lambda file: sizes[file.name])
 
 
 def half() -> Storage:

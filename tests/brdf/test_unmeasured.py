@@ -49,6 +49,14 @@ def test_unmeasured_cells_above_the_horizon_are_found_and_filled(whole, share):
     assert np.all(closed.spectra[:, :, 0][cells] > 0)
 
 
+def test_cells_are_filled_in_place_where_no_copy_is_wanted(whole):
+    file, _ = punched(whole, 0.1)
+    expected = fill_unmeasured(file)
+    found = fill_unmeasured(file, copy=False)
+    assert found.spectra is file.spectra
+    np.testing.assert_array_equal(found.spectra, expected.spectra)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
 def test_filling_brings_values_back(whole, share):
     file, _ = punched(whole, share)

@@ -139,6 +139,13 @@ def test_halves_take_half_the_bytes_at_nearly_the_same_errors(rows):
     assert half.delta_e == pytest.approx(whole.delta_e, rel=0.05)
 
 
+def test_compact_storage_takes_few_bytes_at_nearly_the_same_errors(rows):
+    whole, compact = rows["blend_2"], rows["blend_2_compact"]
+    assert compact.bytes < 0.1 * whole.bytes
+    assert compact.relative_error == pytest.approx(whole.relative_error, rel=0.1)
+    assert compact.delta_e == pytest.approx(whole.delta_e, abs=0.2)  # the tolerance
+
+
 def test_one_slow_tabulation_does_not_change_the_time_of_fits(monkeypatch):
     tabulating = iter([90.0, 3.0, 2.0])
 

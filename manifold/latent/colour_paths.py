@@ -196,10 +196,9 @@ def fit_paths(
         with_own = np.block([[gram, cross], [cross.T, mine @ mine.T]])
         products = np.hstack([target @ atoms.T, target @ mine.T])
         found[i] = np.append(shared, own), nonnegative_weights(with_own, products)
-    for columns, (_, w) in found:
-        most = max(float((w @ values[columns]) ** 3 @ measure) for values, measure in albedo)
-        w *= min(1.0, np.cbrt(1.0 / max(most, 1e-9)))
     dark, bright = (_rows([(columns, w[end]) for columns, w in found], len(samples)) for end in (0, 1))
+    most = np.max([(bright @ values) ** 3 @ measure for values, measure in albedo], axis=0)
+    bright.data *= np.repeat(np.minimum(1.0, np.cbrt(1.0 / np.maximum(most, 1e-9))), np.diff(bright.indptr))
     ends = [np.cbrt(np.maximum((rows @ sphere[0]) ** 3 @ sphere[1], 0.0)) for rows in (dark, bright)]
     return ColourPaths(dark, bright, ends[0], ends[1], reflectances)
 

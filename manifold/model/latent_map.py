@@ -29,6 +29,7 @@ from manifold.system.names import names_like
 
 S = TypeVar("S", bound=np.generic)
 
+_PICTURED = 80  # materials with ball and name in a picture of thousands
 EXTRAPOLATION = 0.5  # share of the prior variance above which a latent counts as extrapolated
 
 
@@ -61,8 +62,13 @@ class LatentMap:
 
     @property
     def landmarks(self) -> Indices:
-        """The materials that pictures show in detail: those that were laid out, by default all, shape (M,)."""
+        """The materials that were laid out, by default all, shape (M,)."""
         return np.arange(len(self.names)) if self.space.landmarks is None else self.space.landmarks
+
+    @property
+    def pictured(self) -> Indices:
+        """The materials that a picture shows with ball and name: all, or 80 of the landmarks, which cover the map."""
+        return self.landmarks if self.space.landmarks is None else self.landmarks[:_PICTURED]
 
     @property
     def gp(self) -> GPWeights:

@@ -33,20 +33,20 @@ _GAP = 1.06  # of boxes, in their sizes
 def ball_map(
     model: Manifold, images: Sequence[Array], marked: Array | None = None, marked_image: Array | None = None
 ) -> Figure:
-    """The first two latent dimensions: every material as a ball, or the landmarks, over the expected error.
+    """The first two latent dimensions: `model.pictured` as balls, over the expected error.
 
-    Balls that would cover each other are moved apart, with a line to where they belong. Materials that are no
-    landmarks are points in their colours.
+    Balls that would cover each other are moved apart, with a line to where they belong. All other materials are points
+    in their colours.
 
     Args:
         model: a fitted manifold.
-        images: one ball per landmark, RGBA (H, W, 4), cropped to the ball.
+        images: one ball per pictured material, RGBA (H, W, 4), cropped to the ball.
         marked: a latent (Q,) to show as predicted.
         marked_image: the ball of that prediction.
     """
     figure = new_figure(12, 9)
     axes = figure.add_subplot()
-    X = two_dimensions(model.X[model.landmarks])
+    X = two_dimensions(model.X[model.pictured])
     names = [in_lines(name, _LINE) for name in material_labels(model)]
     draw_points(axes, model)
     shown = list(images)

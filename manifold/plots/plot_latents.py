@@ -29,7 +29,7 @@ _MARGIN = 0.18  # of the range of the latents, around them
 
 
 def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
-    """The first two latent dimensions: materials in their own colours over the expected error, landmarks with names.
+    """The first two latent dimensions: materials in their own colours over the expected error; see `pictured`.
 
     Args:
         model: a fitted manifold; one dimension is drawn along a line.
@@ -37,11 +37,11 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
     """
     figure = new_figure(10, 7.2)
     axes = figure.add_subplot()
-    X = two_dimensions(model.X[model.landmarks])
+    X = two_dimensions(model.X[model.pictured])
     if model.settings.latent_dim == 2:
         draw_expected_error(figure, axes, model)
     draw_points(axes, model)
-    colours = material_colours(model, model.landmarks)
+    colours = material_colours(model, model.pictured)
     axes.scatter(X[:, 0], X[:, 1], _DOT_POINTS**2, colours, edgecolors="black", linewidths=0.8, zorder=3)
     names = [shortened(name) for name in material_labels(model)]
     if marked is not None:
@@ -54,9 +54,9 @@ def latent_map(model: Manifold, marked: Array | None = None) -> Figure:
 
 
 def material_labels(model: Manifold) -> list[str]:
-    """Names of the landmarks of a map; of those that were not measured also what they are."""
+    """Names of the pictured materials of a map; of those that were not measured also what they are."""
     labels = []
-    for name in (model.names[k] for k in model.landmarks):
+    for name in (model.names[k] for k in model.pictured):
         origin = model.library.attributes(name).origin
         what = "" if origin in ("measured", "synthetic", name) else f" ({origin})"
         labels.append(name.removeprefix("syn_").replace("_", " ") + what)
@@ -125,8 +125,8 @@ def draw_expected_error(figure: Figure, axes: Axes, model: Manifold) -> None:
 
 
 def draw_points(axes: Axes, model: Manifold) -> None:
-    """The materials that are no landmarks, as small points in their colours."""
-    others = np.delete(np.arange(len(model.names)), model.landmarks)
+    """The materials that are not pictured, as small points in their colours."""
+    others = np.delete(np.arange(len(model.names)), model.pictured)
     if others.size:
         X, area = two_dimensions(model.X[others]), _POINTS_AREA / len(others)
         colours = material_colours(model, others)

@@ -21,8 +21,8 @@ _VERSION = "thumbnail-1"  # raise where scene, size or tone mapping change
 
 
 def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[Array]:
-    """The materials of `model.landmarks` as balls, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
-    names = tuple(model.names[k] for k in model.landmarks)
+    """The materials of `model.pictured` as balls, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
+    names = tuple(model.names[k] for k in model.pictured)
     key = hashlib.sha256(
         f"{_VERSION} {model.library.content_hash} {SIZE} {SAMPLES} {names}".encode()
     ).hexdigest()

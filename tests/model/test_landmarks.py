@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.small_library import NAMES, measured, small_library
+from matplotlib.collections import PathCollection
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour import ball_colours
 from manifold.errors import UsageError
 from manifold.experiments.evaluation.report import make_report
 from manifold.library.store import Library
-from manifold.model import fitting, landmark_search, left_out
+from manifold.model import fitting, landmark_search, latent_map, left_out
 from manifold.model.colours import ColourChoice, choose_colour
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
+from manifold.plots import plot_latents
 from manifold.plots.explorer.tables import tabulate, to_document
 
 MORE = ("syn_paint_sand", "syn_paper_red", "syn_satin_white", "syn_gloss_green")
@@ -80,6 +82,13 @@ def test_a_page_blends_the_landmarks_and_shows_the_others_as_points(model):
     assert len(document["names"]) == len(document["paths"]["vertices"]) == 5
     assert len(document["others"]["X"]) == len(document["others"]["colours"]) == 5
     assert sorted(document["names"] + document["others"]["names"]) == sorted(model.names)
+
+
+def test_a_picture_shows_few_landmarks_in_detail_and_all_others_as_points(model, monkeypatch):
+    monkeypatch.setattr(latent_map, "_PICTURED", 3)
+    axes = plot_latents.latent_map(model).axes[0]
+    counts = [len(drawn.get_offsets()) for drawn in axes.collections if isinstance(drawn, PathCollection)]
+    assert sorted(counts) == [3, 7]
 
 
 def test_a_report_on_a_map_by_landmarks_is_refused(model):

@@ -60,6 +60,11 @@ class MaterialCache:
         """Whether all materials are; others need direction pairs of all azimuths."""
         return all(self.library.attributes(name).is_isotropic for name in self.names)
 
+    @cached_property
+    def is_synthetic(self) -> bool:
+        """Whether any material is."""
+        return any(self.library.attributes(name).is_synthetic for name in self.names)
+
     def index(self, name: str) -> int:
         """The index of a material.
 

@@ -17,7 +17,7 @@ from manifold.brdf.measured import BRDF
 from manifold.brdf.wrapped import WrappedBRDF
 from manifold.colour.ball_colours import ball
 from manifold.colour.conversion import srgb_to_xyz, to_srgb
-from manifold.colour.difference import delta_e_2000
+from manifold.colour.difference import delta_e_2000_lab, to_lab
 from manifold.latent.lobes import cos_theta_d, microfacet_lobe
 from manifold.mapping import Identity
 from manifold.metrics import cosine_weight
@@ -204,8 +204,8 @@ def walk_path(start: Walked, end: Walked) -> Array:
     positions = positions_between(start.highlight, end.highlight, u)
     share = u[:, None, None]
     linear = (1.0 - share) * start.ball_at(positions) + share * end.ball_at(positions)
-    xyz = srgb_to_xyz(np.clip(linear, 0.0, 1.0))
-    sizes = delta_e_2000(xyz[:-1], xyz[1:], srgb_to_xyz(np.ones(3))).mean(axis=1)
+    lab = to_lab(srgb_to_xyz(np.clip(linear, 0.0, 1.0)), srgb_to_xyz(np.ones(3)))
+    sizes = delta_e_2000_lab(lab[:-1], lab[1:]).mean(axis=1)
     length = np.concatenate([[0.0], np.cumsum(sizes + np.finfo(float).eps)])
     return np.interp(np.linspace(0.0, length[-1], PATH_NODES), length, u)
 

@@ -1,7 +1,7 @@
 """Thousands of materials: time and memory of import, embedding with calibration, predictions and the map.
 
     python benchmarks/bench_scale.py [--sizes 50,150,500,1500,5000] [--figure FILE.png] [--json FILE]
-    python benchmarks/bench_scale.py --compare LIBRARY [--landmarks 0,50] [--latent-dim Q]
+    python benchmarks/bench_scale.py --compare LIBRARY [--landmarks 0,50] [--latent-dim Q] [--json FILE]
 
 Materials are generated: analytic ones of six kinds with random parameters, as RGB files of 16 x 16 cells and five
 incidences. Every step of every size runs in a process of its own, whose processor time, wall time and peak memory are
@@ -9,7 +9,7 @@ measured. The exponent of a step is the slope of log processor time over log siz
 
 With --compare, maps of one library by different numbers of landmarks (0: all materials are laid out): errors of
 materials that are left out, median / 90th percentile, the rank correlation of expected errors with them, and the share
-of random latents inside the hull whose highlight has a hole of over 10 %.
+of random latents inside the hull whose highlight has a hole of over 10 %. Results are added to those of a --json file.
 """
 
 from __future__ import annotations
@@ -190,29 +190,37 @@ def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
     save(figure, path)
 
 
-def compare(library: Path, landmarks: list[int], latent_dim: int) -> None:
-    """A row per number of landmarks."""
+def compare(library: Path, landmarks: list[int], latent_dim: int) -> list[dict[str, object]]:
+    """A row per number of landmarks, printed too."""
     print(
         "| landmarks | ball: left out, rank correlation | cube root: left out, rank correlation | holes | processor s |"
     )
     print("|---|---|---|---|---|")
+    rows: list[dict[str, object]] = []
     for count in landmarks:
         used = time.process_time()
         model = Manifold.fit(library, Settings(latent_dim=latent_dim, landmarks=count or None))
         used = time.process_time() - used
         assert model.left_out is not None
-        found = [
-            f"{c.true[0]:.3g} / {c.true[1]:.3g}, {c.rank_correlation:.2f}"
-            for c in model.left_out.calibration().values()
-        ]
+        calibration = model.left_out.calibration()
         holes = []
         for seed in (0, 1, 2):
             interior = Interior(model, seed)
             valleys = [plausibility(model.predict(interior.draw())).highlight_valley for _ in range(PLACES)]
-            holes.append(f"{np.mean(np.array(valleys) > 0.1):.0%}")
-        print(
-            f"| {count or 'all'} | " + " | ".join(found) + f" | {', '.join(holes)} | {used:.0f} |", flush=True
-        )
+            holes.append(float(np.mean(np.array(valleys) > 0.1)))
+        errors = {name: [*found.true, found.rank_correlation] for name, found in calibration.items()}
+        rows.append({"landmarks": count or len(model.names), "holes": holes, "cpu_s": used} | errors)
+        found = [f"{median:.3g} / {most:.3g}, {rank:.2f}" for median, most, rank in errors.values()]
+        shares = ", ".join(f"{share:.0%}" for share in holes)
+        print(f"| {count or 'all'} | " + " | ".join(found) + f" | {shares} | {used:.0f} |", flush=True)
+    return rows
+
+
+def record(path: Path | None, results: dict[str, object]) -> None:
+    """Add results to those of a file."""
+    if path is not None:
+        before = json.loads(path.read_text()) if path.exists() else {}
+        path.write_text(json.dumps(before | results, indent=1) + "\n")
 
 
 def main() -> None:
@@ -229,14 +237,14 @@ def main() -> None:
     parser.add_argument("--latent-dim", type=int, default=2)
     given = parser.parse_args()
     if given.compare:
-        compare(given.compare, [int(count) for count in given.landmarks.split(",")], given.latent_dim)
+        counts = [int(count) for count in given.landmarks.split(",")]
+        record(given.json, {given.compare.stem: compare(given.compare, counts, given.latent_dim)})
         return
     sizes = [int(size) for size in given.sizes.split(",")]
     with tempfile.TemporaryDirectory() as temporary:
         rows = run_sizes(sizes, given.folder or Path(temporary))
     print_table(sizes, rows)
-    if given.json:
-        given.json.write_text(json.dumps({"sizes": sizes, "steps": rows}, indent=1))
+    record(given.json, {"sizes": sizes, "steps": rows})
     if given.figure:
         draw(sizes, rows, given.figure)
 

@@ -190,9 +190,11 @@ def reconstruct_file(
     library.bands.require_same(brdf.bands, file.name, "resample it, or use its own library")
     materials = MaterialCache(library, names, is_nonnegative=True)
     bands = evenly_spaced(library.bands.count, Settings().sample_bands)
-    materials.in_bands(bands.tolist(), on_progress)
     trials = [0.0] if materials.is_isotropic else trial_rotations(file)
-    tried = [reconstruct(materials, bands, _turned(brdf, -angle), numbers).turned(angle) for angle in trials]
+    tried = [
+        reconstruct(materials, bands, _turned(brdf, -angle), numbers, on_progress).turned(angle)
+        for angle in trials
+    ]
     of_tried = [brdf_errors(brdf, found) for found in tried]
     best = int(np.argmin([errors.cube_root for errors in of_tried]))
     found = tried[best]

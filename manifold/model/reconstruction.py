@@ -18,7 +18,7 @@ from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array, Indices, evenly_spaced
+from manifold.records import Array, Indices, Progress, evenly_spaced
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
@@ -26,6 +26,7 @@ DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
 MAX_BANDS = 20
 """In which weights of few atoms are found."""
 
+_AT_ONCE = 300  # materials among which weights are found together
 _STUDIOS_DEG = (60.0, 180.0, 300.0)  # reports show the ball at 0: in a light that no reconstruction saw
 
 
@@ -89,23 +90,42 @@ class ComparedValues:
 
 
 def reconstruct(
-    materials: MaterialCache, sample_bands: Indices, brdf: BRDF, numbers: int | None = None
+    materials: MaterialCache,
+    sample_bands: Indices,
+    brdf: BRDF,
+    numbers: int | None = None,
+    on_progress: Progress | None = None,
 ) -> PredictedBRDF:
-    """Combine bands of all materials, and lobes, with weights that may only add: see `reconstruction_weights`.
+    """Combine bands of materials, and lobes, with weights that may only add: see `reconstruction_weights`.
+
+    Of more than 300 materials, weights are found among 300 after 300, each time beside those that had any before.
 
     Args:
         materials: of the library.
         sample_bands: which of their bands are samples, increasing, shape (B_s,).
         brdf: the material, in the bands of the library.
         numbers: that may describe it, see `ComparedValues.weights`; by default as many as it takes.
+        on_progress: called with (done, total, name) while materials are read.
     Raises:
         UsageError: it is black, or numbers is below 1.
     """
     if numbers is not None and numbers < 1:
         raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")
-    sampled = materials.in_bands(sample_bands.tolist())
-    compared = ComparedValues.default(all_isotropic([brdf, *sampled]))
-    weights = compared.weights(compared.of_atoms(sampled), brdf, numbers)
+    sampled, N = list[BRDF](), len(materials.names)
+    for first in range(0, N, _AT_ONCE):
+
+        def report(done: int, _: int, name: str, first: int = first) -> None:
+            if on_progress is not None:
+                on_progress(first + done, N, name)
+
+        new = materials.names[first : first + _AT_ONCE]
+        sampled += materials.in_bands(sample_bands.tolist(), report, new)
+        compared, is_last = ComparedValues.default(all_isotropic([brdf, *sampled])), first + _AT_ONCE >= N
+        weights = compared.weights(compared.of_atoms(sampled), brdf, numbers if is_last else None)
+        if not is_last:
+            of_samples = weights[:, : -len(DICTIONARY.lobes)].any(axis=0)
+            has_any = of_samples.reshape(-1, len(sampled), len(sample_bands)).any(axis=(0, 2))
+            sampled = [sampled[k] for k in np.flatnonzero(has_any)]
     if not np.any(weights):
         raise UsageError(
             "the material to reconstruct is black: found no value above 0 at any direction pair, expected some light"

@@ -82,7 +82,9 @@ def predict(
 
 def _describe(model: Manifold, x: Array, colour: str | None, physical: bool) -> str:
     """The description in a predicted file."""
-    origin = "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
+    origin = (
+        "a synthetic corpus" if model.materials.is_synthetic else f"{len(model.names)} measured materials"
+    )
     at = ", ".join(model.space.printed(x))
     how = (f", colour {colour}" if colour else "") + ", projected to be physical" * physical
     return f"Predicted at latent ({at}){how}{',' * bool(how)} from {origin} by manifold {__version__}"

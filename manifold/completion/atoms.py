@@ -27,6 +27,9 @@ from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, Bands, Indices, Progress, evenly_spaced
 from manifold.system.names import counted
 
+MOST_MATERIALS = 1000
+"""Of a library from which readings are completed: each is left out once, against all others."""
+
 ATOM_BANDS = 5  # of a spectral material; more gain nothing
 COAT_ALPHAS = tuple(np.geomspace(0.015, 0.26, 10).tolist())  # duller ones replace measured matt materials
 COAT_INDICES = (1.42, 1.58)
@@ -82,7 +85,7 @@ class LibraryAtoms:
         """Evaluate all materials of a library, negative values taken for 0.
 
         Raises:
-            UsageError: there are fewer than three.
+            UsageError: there are fewer than three, or more than `MOST_MATERIALS`.
             LibraryError: a material cannot be read.
         """
         names, bands = library.names, library.bands
@@ -90,6 +93,11 @@ class LibraryAtoms:
             raise UsageError(
                 f"{library.path}: {counted(len(names), 'material')}, expected at least three to complete readings "
                 "from; import more"
+            )
+        if len(names) > MOST_MATERIALS:
+            raise UsageError(
+                f"{library.path}: {len(names)} materials, expected at most {MOST_MATERIALS} to complete readings from; "
+                "import those that are like the sample into a library of their own"
             )
         chosen = evenly_spaced(bands.count, ATOM_BANDS)
         cache = MaterialCache(library, names, is_nonnegative=True)

@@ -20,6 +20,7 @@ from manifold.colour import ball_colours
 from manifold.colour.conversion import luminance
 from manifold.colour.narrow_bands import SPECTRUM
 from manifold.completion import calibrate, complete, expected, suggest
+from manifold.completion.atoms import LibraryAtoms
 from manifold.completion.band_mixtures import band_mixtures
 from manifold.completion.complete import completion_weights
 from manifold.completion.expected import Calibration, errors_of, indicators_of, leave_out
@@ -554,6 +555,12 @@ def test_suggestions_leave_out_what_was_read_and_keep_to_the_instrument(atoms):
     assert len(suggest(atoms, 3, made).wi) == 3
     with pytest.raises(UsageError, match="no instrument"):
         suggest(atoms, 1, instrument="gonio")
+
+
+def test_libraries_of_thousands_are_refused(library, monkeypatch):
+    monkeypatch.setattr("manifold.completion.atoms.MOST_MATERIALS", 3)
+    with pytest.raises(UsageError, match="materials, expected at most 3 to complete readings from"):
+        LibraryAtoms.of_library(Library.open(library))
 
 
 # -- bands ------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from manifold.errors import UsageError
 
 from . import options, terminal
 from .application import app
+from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 if TYPE_CHECKING:
     from manifold.experiments.chart.experiment import Chart
@@ -58,6 +59,8 @@ def chart(
             "completion, ridge, ridge_same, nearest, principled: less).",
         ),
     ] = False,
+    processes: OneWorkerOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Cross-validate many settings in ten folds: error against time to predict, bytes, and time to fit.
@@ -67,12 +70,13 @@ def chart(
 
     Times are relative to one evaluation of a synthetic material in the same run. P, B, F: on the Pareto front of
     an error against time to predict, bytes, or time to fit. Fits to the evaluated materials themselves are on no
-    front.
+    front. With --readings it runs in this process.
     """
     from manifold.experiments.chart.experiment import make_chart
     from manifold.library.store import Library
     from manifold.model.manifold import Manifold
     from manifold.plots import figures
+    from manifold.system.workers import HERE
 
     results = terminal.Results(json)
     if output is not None:
@@ -90,7 +94,10 @@ def chart(
         opened, names = loaded.library, loaded.names
     with terminal.progress("Chart") as step:
         files = [opened.read(name) for name in names]
-        made = make_chart(files, only or (), step, neural=anchor, library=opened)
+        made = make_chart(
+            files, only or (), step, neural=anchor, library=opened,
+            workers=workers_of(processes, scheduler, HERE),
+        )  # fmt: skip
     _write_chart(made, results, output)
 
 

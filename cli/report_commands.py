@@ -10,6 +10,7 @@ import typer
 from . import options, terminal
 from .application import app
 from .model_commands import show_prediction
+from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 Grid = Literal["default", "hikichi"]
 
@@ -49,16 +50,22 @@ def report(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Also draw the map of the latents.", metavar="FILE.png")
     ] = None,
+    processes: OneWorkerOption = None,
+    scheduler: SchedulerOption = None,
 ) -> None:
-    """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times."""
+    """Evaluate a model: reconstruction, leave-one-out against baselines, plausibility, times.
+
+    --workers and --scheduler share out the models that are fitted without each material.
+    """
     from manifold.experiments.evaluation.report_text import format_report
+    from manifold.system.workers import HERE
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
     with terminal.progress("Evaluating") as step:
         made = pipeline.report(
             model, library=library, grid=grid, compare=compare, all_bands=all_bands, anchors=anchor or (),
-            picture=picture, on_progress=step,
+            picture=picture, workers=workers_of(processes, scheduler, HERE), on_progress=step,
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())

@@ -9,6 +9,7 @@ import typer
 
 from . import options, terminal
 from .application import app
+from .worker_options import OneWorkerOption, SchedulerOption, workers_of
 
 
 @app.command(
@@ -26,6 +27,8 @@ def stability(
             "--picture", "-o", help="Plot error against severity into this file.", metavar="FILE.png"
         ),
     ] = None,
+    processes: OneWorkerOption = None,
+    scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
 ) -> None:
     """Run a catalogue of failure modes on synthetic plastics with known ground truth (takes minutes).
@@ -38,13 +41,14 @@ def stability(
     from manifold.experiments.stability.catalogue import MODES
     from manifold.experiments.stability.trials import run_modes, select_modes
     from manifold.plots import figures, plot_stability
+    from manifold.system.workers import HERE
 
     results = terminal.Results(json)
     modes = select_modes(MODES, only or ())
     if picture is not None:
         figures.require_writable(picture)
     with terminal.progress("Failure modes") as step:
-        made = run_modes(modes, step)
+        made = run_modes(modes, step, workers_of(processes, scheduler, HERE))
     if picture is not None:
         figures.save(plot_stability.panels(made, modes), picture)
     results.sentence(conclusions.conclusion(made))

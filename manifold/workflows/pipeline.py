@@ -90,6 +90,7 @@ def report(
     all_bands: bool = False,
     anchors: Sequence[str] = (),
     picture: Path | None = None,
+    workers: Workers = HERE,
     on_progress: Progress | None = None,
 ) -> Report:
     """Evaluate a model and other methods, see `make_report`; with `picture`, also draw the map of its latents."""
@@ -104,4 +105,13 @@ def report(
         raise UsageError(f"{model}: found {found}, expected at least 3 to leave one out; import more")
     if picture is not None:  # first: an interruption then costs little
         figures.save(plot_latents.latent_map(loaded), picture)
-    return make_report(loaded, grid, on_progress, compare=compare, all_bands=all_bands, anchors=anchors)
+    return make_report(
+        loaded,
+        grid,
+        on_progress,
+        compare=compare,
+        all_bands=all_bands,
+        anchors=anchors,
+        workers=workers,
+        file=model,
+    )

@@ -9,9 +9,13 @@ import pytest
 from helpers.sample_files import write_samples
 from helpers.small_library import small_library
 
+from manifold import metrics
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import ManifoldError
+from manifold.experiments.chart.experiment import make_chart
+from manifold.experiments.stability.catalogue import MODES
+from manifold.experiments.stability.trials import run_modes, select_modes
 from manifold.library import importing
 from manifold.library.importing import import_files
 from manifold.library.store import Library
@@ -91,6 +95,47 @@ def test_an_embedding_that_fails_there_says_why(tmp_path, workers):
     library = small_library(tmp_path)
     with pytest.raises(ManifoldError, match="no material 'missing'"):
         pipeline.embed(library, tmp_path / "m.h5", Settings(), without=["missing"], workers=workers)
+
+
+def numbers_of(made):
+    """All of a report but times."""
+    content = made.to_json()
+    del content["seconds"]
+    for method in content["methods"]:
+        for name in ("fit_seconds", "encode_seconds", "predict_seconds"):
+            del method[name]
+    return content
+
+
+@pytest.mark.slow
+def test_a_report_has_the_same_errors(tmp_path, workers, monkeypatch):
+    monkeypatch.setitem(metrics.NAMED_GRIDS, "default", metrics.RusinkiewiczGrid(20, 11, 6))
+    sent, run = [], Cluster.run
+    monkeypatch.setattr(Cluster, "run", lambda self, f, tasks: (sent.extend(tasks), run(self, f, tasks))[1])
+    pipeline.embed(small_library(tmp_path), tmp_path / "model.h5", Settings(kind="material"))
+    here, there = (pipeline.report(tmp_path / "model.h5", workers=who) for who in (HERE, workers))
+    assert {task.method for task in sent} >= {"published", "gp_refitted"}
+    assert numbers_of(there) == numbers_of(here)
+
+
+def test_a_chart_has_the_same_errors(tmp_path, workers):
+    library = Library(small_library(tmp_path))
+    files, keys = [library.read(name) for name in library.names], ["nearest", "linear", "pca_2_cube-root"]
+    grid = metrics.RusinkiewiczGrid(20, 11, 6)
+    here, there = (
+        make_chart(files, keys, grid=grid, library=library, workers=who) for who in (HERE, workers)
+    )
+    for a, b in zip(here.rows, there.rows, strict=True):
+        for name in ("key", "delta_e", "cube_root_error", "rmse", "p90", "bytes"):
+            assert getattr(a, name) == getattr(b, name)
+    assert there.reference_seconds > 0.0
+
+
+def test_failure_modes_have_the_same_results(workers):
+    modes = select_modes(MODES, ["ill_conditioned_kernel"])
+    here = run_modes(modes)
+    assert len(here.rows) == 1
+    assert run_modes(modes, workers=workers) == here
 
 
 @pytest.mark.slow

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from manifold.errors import RendererError, UsageError
+from manifold.errors import ManifoldError, UsageError
 from manifold.experiments.chart import fits, instruments
-from manifold.experiments.chart.held_out import HeldOut
+from manifold.experiments.chart.held_out import FOLDS, HeldOut
 from manifold.experiments.chart.instruments import REFERENCE, REFERENCE_PAIRS, ChartRow, RelativeTime
 from manifold.experiments.evaluation.anchors import neural_fits
 from manifold.experiments.evaluation.cross_validation import Method
@@ -22,6 +24,7 @@ from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
 from manifold.records import Array, BsdfFile, Progress
 from manifold.system.names import counted, names_like
+from manifold.system.workers import HERE, Workers
 
 ERRORS = {
     "delta_e": "CIEDE2000 of the ball", "cube_root_error": "cube-root error", "relative_error": "linear error",
@@ -103,6 +106,7 @@ def make_chart(
     fitted: int = 3,
     neural: str | None = None,
     library: Library | None = None,
+    workers: Workers = HERE,
 ) -> Chart:
     """Measure settings on materials, left out in at most ten folds.
 
@@ -115,59 +119,129 @@ def make_chart(
         neural: file, zip file or folder of published neural fits; also show those of these materials.
         library: of the files, where settings that are done are kept until all are, so that an interrupted run is
             continued on the same machine.
+        workers: who measure settings; others than this process read the files from the library. Times are relative to
+            a reference in the same process.
     Raises:
         UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
+        ManifoldError: a setting cannot be measured, or a worker was lost.
     """
     if len(files) < 4:
         raise UsageError(
             f"found {counted(len(files), 'material')}, expected at least 4 to leave some out; import more"
         )
-    known: dict[str, Method | str] = {s.key: s for s in settings(files[0].bands.count)}
-    known |= {f"fit_{method}": method for method in fits.METHODS}
+    known = _known_settings(files[0].bands.count, neural)
+    names = tuple(file.name for file in files)
     if neural is not None:
-        neural_fits(neural, [file.name for file in files], files[0].bands)  # refused before any long work
-        known[fits.NEURAL] = fits.NEURAL
+        neural_fits(neural, names, files[0].bands)  # refused before any long work
     unknown = [key for key in only if key not in known]
     if unknown:
         near = names_like(known, unknown[0], "there are")
         raise UsageError(
             f"no setting is called {unknown[0]!r}; {near} (docs/explanation/accuracy.md lists all)"
         )
-    chosen = [known[key] for key in only or known]
-    held_out = [s for s in chosen if isinstance(s, Method)]
-    names, machine = [file.name for file in files], platform.node()
-    kept = KeptResults(library, f"chart-1 {names} {list(only)} {grid} {fitted} {neural} {machine}")
+    kept = KeptResults(library, f"chart-1 {[*names]} {[*only]} {grid} {fitted} {neural} {platform.node()}")
     rows = _from_arrays(kept.get())
     skipped: dict[str, str] = {}
-
-    def add(row: ChartRow) -> None:
-        rows[row.key] = row
-        kept.put(_to_arrays(rows))
-        if on_progress is not None:
-            on_progress(len(rows), len(chosen), row.title)
-
-    with instruments.one_core():
-        held = HeldOut(files, RusinkiewiczGrid.named("default") if grid is None else grid, held_out)
-        # Settings that store files alike stand together: only one set of stored files is in memory.
-        for setting in sorted((s for s in held_out if s.key not in rows), key=lambda s: s.storage.key):
-            add(held.measure(setting))
-        for key in only or known:
-            method = known[key]
-            if isinstance(method, Method) or key in rows:
-                continue
-            try:
-                if neural is not None and method == fits.NEURAL:
-                    add(fits.measure_neural(neural, files, held))
-                else:
-                    add(fits.measure(method, files, fitted, held))
-            except (RendererError, UsageError) as error:
-                skipped[key] = str(error)
+    how = _How(tuple(only), grid or RusinkiewiczGrid.named("default"), fitted, neural)
+    todo = [key for key in only or known if key not in rows]
+    tasks: list[list[str]]
+    if workers == HERE:
+        measure = _Measuring(files, how).measure
+        tasks = [[key] for key in sorted(todo, key=lambda key: _storage_key(known[key]))]
+    else:
+        assert library is not None
+        measure = partial(_measure_there, library=library.path, names=names, how=how)
+        tasks = _that_share_fits(todo, known)
+    reference_seconds, scaled = 0.0, dict[str, float]()
+    for k, measured, failure in workers.run(measure, tasks):
+        if measured is None:
+            if isinstance(known[tasks[k][0]], Method):
+                raise ManifoldError(failure)
+            skipped[tasks[k][0]] = str(failure)
+            continue
+        for row in measured.rows:
+            rows[row.key] = row
+            kept.put(_to_arrays(rows))
+            if on_progress is not None:
+                on_progress(len(rows), len(only or known), row.title)
+        reference_seconds, scaled = measured.reference_seconds, measured.scaled
     measured_rows = tuple(rows[key] for key in known if key in rows)
     kept.finish()
     return Chart(
-        measured_rows, fronts(measured_rows), len(files), files[0].bands.count, held.folds,
-        held.watch.reference_seconds, held.scaled, skipped,
+        measured_rows, fronts(measured_rows), len(files), files[0].bands.count, min(FOLDS, len(files)),
+        reference_seconds, scaled, skipped,
     )  # fmt: skip
+
+
+class _How(NamedTuple):
+    """Arguments of `make_chart` on which rows depend beside the files."""
+
+    only: tuple[str, ...]
+    grid: RusinkiewiczGrid
+    fitted: int
+    neural: str | None
+
+
+class _Measured(NamedTuple):
+    """Rows of some settings; times are relative to that of a reference, and `scaled` is as in `Chart`."""
+
+    rows: list[ChartRow]
+    reference_seconds: float
+    scaled: dict[str, float]
+
+
+class _Measuring:
+    """Measures settings on files, in one process; what they share is made once."""
+
+    def __init__(self, files: Sequence[BsdfFile], how: _How) -> None:
+        self._files, self._how = files, how
+        self._known = _known_settings(files[0].bands.count, how.neural)
+        chosen = [self._known[key] for key in how.only or self._known]
+        with instruments.one_core():
+            self._held = HeldOut(files, how.grid, [s for s in chosen if isinstance(s, Method)])
+
+    def measure(self, keys: Sequence[str]) -> _Measured:
+        """Rows of settings."""
+        with instruments.one_core():
+            rows = [self._row(self._known[key]) for key in keys]
+        return _Measured(rows, self._held.watch.reference_seconds, self._held.scaled)
+
+    def _row(self, method: Method | str) -> ChartRow:
+        if isinstance(method, Method):
+            return self._held.measure(method)
+        if method == fits.NEURAL and self._how.neural is not None:
+            return fits.measure_neural(self._how.neural, self._files, self._held)
+        return fits.measure(method, self._files, self._how.fitted, self._held)
+
+
+def _measure_there(keys: Sequence[str], *, library: Path, names: tuple[str, ...], how: _How) -> _Measured:
+    return _measuring(library, names, how).measure(keys)
+
+
+@lru_cache(maxsize=1)
+def _measuring(library: Path, names: tuple[str, ...], how: _How) -> _Measuring:
+    opened = Library(library)
+    return _Measuring([opened.read(name) for name in names], how)
+
+
+def _known_settings(n_bands: int, neural: str | None) -> dict[str, Method | str]:
+    """All settings, by key: held-out ones, and the names of fits."""
+    known: dict[str, Method | str] = {s.key: s for s in settings(n_bands)}
+    known |= {f"fit_{method}": method for method in fits.METHODS}
+    return known if neural is None else known | {fits.NEURAL: fits.NEURAL}
+
+
+def _storage_key(method: Method | str) -> tuple[bool, str]:
+    """Settings that store files alike stand together, as only one set of stored files is in memory; fits come last."""
+    return (False, method.storage.key) if isinstance(method, Method) else (True, "")
+
+
+def _that_share_fits(keys: Sequence[str], known: Mapping[str, Method | str]) -> list[list[str]]:
+    groups: dict[Hashable, list[str]] = {}
+    for key in keys:
+        method = known[key]
+        groups.setdefault(method.fit if isinstance(method, Method) else method, []).append(key)
+    return list(groups.values())
 
 
 def _to_arrays(rows: Mapping[str, ChartRow]) -> dict[str, Array]:

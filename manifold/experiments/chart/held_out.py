@@ -27,7 +27,7 @@ from manifold.model.combination import Combination, Values, evaluate
 from manifold.model.prediction import PredictedBRDF
 from manifold.records import Array, BsdfFile, evenly_spaced
 
-_FOLDS = 10
+FOLDS = 10
 _TIMED, _REPEATS = 3, 5
 _BLOCK_PAIRS = 512
 _DENSE_PAIRS = RusinkiewiczGrid.named("hikichi").n_pairs
@@ -52,7 +52,7 @@ class HeldOut:
     def __init__(self, files: Sequence[BsdfFile], grid: RusinkiewiczGrid, chosen: Sequence[Method]) -> None:
         """Tabulate N files at the direction pairs of a grid, in the bands that the chosen settings need."""
         self._files, self.watch = [fill_unmeasured(file) for file in files], Stopwatch()
-        self.folds = min(_FOLDS, len(files))
+        self.folds = min(FOLDS, len(files))
         n_bands = files[0].bands.count
         bands = evenly_spaced(n_bands, MAX_BANDS)
         for count in {s.sample_bands for s in chosen} - {None}:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from manifold import __version__
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
+from manifold.experiments.evaluation import refits
 from manifold.experiments.evaluation.anchors import PRINCIPLED, anchor, neural_fits
 from manifold.experiments.evaluation.cross_validation import Encoded, Method, encode_all, wall_clock
 from manifold.experiments.evaluation.errors import (
@@ -25,10 +27,9 @@ from manifold.experiments.evaluation.errors import (
     plausibility_results,
     standardised_error,
 )
-from manifold.experiments.evaluation.latent_models import SAMPLE_BANDS
 from manifold.experiments.evaluation.methods import baseline_methods, gplvm_methods
 from manifold.experiments.evaluation.model_methods import model_methods, replaced_keys
-from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data, block_pairs
+from manifold.experiments.evaluation.tabulated import Data, block_pairs
 from manifold.experiments.results import finite
 from manifold.latent.gp_weights import IsolatedLatentsWarning
 from manifold.library.store import Library
@@ -37,7 +38,8 @@ from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
-from manifold.records import Array, Indices, Progress, evenly_spaced
+from manifold.records import Array, Indices, Progress
+from manifold.system.workers import HERE, Workers
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
 _BYTES_PER_NUMBER = 8
@@ -144,6 +146,8 @@ def make_report(
     compare: bool = False,
     all_bands: bool = False,
     anchors: Sequence[str] = (),
+    workers: Workers = HERE,
+    file: Path | None = None,
 ) -> Report:
     """Evaluate a model and other methods on a grid of direction pairs.
 
@@ -157,9 +161,12 @@ def make_report(
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
         anchors: fits to the evaluated materials, for comparison; see `anchors.anchor`.
+        workers: who fit models without each material.
+        file: of the model, from which others than this process read it.
     Raises:
         UsageError: the grid is unknown, or an anchor.
         LibraryError: a material cannot be read.
+        ManifoldError: a worker was lost.
     """
     if model.space.landmarks is not None:
         raise UsageError(
@@ -175,8 +182,13 @@ def make_report(
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
     chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
     materials, load = wall_clock(lambda: model.materials.with_negative_values(on_progress))
-    data, tabulate = wall_clock(lambda: _tabulate(model, materials, on_progress))
-    encoded, encode = wall_clock(lambda: _encode(data, chosen, on_progress))
+    data, tabulate = wall_clock(lambda: refits.tabulate(model, materials, on_progress))
+    refitted: dict[str, Encoded] = {}
+    if file is not None and workers != HERE:
+        long = [m for m in chosen if m.refits and m.fits_model]
+        library = model.library.path
+        refitted = refits.refit_there(workers, long, len(model.names), file, library, on_progress)
+    encoded, encode = wall_clock(lambda: _encode(data, chosen, refitted, on_progress))
     bands = np.arange(model.bands.count) if all_bands else data.bands
     reuse = grid_name == "default" and not all_bands
     blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid, on_progress)
@@ -220,18 +232,10 @@ def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
     return n_materials * samples**2 > LONGEST_REFITS
 
 
-def _tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: Progress | None) -> Data:
-    """The data of all methods, in about 20 bands, among them the samples of monochrome models."""
-    count = model.bands.count
-    bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
-    if model.space.sample_bands is not None:
-        bands = np.union1d(bands, model.space.sample_bands)
-
-    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands, on_progress)
-
-
-def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None) -> list[Encoded]:
-    """Predictions of every material by every method, as weights."""
+def _encode(
+    data: Data, methods: Sequence[Method], known: Mapping[str, Encoded], on_progress: Progress | None
+) -> list[Encoded]:
+    """Predictions of every material by every method, as weights; those of some are known."""
     encoded = []
     for m, method in enumerate(methods):
 
@@ -241,7 +245,7 @@ def _encode(data: Data, methods: Sequence[Method], on_progress: Progress | None)
 
         with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
             warnings.simplefilter("ignore", IsolatedLatentsWarning)
-            encoded.append(encode_all(data, method, step))
+            encoded.append(known.get(method.key) or encode_all(data, method, step))
     return encoded
 
 

@@ -51,7 +51,13 @@ def _of_kinds(trial: Callable[[str, TestBed, float], Measurement]) -> dict[str, 
 
 def _fitted(files: Callable[[TestBed, float], Sequence[BsdfFile]]) -> dict[str, Trial]:
     """The held-out plastic in a model of each kind, fitted to files that depend on the severity."""
-    return _of_kinds(lambda kind, bed, severity: _held_out_in(bed, bed.fit(files(bed, severity), kind)))
+    return _of_kinds(partial(_fitted_to, files))
+
+
+def _fitted_to(
+    files: Callable[[TestBed, float], Sequence[BsdfFile]], kind: str, bed: TestBed, severity: float
+) -> Measurement:
+    return _held_out_in(bed, bed.fit(files(bed, severity), kind))
 
 
 # -- the kernel --------------------------------------------------------------------------------------------

@@ -12,14 +12,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache, partial
 from typing import Any
-
-from threadpoolctl import threadpool_limits
 
 from manifold.errors import ManifoldError, RendererError, UsageError
 from manifold.experiments.stability.testbed import TestBed
 from manifold.records import Progress
 from manifold.system.names import names_like
+from manifold.system.workers import HERE, Workers
 
 FINE, WARNED, REFUSED, WRONG = OUTCOMES = ("fine", "warned", "refused", "silently wrong")
 
@@ -203,29 +203,44 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 
-def run_modes(modes: Sequence[Mode], on_progress: Progress | None = None) -> Stability:
+def run_modes(
+    modes: Sequence[Mode], on_progress: Progress | None = None, workers: Workers = HERE
+) -> Stability:
     """Run every method of every mode at every severity.
 
     Args:
         modes: what to try.
         on_progress: called with (done, total, what) after each method.
+        workers: who run methods; others than this process make test beds of their own.
+    Raises:
+        ManifoldError: a worker was lost.
     """
-    rows: list[Row] = []
-    skipped: dict[str, str] = {}
-    total = sum(len(mode.methods) for mode in modes)
-    # A dozen materials: sharing the work among threads costs more than it gains.
-    with TestBed() as bed, threadpool_limits(1, "blas"):
-        for mode in modes:
-            for method in mode.methods:
-                what = f"{mode.key}: {method}"
-                try:
-                    results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
-                    rows.append(Row(mode.key, method, mode.limit.value, results))
-                except RendererError as error:
-                    skipped[what] = str(error)
-                if on_progress is not None:
-                    on_progress(len(rows) + len(skipped), total, what)
-    return Stability(tuple(rows), skipped)
+    tasks = [(mode, method) for mode in modes for method in mode.methods]
+    found: dict[int, Row | str] = {}
+    with TestBed() as bed:
+        run = partial(_run_method, bed=bed) if workers == HERE else _run_method
+        for k, row, failure in workers.run(run, tasks):
+            found[k] = str(failure) if row is None else row
+            if on_progress is not None:
+                on_progress(len(found), len(tasks), f"{tasks[k][0].key}: {tasks[k][1]}")
+    rows = tuple(row for _, row in sorted(found.items()) if isinstance(row, Row))
+    skipped = {
+        f"{tasks[k][0].key}: {tasks[k][1]}": why for k, why in sorted(found.items()) if isinstance(why, str)
+    }
+    return Stability(rows, skipped)
+
+
+def _run_method(task: tuple[Mode, str], bed: TestBed | None = None) -> Row:
+    """Results of a method; raises RendererError where it cannot run on this machine."""
+    mode, method = task
+    bed = bed or _bed_of_worker()
+    results = tuple(run_trial(mode, method, bed, severity) for severity in mode.severities)
+    return Row(mode.key, method, mode.limit.value, results)
+
+
+@lru_cache(maxsize=1)
+def _bed_of_worker() -> TestBed:
+    return TestBed()
 
 
 def run_trial(mode: Mode, method: str, bed: TestBed, severity: float) -> TrialResult:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -145,6 +146,11 @@ class Batch:
                     outcomes[k] = Outcome(printable(name), path, source, failure=failure)
                 elif content.get("refusal") is not None:
                     outcomes[k] = Outcome(name, path, source, content, failure=content["refusal"])
+                elif not _is_there(path):
+                    unseen = (
+                        f"{path}: not seen here after a worker wrote it; use a folder that all machines share"
+                    )
+                    outcomes[k] = Outcome(name, path, source, failure=unseen)
                 else:
                     index.add(path, keys[k], content)
                     outcomes[k] = Outcome(name, path, source, content)
@@ -233,6 +239,13 @@ def notes_of(outcome: Outcome[Any]) -> list[str]:
 def ball_path(path: Path) -> Path:
     """Where the ball of a file is drawn; a picture is its own."""
     return path if path.suffix.lower() == ".png" else path.parent / "balls" / f"{path.stem}.png"
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file, which another machine may just have written."""
+    if not path.is_file():
+        os.scandir(path.parent).close()  # a network file system then forgets that there was none
+    return path.is_file()
 
 
 def _has_ball(path: Path) -> bool:

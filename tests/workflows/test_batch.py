@@ -11,6 +11,7 @@ import pytest
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.errors import ManifoldError
+from manifold.system.workers import Finished
 from manifold.workflows.batch import Batch, Task
 from manifold.workflows.completions import calibrate_instrument
 from manifold.workflows.inputs import find_inputs, find_samples
@@ -46,6 +47,17 @@ def test_what_was_made_before_an_interruption_is_not_made_again(tmp_path, moment
     outcomes = run(tmp_path, names, lambda name, path: again.append(name) or written(name, path))
     assert made + again == names
     assert [o.was_there for o in outcomes] == [name in made for name in names]
+
+
+def test_a_file_that_a_worker_wrote_elsewhere_is_one_failure(tmp_path):
+    class Elsewhere:
+        def run(self, function, tasks, begin=None):
+            yield Finished(0, {"letters": 4})
+
+    batch = Batch(tmp_path, "words", COLUMNS)
+    todo = [Task("word", tmp_path / "word.txt", "word")]
+    (outcome,) = batch.run(todo, written, lambda name: {}, workers=Elsewhere())
+    assert "word.txt: not seen here after a worker wrote it; use a folder that all" in outcome.failure
 
 
 def test_a_failure_stops_nothing_and_stands_in_the_tables(tmp_path):

@@ -176,7 +176,7 @@ def import_(
         typer.Option(
             "--rotation",
             help="Azimuth in degrees by which anisotropic samples lay turned, which predictions undo; or auto, which "
-            "turns the direction in which normals spread most to y.",
+            "turns the direction in which normals spread most, and highlights are wide, to x.",
             metavar="DEG|auto",
         ),
     ] = None,

@@ -12,10 +12,11 @@ _DIGITS = 1  # of degrees
 
 
 def rotation_of(file: BsdfFile) -> float | None:
-    """Azimuth in radians by which a sample is turned from where its normals spread most along y, grooves along x.
+    """Azimuth in radians by which a sample is turned from where its normals spread most along x.
 
-    From -90 to 90 degrees, to a tenth of a degree: second moments of the normals are the same after half a turn.
-    None where the file is isotropic, or its normals spread alike in two directions or all.
+    Highlights are wide along x then, as those of `principled` and of engines are along the tangent. From above -90 to
+    90 degrees, to a tenth of a degree: second moments of the normals are the same after half a turn. None where the
+    file is isotropic, or its normals spread alike in two directions or all.
     """
     if file.is_isotropic:
         return None
@@ -26,5 +27,5 @@ def rotation_of(file: BsdfFile) -> float | None:
     moment = np.sum(weight * np.exp(2j * phi[:-1])) / max(float(np.sum(weight)), np.finfo(float).tiny)
     if np.abs(moment) < _LEAST_ANISOTROPY:
         return None
-    degrees = np.round(np.rad2deg(0.5 * np.angle(-moment)), _DIGITS)
-    return float(np.deg2rad(degrees + 0.0))  # no -0
+    degrees = np.round(np.rad2deg(0.5 * np.angle(moment)), _DIGITS)
+    return float(np.deg2rad(90.0 if degrees == -90.0 else degrees))

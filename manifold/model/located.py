@@ -220,7 +220,7 @@ def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
 
 
 def trial_rotations(file: BsdfFile) -> list[float]:
-    """Azimuths by which a sample may lie turned: as it is, or with its normals spread along y or along x."""
+    """Azimuths by which a sample may lie turned: as it is, or with its normals spread along x or along y."""
     rotation = rotation_of(file) or 0.0
     trials = [
         file.rotation_rad,

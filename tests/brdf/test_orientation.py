@@ -21,9 +21,9 @@ from manifold.records import Bands, BsdfFile
 
 
 @cache
-def brushed(angle_deg: float, along: float = 0.2, across: float = 0.4) -> BsdfFile:
-    """A metal whose normals spread along y, turned."""
-    normals = GGX.anisotropic(along, across, float(np.deg2rad(angle_deg)))
+def brushed(angle_deg: float, alpha_x: float = 0.4, alpha_y: float = 0.2) -> BsdfFile:
+    """A metal whose normals spread along x, turned."""
+    normals = GGX.anisotropic(alpha_x, alpha_y, float(np.deg2rad(angle_deg)))
     metal = RoughConductor(normals, np.array(1.5), np.full(3, 3.0), Bands(None))
     return goniometer.measure(metal, "brushed", resolution=16, n_theta_i=6, n_phi_i=9)
 

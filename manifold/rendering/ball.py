@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF, require_brdf
+from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.colour import studio
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import MissingFileError, UsageError
@@ -136,6 +136,8 @@ def render_material(
 
     Returns and raises: as `render_bsdf`.
     """
+    if isinstance(material, BsdfFile) and material.rotation_rad:
+        material = MeasuredBRDF(material)  # Mitsuba knows no rotation of a file
     if not isinstance(material, BsdfFile):
         require_brdf(material, "what is rendered")
         version = (1, 0) if material.bands.is_rgb else (3, 1)

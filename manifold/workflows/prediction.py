@@ -6,6 +6,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from manifold import __version__
 from manifold.completion.attributes import Attributes, adjust
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
@@ -66,7 +68,10 @@ def predict(
     written = write_checked(output, clipped, options, description=description, remedy=remedy)
     seconds = time.perf_counter() - start
     made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
-    made = replace(made, diagnostics=made.diagnostics + written.projection)
+    turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
+    made = replace(
+        made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)
+    )
     if adjusted is not None:
         made = replace(
             made, diagnostics=made.diagnostics + adjusted.shortfalls, attributes=adjusted.to_json()

@@ -75,9 +75,12 @@ def test_a_turned_file_is_reconstructed_turned(model):
 def test_the_prediction_of_a_turned_file_is_written_turned(model, tmp_path, angle_deg):
     write_bsdf(tmp_path / "new_rgb.bsdf", brushed("new", angle_deg, resolution=8))
     options = OutputOptions(resolution=8, incidences=6)
-    predict(model, FileSource(tmp_path / "new_rgb.bsdf"), tmp_path / "written_rgb.bsdf", options=options)
+    made = predict(
+        model, FileSource(tmp_path / "new_rgb.bsdf"), tmp_path / "written_rgb.bsdf", options=options
+    )
     found = rotation_of(read_bsdf(tmp_path / "written_rgb.bsdf"))
     assert found is not None
+    assert any("turned by" in note for note in made.diagnostics) == (angle_deg != 0.0)
     assert abs(np.rad2deg(found)) == pytest.approx(angle_deg, abs=1.0)
 
 

@@ -8,13 +8,17 @@ import shutil
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.small_library import measured, small_model
 
+from manifold.brdf import goniometer
 from manifold.brdf.analytic import corpus
+from manifold.brdf.analytic.ggx import GGX
+from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.cli.main import run as run_here
 from manifold.colour import studio
 from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz
@@ -22,8 +26,9 @@ from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
 from manifold.io_rgl import write_bsdf
+from manifold.records import Bands
 from manifold.rendering import backend, image_metrics, images, render, scenes
-from manifold.rendering.ball import make_settings, parse_illuminant, read_material
+from manifold.rendering.ball import make_settings, parse_illuminant, read_material, render_material
 from manifold.rendering.render import RenderSettings, render_bsdf
 
 GREY = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.4}}
@@ -310,3 +315,15 @@ def test_what_cannot_be_rendered_is_refused_in_one_line(folder, monkeypatch, cap
     stderr = capsys.readouterr().err
     assert message in stderr
     assert len(stderr.strip().splitlines()) == 1
+
+
+def test_a_turned_file_is_rendered_aligned():
+    normals = GGX.anisotropic(0.5, 0.15)
+    metal = RoughConductor(normals, np.array(1.5), np.full(3, 3.0), Bands(None))
+    file = goniometer.measure(metal, "brushed", resolution=12, n_theta_i=6, n_phi_i=9)
+    settings = RenderSettings(size=16, samples=64)
+    plain, half_turn, quarter = (
+        render_material(replace(file, rotation_rad=angle), settings) for angle in (0.0, np.pi, 0.5 * np.pi)
+    )
+    change = [np.abs(found - plain).mean() for found in (half_turn, quarter)]
+    assert change[0] < 0.3 * change[1]

@@ -84,7 +84,7 @@ def with_angles(file: BsdfFile, theta_i: Array, *, resolution: int, warp_nodes: 
         resolution: nodes per axis of the outgoing grid.
         warp_nodes: nodes per axis of the distribution of visible normals.
     """
-    brdf = MeasuredBRDF(file)
+    brdf = MeasuredBRDF(replace(file, rotation_rad=0.0))  # nodes are where the sample was measured
     vndf = _resampled(file.vndf[:, theta_i], warp_nodes)
     theta, phi = file.theta_i_rad[theta_i], file.phi_i_rad
     warp = Warp.from_values(vndf, phi, theta)

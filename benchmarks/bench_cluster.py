@@ -169,7 +169,7 @@ def commands(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[str
     library, model, small = folder / "library.zarr", folder / "model.h5", inputs / "small.zarr"
     return {
         "import": ["import", str(inputs / "files"), "-L", str(library)],
-        "embed": ["embed", "-L", str(library), "-M", str(model)],
+        "embed": ["embed", "-L", str(library if counts.embed == "all" else small), "-M", str(model)],
         "fit": [
             "fit",
             *files[:: max(len(files) // counts.fits, 1)][: counts.fits],
@@ -218,7 +218,7 @@ def differences(a: Path, b: Path) -> dict[str, Any]:
     def counted(x: dict[str, Any], y: dict[str, Any]) -> dict[str, int]:
         return {"files": len(x), "different": sum(x.get(name) != y.get(name) for name in x.keys() | y.keys())}
 
-    models = [Manifold.load(folder / "model.h5", folder / "library.zarr") for folder in (a, b)]
+    models = [Manifold.load(folder / "model.h5") for folder in (a, b)]
     left_out = [model.left_out.arrays for model in models if model.left_out is not None]
     apart = [float(np.abs(models[0].X - models[1].X).max())]
     apart += [float(np.abs(values - left_out[1][name]).max()) for name, values in left_out[0].items()]
@@ -304,6 +304,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--materials", type=int, default=500)
+    parser.add_argument("--embed", choices=("all", "few"), default="all", help=f"few: {IN_LIBRARY} materials")
     parser.add_argument("--fits", type=int, default=40)
     parser.add_argument("--completions", type=int, default=100)
     parser.add_argument("--kills", type=int, default=10)
@@ -320,8 +321,8 @@ def main() -> None:
         few = sorted(str(path) for path in (inputs / "files").iterdir())[:IN_LIBRARY]
         run(["import", *few, "-L", str(inputs / "small.zarr")])
         found: dict[str, Any] = {
-            "command": f"benchmarks/bench_cluster.py --materials {given.materials} --fits {given.fits} "
-            f"--completions {given.completions} --kills {given.kills}",
+            "command": f"benchmarks/bench_cluster.py --materials {given.materials} --embed {given.embed} "
+            f"--fits {given.fits} --completions {given.completions} --kills {given.kills}",
             "machine": f"{os.cpu_count()} cores, {platform.machine()}",
         }
         if given.json is not None and given.json.is_file():

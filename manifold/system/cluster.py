@@ -62,8 +62,8 @@ class Cluster:
         """Run tasks, see `Workers`.
 
         Raises:
-            ManifoldError: the scheduler does not answer or was lost, several workers were lost at one task, or a worker
-                has other versions of packages, or not the folder.
+            ManifoldError: the scheduler does not answer, lacks this package, or was lost; several workers were lost at
+                one task; or a worker has other versions of packages, or not the folder.
         """
         if not tasks:
             return
@@ -77,16 +77,21 @@ class Cluster:
                 for future in as_completed(set(waiting), loop=client.loop):
                     yield future.result()
                     waiting.remove(future)  # results are not collected here
-            except KilledWorker as error:
-                lost = error.args[0] if error.args else "a task"
+            except KilledWorker:
                 raise ManifoldError(
-                    f"{self.address}: several workers were lost at one task ({lost}), out of memory?; give them more, "
-                    "and run again: finished results are kept"
+                    f"{self.address}: several workers were lost at one task (out of memory?); give them more, and run "
+                    "again: finished results are kept"
                 ) from None
             except CancelledError:
                 raise ManifoldError(
                     f"{self.address}: the scheduler was lost; run again: finished results are kept"
                 ) from None
+            except RuntimeError as error:
+                if "deserialization of the task graph" not in str(error):
+                    raise
+                raise ManifoldError(
+                    f"{self.address}: the scheduler lacks this package; start it in the environment of this command"
+                ) from error
             finally:
                 client.cancel(list(waiting))
 

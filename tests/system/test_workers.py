@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -100,32 +101,38 @@ def test_a_worker_with_other_versions_is_one_line(threads_cluster, monkeypatch):
         list(Cluster(threads_cluster.scheduler_address).run(squared, [1]))
 
 
-def test_a_scheduler_that_is_lost_is_one_line(tmp_path):
-    file = tmp_path / "scheduler.json"
-    words = [
-        "dask",
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        file,
-    ]
-    scheduler = subprocess.Popen([sys.executable, "-m", *words], stderr=subprocess.DEVNULL)
+@contextmanager
+def scheduler_alone(folder, **environment):
+    """A scheduler without workers in a process of its own, and its address."""
+    file = folder / "scheduler.json"
+    words = ["dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file"]
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", *words, file], stderr=subprocess.DEVNULL, env=os.environ | environment
+    )
     try:
         while not file.exists() or not file.read_text():
             assert scheduler.poll() is None
             time.sleep(0.05)
-        killing = threading.Timer(1.0, scheduler.kill)
-        running = Cluster(json.loads(file.read_text())["address"]).run(squared, [1])  # there are no workers
-        killing.start()
-        with pytest.raises(ManifoldError, match=r"the scheduler was lost; run again"):
-            next(running)
+        yield scheduler, json.loads(file.read_text())["address"]
     finally:
         scheduler.kill()
         scheduler.wait()
+
+
+def test_a_scheduler_that_is_lost_is_one_line(tmp_path):
+    with scheduler_alone(tmp_path) as (scheduler, address):
+        threading.Timer(1.0, scheduler.kill).start()
+        with pytest.raises(ManifoldError, match=r"the scheduler was lost; run again"):
+            list(Cluster(address).run(squared, [1]))
+
+
+def test_a_scheduler_without_the_package_is_one_line(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['manifold'] = None")
+    with (
+        scheduler_alone(tmp_path, PYTHONPATH=str(tmp_path)) as (_, address),
+        pytest.raises(ManifoldError, match=r"the scheduler lacks this package; start it in the environment"),
+    ):
+        list(Cluster(address).run(squared, [1]))
 
 
 def test_no_scheduler_is_one_line(monkeypatch):

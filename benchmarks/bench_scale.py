@@ -179,7 +179,7 @@ def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
     for axes, key, label in zip(
         figure.subplots(1, 2), ("cpu_s", "memory_gb"), ("processor time (s)", "peak memory (GB)"), strict=True
     ):
-        for (step, runs), marker in zip(rows.items(), "osD^v", strict=True):
+        for (step, runs), marker in zip(rows.items(), "osD^v", strict=False):
             label_of = f"{step}, exponent {exponent(sizes, runs):.2f}" if key == "cpu_s" else step
             axes.plot(sizes, [run[key] for run in runs], marker=marker, label=label_of)
         axes.set(xscale="log", yscale="log", xlabel="materials", ylabel=label)

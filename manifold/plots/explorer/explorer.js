@@ -58,7 +58,7 @@ export class Explorer {
   start() {
     const { data } = this;
     this.byId("library").textContent = `${data.library}, ${data.names.length} materials` +
-      (data.others.X.length ? `, blended; ${data.others.X.length} others are points` : "");
+      (data.others.X.length ? `, blended; ${data.others.X.length} others are points here, and part of predict` : "");
     this.fillControls();
     this.listen();
     this.showTab = makeTabs(this.root.querySelector("[role=tablist]"), (id) => this.byId(id), (id) => this.tabShown(id));

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from manifold.directions import u_to_phi, u_to_theta
@@ -9,6 +11,12 @@ from manifold.records import BsdfFile
 
 _LEAST_ANISOTROPY = 0.05  # of second moments; those of weaves, whose two threads cross, are below 0.01
 _DIGITS = 1  # of degrees
+
+
+def aligned(file: BsdfFile) -> BsdfFile:
+    """The file as one whose normals spread most along x; the file itself where no rotation is found."""
+    rotation = rotation_of(file)
+    return file if rotation is None else replace(file, rotation_rad=rotation)
 
 
 def rotation_of(file: BsdfFile) -> float | None:

@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
+from manifold.brdf.orientation import aligned
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.fitting import (
@@ -127,7 +128,8 @@ def fit_bsdf(
     then found in every band with the shared ones fixed.
 
     Args:
-        target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid, and
+        target: a file (its unmeasured cells filled, an anisotropic sample turned to where its highlights are wide
+            along x, as `principled`'s are), any BRDF, or samples. Files and BRDFs are sampled on a grid, and
             their ball is lit in two lights: one for the fit, one for its error alone.
         family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
             `diffuse()` where that fits better: no parameters make `principled` Lambertian.
@@ -146,8 +148,13 @@ def fit_bsdf(
     options = _options(method, options)
     if not (np.isfinite(noise) and 0 < noise < 1):
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
+    turned: tuple[str, ...] = ()
     if isinstance(target, BsdfFile):
-        target = MeasuredBRDF(fill_unmeasured(target))
+        file = aligned(target)
+        if file.rotation_rad != target.rotation_rad:
+            degrees = np.rad2deg(file.rotation_rad - target.rotation_rad)
+            turned = (f"fitted to highlights wide along x: the sample's are turned by {degrees:.1f} degrees",)
+        target = MeasuredBRDF(fill_unmeasured(file))
     if isinstance(target, FitSamples):
         return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours, on_progress)
     require_brdf(target, "what is fitted")
@@ -156,7 +163,7 @@ def fit_bsdf(
     ball = BallDifference.between(
         FittedBRDF.of(found.family, found.values, found.bands, found.spectra), target
     )
-    notes = found.notes
+    notes = found.notes + turned
     if ball.unseen_light > NOTICEABLE:
         notes += (f"visibly different: mean CIEDE2000 {ball.unseen_light:.1f} on the ball",)
     return replace(found, ball=ball, notes=notes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.orientation import aligned
 from manifold.errors import UsageError
 from manifold.fitting import fit_json, fit_samples
 from manifold.fitting.exports.direct import fit_target
@@ -87,7 +88,7 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     if against is None:
         return Subject(name, source, content, None, "fit")
     file = read_bsdf(against)
-    return Subject(name, source, content, MeasuredBRDF(file), f"{file.origin} file")
+    return Subject(name, source, content, MeasuredBRDF(aligned(file)), f"{file.origin} file")
 
 
 def subject_of_prediction(
@@ -119,7 +120,7 @@ def subject_of_prediction(
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """The material of a file, fitted, with plain values that say where it comes from."""
     fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
-    return Subject(file.name, source, fit, MeasuredBRDF(file), f"{file.origin} file")
+    return Subject(file.name, source, fit, MeasuredBRDF(aligned(file)), f"{file.origin} file")
 
 
 def subject_in_library(library: Library, name: str) -> Subject:

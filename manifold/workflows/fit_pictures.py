@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.orientation import aligned
 from manifold.brdf.picture import ball_image
 from manifold.fitting import fit_json
 from manifold.fitting.fitted_brdf import FittedBRDF
@@ -14,7 +15,7 @@ from manifold.plots import figures, plot_fit
 from manifold.plots.plot_slices import Source
 from manifold.records import Array, Mask
 from manifold.rendering import image_metrics, images, scenes
-from manifold.rendering.ball import read_material
+from manifold.rendering.ball import read_material, render_material
 from manifold.rendering.render import RenderSettings
 from manifold.workflows.renders import RIM
 
@@ -39,8 +40,9 @@ def picture_of_fit(
     figures.require_writable(output)
     settings = RenderSettings() if settings is None else settings
     content = fit_json.read(fit)
-    seen, fitted = (images.tone_map(read_material(path).render(settings)) for path in (material, fit))
-    file = read_bsdf(material)
+    file = aligned(read_bsdf(material))
+    renders = render_material(file, settings), read_material(fit).render(settings)
+    seen, fitted = (images.tone_map(render) for render in renders)
     sources = [
         Source(file.origin, MeasuredBRDF(file)),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),

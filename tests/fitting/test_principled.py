@@ -9,6 +9,7 @@ import pytest
 from helpers.paths import real_rgl_files
 from helpers.small_library import measured
 
+from manifold.brdf import goniometer
 from manifold.brdf.analytic.ggx import GGX
 from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.brdf.measured import MeasuredBRDF
@@ -222,6 +223,14 @@ def test_anisotropic_materials_are_fitted_with_anisotropic_free():
     assert fixed.residuals["cube-root"] > 5.0 * found.residuals["cube-root"]
     turned = fit_bsdf(RoughConductor(GGX.anisotropic(0.1, 0.4), np.array(1.5), np.array(3.0), Bands(None)))
     assert any("turn it by a quarter" in note for note in turned.notes)
+
+
+def test_an_anisotropic_file_is_fitted_where_its_highlights_are_wide_along_x():
+    normals = GGX.anisotropic(0.5, 0.2, float(np.deg2rad(50.0)))
+    metal = RoughConductor(normals, np.array(1.5), np.array(3.0), Bands(None))
+    found = fit_bsdf(goniometer.measure(metal, "brushed", resolution=20, n_theta_i=8, n_phi_i=9))
+    assert found.values["anisotropic"] == pytest.approx(0.667, abs=0.1)  # a coarse file
+    assert any("turned by 50." in note or "turned by 49." in note for note in found.notes)
 
 
 def test_colours_outside_rec_709_are_found_and_reported():

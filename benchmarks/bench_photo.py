@@ -2,6 +2,7 @@
 
     python benchmarks/bench_photo.py FOLDER                    # of .bsdf files: five lights, and variants in the first
     python benchmarks/bench_photo.py FOLDER --lights sky room --variants --expected
+    python benchmarks/bench_photo.py FOLDER --lights overcast --every 3 --json FILE      # rows are added to those there
     python benchmarks/bench_photo.py --spectral                # spectra of the built-in corpus from RGB pictures
 
 Mitsuba renders the ball of every file, 256 pixels across, with noise, clipped at display white; what was found without
@@ -12,6 +13,7 @@ library.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -27,11 +29,13 @@ from manifold.colour.conversion import decode_srgb, encode_srgb
 from manifold.colour.environments import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.completion.atoms import LibraryAtoms
+from manifold.completion.expected import KINDS
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.library.store import Library
 from manifold.model.output_file import output_file
 from manifold.model.prediction import ClippedBRDF
+from manifold.model.reconstruction import ComparedValues
 from manifold.photo.atoms import PhotoAtoms
 from manifold.photo.blocks import blocks_of
 from manifold.photo.circle import Circle
@@ -133,16 +137,62 @@ def nearest(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
     return min(tried)
 
 
-def show(name: str, rows: list[tuple[float, ...]]) -> None:
-    """Medians and 90th percentiles."""
-    middle, most = np.median(rows, axis=0), np.percentile(rows, 90, axis=0)
-    cells = " | ".join(f"{a:.2f} / {b:.2f}" for a, b in zip(middle[:3], most[:3], strict=True))
-    largest = f" | albedo at most {np.max(rows, axis=0)[3]:.3f}" if len(rows[0]) > 3 else ""
-    print(f"| {name} | {cells}{largest} |", flush=True)
+def reconstructed(atoms: PhotoAtoms, m: int) -> tuple[float, float, float]:
+    """Errors of `reconstruct` from all measured directions, among them the light in which balls are compared."""
+    library, compared = atoms.library, ComparedValues.default(True)
+    others = [material for k, material in enumerate(library.materials[: len(library.names)]) if k != m]
+    without = PhotoAtoms(library.without(m))
+    is_used = np.ones(len(without), bool)
+    is_used[without.library.n_measured : len(without.library.material_of) - 1] = False  # coats
+    weights = np.zeros((3, len(without)))
+    weights[:, is_used] = compared.weights(compared.of_atoms(others), library.materials[m])
+    return errors(atoms, m, weights)
 
 
-def real(folder: Path, lights: list[str], with_variants: bool, with_expected: bool, albedo: bool) -> None:
-    """The tables of measured files."""
+class Table:
+    """Medians and 90th percentiles, printed and kept.
+
+    Attributes:
+        rows: by name.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        """Continue the table of a file."""
+        self._path = path
+        self.rows: dict[str, dict[str, object]] = {}
+        if path is not None and path.exists():
+            self.rows = json.loads(path.read_text(encoding="utf-8"))
+        print("| | ball CIEDE2000 | cube root | linear |\n|---|---|---|---|")
+
+    def add(self, name: str, rows: list[tuple[float, ...]], **others: object) -> None:
+        """Add errors of several materials: ball, cube root, linear, and albedo if it is there."""
+        middle, most = np.median(rows, axis=0), np.percentile(rows, 90, axis=0)
+        cells = " | ".join(f"{a:.2f} / {b:.2f}" for a, b in zip(middle[:3], most[:3], strict=True))
+        row: dict[str, object] = {"files": len(rows)}
+        for k, kind in enumerate(KINDS):
+            row[kind] = {"median": round(middle[k], 3), "p90": round(most[k], 3)}
+        if len(rows[0]) > 3:
+            row["max_albedo"] = round(max(row[3] for row in rows), 3)
+        self.rows[name] = row | others
+        print(
+            f"| {name} | {cells} | {' '.join(f'{key} {value}' for key, value in others.items())}", flush=True
+        )
+        if self._path is not None:
+            self._path.write_text(json.dumps(self.rows, indent=1) + "\n", encoding="utf-8")
+
+
+def expected_beside(true: list[tuple[float, ...]], expected: list[list[float]]) -> dict[str, object]:
+    """Rank correlation of expected errors with true ones, and the share below twice the expected, by kind."""
+    made: dict[str, object] = {}
+    for k, kind in enumerate(KINDS):
+        truth, guess = np.array(true)[:, k], np.array(expected)[:, k]
+        made[f"rank_{kind}"] = round(float(spearmanr(guess, truth).statistic), 2)
+        made[f"below_twice_{kind}"] = round(float(np.mean(truth < 2.0 * guess)), 2)
+    return made
+
+
+def real(folder: Path, options: argparse.Namespace) -> None:
+    """The table of measured files."""
     files = sorted(folder.glob("*.bsdf"))
     with TemporaryDirectory() as temporary:
         library = Path(temporary) / "library.zarr"
@@ -150,32 +200,28 @@ def real(folder: Path, lights: list[str], with_variants: bool, with_expected: bo
         atoms = PhotoAtoms(LibraryAtoms.of_library(Library(library)))
     by_name = {read_bsdf(path).name: path for path in files}
     files = [by_name[name] for name in atoms.library.names]
-    print("| light | ball CIEDE2000 | cube root | linear |\n|---|---|---|---|")
-    show("nearest material", [nearest(atoms, m) for m in range(len(files))])
-    for k, name in enumerate(lights):
+    chosen = range(0, len(files), options.every)
+    table, part = Table(options.json), f", one file in {options.every}" if options.every > 1 else ""
+    if options.others:
+        table.add(f"nearest material{part}", [nearest(atoms, m) for m in chosen])
+        table.add(f"reconstruct{part}", [reconstructed(atoms, m) for m in chosen])
+    for k, name in enumerate(options.lights):
         light = environment(name, 256)
-        pictures = list(rendered(files, light))
-        for shot in (STANDARD, *(VARIANTS if with_variants and k == 0 else ())):
+        pictures = dict(zip(chosen, rendered([files[m] for m in chosen], light), strict=True))
+        for shot in (STANDARD, *(VARIANTS if options.variants and k == 0 else ())):
             start, rows, expected = time.perf_counter(), [], []
-            for m, picture in enumerate(pictures):
+            for m, picture in pictures.items():
                 material = found(atoms, m, sighting(picture, shot, light), shot)
                 row = errors(atoms, m, material.weights)
-                if albedo and shot is STANDARD:
+                if options.albedo and shot is STANDARD:
                     brdf = ClippedBRDF(material.brdf)
                     row += (plausibility_of_file(output_file(brdf, "found")[0]).max_albedo,)
                 rows.append(row)
-                if with_expected and shot is STANDARD:
+                if options.expected and shot is STANDARD:
                     expected.append(list(material.expected.values()))
-            show(f"{name}, {shot.name}", rows)
-            if expected:
-                true = np.array(rows)[:, :3]
-                for j, kind in enumerate(material.expected):
-                    guess = np.array(expected)[:, j]
-                    print(
-                        f"  expected {kind}: rank correlation {spearmanr(guess, true[:, j]).statistic:.2f}, "
-                        f"{np.mean(true[:, j] < 2.0 * guess):.0%} below twice the expected"
-                    )
-            print(f"  {(time.perf_counter() - start) / len(files):.1f} s a picture", flush=True)
+            others = expected_beside(rows, expected) if expected else {}
+            seconds = round((time.perf_counter() - start) / len(rows), 1)
+            table.add(f"{name}, {shot.name}{part}", rows, **others, seconds=seconds)
 
 
 def spectral() -> None:
@@ -209,12 +255,15 @@ def main() -> None:
     )
     parser.add_argument("--expected", action="store_true", help="expected errors beside true ones")
     parser.add_argument("--albedo", action="store_true", help="of written files")
+    parser.add_argument("--others", action="store_true", help="`reconstruct` and the nearest material")
+    parser.add_argument("--every", type=int, default=1, help="one file in this many")
+    parser.add_argument("--json", type=Path, help="where rows are kept")
     parser.add_argument("--spectral", action="store_true")
     options = parser.parse_args()
     if options.spectral:
         spectral()
     if options.folder is not None:
-        real(options.folder, options.lights, options.variants, options.expected, options.albedo)
+        real(options.folder, options)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,13 +111,18 @@ def calibrate(atoms: LibraryAtoms, readings: Readings, library: Library | None =
     """
     if library is None:
         return _calibrated(atoms, readings)
-    key = _cache_key(atoms, readings, library)
+    return cached(library, _cache_key(atoms, readings, library), lambda: _calibrated(atoms, readings))
+
+
+def cached(library: Library, key: str, calibrate: Callable[[], Calibration]) -> Calibration:
+    """The calibration of a key in the cache of a library; made, and kept there, where there is none."""
     kept = library.cache_get(key) or {}
-    N = len(atoms.names)
-    shapes = {name: array.shape for name, array in kept.items()}
-    if shapes == {"errors": (N, len(KINDS)), "indicators": (N, 2)}:
+    shapes = {name: array.shape[1:] for name, array in kept.items()}
+    if shapes == {"errors": (len(KINDS),), "indicators": (2,)} and len(kept["errors"]) == len(
+        kept["indicators"]
+    ):
         return Calibration(kept["errors"], kept["indicators"])
-    calibration = _calibrated(atoms, readings)
+    calibration = calibrate()
     library.cache_put(key, {"errors": calibration.errors, "indicators": calibration.indicators})
     return calibration
 

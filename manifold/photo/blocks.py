@@ -56,8 +56,8 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
             f"{path}: circle {circle} in a picture of {W} x {H}, expected one inside it, of a radius from 8 pixels"
         )
     factor = max(1, round(2.0 * circle.radius / _DIAMETER))
-    values = _reduced(photograph.values, factor)
-    is_clipped = _reduced(photograph.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
+    values = reduced(photograph.values, factor)
+    is_clipped = reduced(photograph.is_clipped[..., None].astype(np.float32), factor)[..., 0] > 0.0
     rows, columns = values.shape[:2]
     x = ((np.arange(columns) + 0.5) * factor - circle.x) / circle.radius
     y = (circle.y - (np.arange(rows) + 0.5) * factor) / circle.radius
@@ -83,7 +83,7 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
     return Blocks(x[i, j], y[i, j], starts, factor / circle.radius, means, is_clipped[i, j][starts])
 
 
-def _reduced(values: Array, factor: int) -> Array:
+def reduced(values: Array, factor: int) -> Array:
     """Means of squares of pixels; NaN where one of them is."""
     if factor == 1:
         return values

@@ -33,6 +33,10 @@ class Circle:
     def __str__(self) -> str:
         return f"{self.x:.1f},{self.y:.1f},{self.radius:.1f}"
 
+    def scaled(self, factor: float) -> Circle:
+        """The same in a picture of so many times the size."""
+        return Circle(factor * self.x, factor * self.y, factor * self.radius)
+
     @classmethod
     def parse(cls, text: str) -> Circle:
         """A circle of `X,Y,R`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,10 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from manifold import __version__
 from manifold.colour.ball_colours import delta_e
 from manifold.colour.conversion import srgb_to_xyz
-from manifold.completion.expected import KINDS, Calibration
+from manifold.completion.expected import KINDS, Calibration, cached
 from manifold.formats.readings import Readings
+from manifold.library.store import Library
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
 from manifold.model.prediction import PredictedBRDF
 from manifold.photo.atoms import PhotoAtoms
@@ -36,7 +39,7 @@ _HIGHLIGHT_DEG = 15.0  # of the half vector from the normal
 _DIFFERENCES_DEG = np.arange(0.0, 91.0, 15.0)  # of directions from the half vector
 _UNLIT = 0.02  # share of a pixel's light below which nothing is learned
 _ENOUGH_READINGS = 30  # that count as much as all photographs
-_UNEXPLAINED = 0.15  # residual
+_UNEXPLAINED = 0.03  # residual that noise can make
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,7 @@ class PhotoMaterial:
         residual: relative error of cube roots of pixels.
         spread: of the mixtures that explain the pixels, relative, over all directions.
         unlit: what the light cannot tell, in sentences.
+        library: in whose cache the calibration is kept, if any.
     """
 
     atoms: PhotoAtoms
@@ -91,6 +95,7 @@ class PhotoMaterial:
     residual: float
     spread: float
     unlit: tuple[str, ...]
+    library: Library | None = None
 
     def __repr__(self) -> str:
         like = ", ".join(f"{share:.2f} {name}" for name, share in self.made_of[:3])
@@ -104,7 +109,13 @@ class PhotoMaterial:
     @cached_property
     def calibration(self) -> Calibration:
         """Errors of the library's materials, left out, in the same pixels."""
-        return calibrated(self.atoms, self.channels)
+        if self.library is None:
+            return calibrated(self.atoms, self.channels)
+        return cached(
+            self.library,
+            _cache_key(self.atoms, self.channels, self.library),
+            lambda: calibrated(self.atoms, self.channels),
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -154,6 +165,7 @@ def find_material(
     *,
     exposure: float | None = 1.0,
     readings: Readings | None = None,
+    library: Library | None = None,
 ) -> PhotoMaterial:
     """The material that explains photographs, and readings in linear sRGB if there are any.
 
@@ -165,6 +177,7 @@ def find_material(
         exposure: of the photographs relative to the light; None finds the one that the library's materials make most
             probable.
         readings: of the same material.
+        library: that of the atoms, in whose cache errors of left-out materials are kept.
     """
     per_picture = [sighting.rows(atoms) for sighting in sightings]
     channels = [joined([rows[c] for rows in per_picture]) for c in range(len(per_picture[0]))]
@@ -176,7 +189,7 @@ def find_material(
     weights, priors = estimate(atoms, channels)
     residual, spread = indicators(channels, weights, priors)
     return PhotoMaterial(
-        atoms, weights, to_bands, bands, exposure, channels, residual, spread, unlit(sightings)
+        atoms, weights, to_bands, bands, exposure, channels, residual, spread, unlit(sightings), library
     )
 
 
@@ -237,9 +250,23 @@ def calibrated(atoms: PhotoAtoms, channels: Sequence[Rows]) -> Calibration:
     return Calibration(np.array(errors), np.array(found))
 
 
+def _cache_key(atoms: PhotoAtoms, channels: Sequence[Rows], library: Library) -> str:
+    """A hash of all that a calibration depends on: the library, what pixels see of it, this program."""
+    digest = hashlib.sha256(f"photo {__version__} {library.content_hash} {atoms.library.coats}".encode())
+    for rows in channels:
+        for array in (rows.atoms, rows.weights, np.array(_clipping(rows))):
+            digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _clipping(rows: Rows) -> float:
+    """The value at which the camera clipped pixels."""
+    return float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
+
+
 def _seen_instead(rows: Rows, seen: Array) -> Rows:
     """The same pixels of another material, clipped at the same level."""
-    level = float(rows.seen[rows.is_bound].min()) if rows.is_bound.any() else np.inf
+    level = _clipping(rows)
     return replace(rows, seen=np.minimum(seen, level), is_bound=seen >= level)
 
 

@@ -69,6 +69,9 @@ def read_photograph(path: Path) -> Photograph:
         )
     if values.shape[2] == 1:
         values = np.repeat(values, 3, axis=2)
+    if np.array_equal(values[..., 0], values[..., 1], equal_nan=True) and np.array_equal(
+        values[..., 0], values[..., 2], equal_nan=True
+    ):
         notes += (f"{path.name}: grey; the colour is not in it",)
     seen: Mask = np.all(np.isfinite(values), axis=2)
     if opaque is not None:
@@ -100,11 +103,12 @@ def _read_display(path: Path) -> tuple[Array, Mask, Array | None]:
             with Image.open(path) as image:
                 upright = ImageOps.exif_transpose(image)
                 kind = "RGBA" if upright.has_transparency_data else "RGB"
-                pixels = np.asarray(upright.convert(kind), np.float64)
+                pixels = np.asarray(upright.convert(kind))
     except Exception as error:  # Pillow raises whatever its decoders do
         raise FileFormatError(f"{path}: not a readable picture ({error}); save it again") from error
-    values, clipped, opaque = _split(pixels, 255.0)
-    return decode_srgb(values), clipped, opaque
+    of_byte = decode_srgb(np.arange(256) / 255.0).astype(np.float32)
+    values, clipped, opaque = _split(of_byte[pixels], 1.0)
+    return values, clipped, opaque
 
 
 def _read_tiff(path: Path) -> tuple[Array, Mask, Array | None]:
@@ -127,4 +131,4 @@ def _read_tiff(path: Path) -> tuple[Array, Mask, Array | None]:
     if is_palette:
         raise FileFormatError(f"{path}: a palette, expected linear values; save it as RGB")
     full = float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else None
-    return _split(values.astype(np.float64), full)
+    return _split(values.astype(np.float32), full)

@@ -26,7 +26,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.photo.atoms import PhotoAtoms
-from manifold.photo.blocks import blocks_of
+from manifold.photo.blocks import blocks_of, reduced
 from manifold.photo.circle import Circle, find_circle
 from manifold.photo.light import Environment
 from manifold.photo.material import PhotoMaterial, Sighting, find_material
@@ -42,6 +42,7 @@ from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MARGIN = 0.05  # around the ball in pictures of residuals
 _SIZE, _SAMPLES = 256, 32  # of predicted pictures
+_SEARCHED = 800  # pixels of the longer side in which a ball is found, at least, where the picture has more
 
 
 @dataclass(frozen=True)
@@ -262,6 +263,7 @@ def _found(
     material = find_material(
         atoms, [ball.sighting for ball in balls], library.bands,
         band_matrix(library, atoms.library.names, responses), exposure=request.exposure, readings=readings,
+        library=library,
     )  # fmt: skip
     notes = [note for ball in balls for note in ball.photograph.notes] + list(material.notes)
     if readings is not None:
@@ -297,13 +299,27 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     balls = []
     for path, light, text, turn_deg in zip(request.photographs, lights, circles, turns, strict=True):
         photograph = read_photograph(path)
-        shown = np.nan_to_num(photograph.values)
-        circle = Circle.parse(text) if text else find_circle(encode_srgb(shown), str(path))
+        circle = Circle.parse(text) if text else _circle_of(photograph)
         image, made = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
         sighting = Sighting(blocks_of(photograph, circle), camera, made)
         balls.append(SeenBall(photograph, circle, image, sighting))
     return tuple(balls)
+
+
+def _circle_of(photograph: Photograph) -> Circle:
+    """The outline of the ball, found in a picture that is not larger than it takes.
+
+    Raises:
+        UsageError: there is none, or nothing of the picture was seen.
+    """
+    if not np.any(np.isfinite(photograph.values).all(axis=2) & ~photograph.is_clipped):
+        raise UsageError(
+            f"{photograph.path}: every pixel is clipped, transparent or not finite, expected a ball; expose it less"
+        )
+    factor = max(1, max(photograph.values.shape[:2]) // _SEARCHED)
+    shown = encode_srgb(np.nan_to_num(reduced(photograph.values, factor)))
+    return find_circle(shown, str(photograph.path)).scaled(factor)
 
 
 def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:

@@ -64,14 +64,19 @@ def small_model(folder: Path) -> Path:
 
 
 def spectral_materials() -> list[MeasuredBRDF]:
+    """The materials of `spectral_files`."""
+    return [MeasuredBRDF(file) for file in spectral_files().values()]
+
+
+def spectral_files() -> dict[str, BsdfFile]:
     """The materials in 60 bands, linear between their blue, green and red."""
     x = np.linspace(0.0, 2.0, 60)
     low = np.minimum(x.astype(int), 1)
     t = (x - low)[None, None, :, None, None]
     nm = np.linspace(400, 700, 60, dtype=np.float32)
-    materials = []
+    files = {}
     for name in NAMES:
         file = measured(name)
         spectra = (1 - t) * file.spectra[:, :, low] + t * file.spectra[:, :, low + 1]
-        materials.append(MeasuredBRDF(replace(file, wavelengths_nm=nm, spectra=spectra.astype(np.float32))))
-    return materials
+        files[name] = replace(file, wavelengths_nm=nm, spectra=spectra.astype(np.float32))
+    return files

@@ -12,6 +12,8 @@ from manifold.colour.environments import environment
 from manifold.directions import from_spherical
 from manifold.formats.readings import Readings
 from manifold.latent.lobes import bernstein, cos_theta_d, microfacet_lobe
+from manifold.library.store import Library
+from manifold.photo import material
 from manifold.photo.atoms import PhotoAtoms
 from manifold.photo.blocks import blocks_of
 from manifold.photo.circle import Circle
@@ -53,6 +55,14 @@ def test_a_material_of_the_library_is_found(photo_atoms, felt):
     assert ball < 1.0
     assert cube_root < 0.1
     assert felt[1].residual < 0.05
+    assert not any("is the light" in note for note in felt[1].notes)
+
+
+def test_errors_of_left_out_materials_are_kept_in_the_library(felt, library, monkeypatch):
+    first, again = (replace(felt[1], library=Library(library)) for _ in range(2))
+    expected = first.expected
+    monkeypatch.setattr(material, "calibrated", None)
+    assert again.expected == expected
 
 
 def test_a_channel_without_any_light_is_black(photo_atoms, render):

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.small_library import measured
+import tifffile
+from helpers.small_library import measured, spectral_files
 
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.colour.environments import environment
 from manifold.io_rgl import read_bsdf, write_bsdf
+from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold, Settings
+from manifold.photo.spectra import read_responses
+from manifold.records import Bands
 from manifold.rendering.images import write_image
 from manifold.rendering.render import render_floating_ball
 
@@ -56,6 +61,63 @@ def test_a_photograph_is_located_near_its_material(run, folder, library):
     assert code == 0, err
     assert "satin_gold" in out.split("nearest")[1].split("\n")[0]
     assert np.isfinite(read_bsdf(folder / "there.bsdf").spectra).all()
+
+
+def test_a_camera_is_described_by_its_sensitivities(run, tmp_path):
+    """Its picture is that of RGB files of what its channels see of the spectra, in a light without colour."""
+    nm = np.arange(400.0, 701.0, 5.0)
+    curves = np.exp(-(((nm[:, None] - [590.0, 550.0, 460.0]) / 35.0) ** 2))
+    np.savetxt(tmp_path / "curves.csv", np.column_stack([nm, curves]), delimiter=",", header="nm,r,g,b")
+    (tmp_path / "files").mkdir()
+    files = spectral_files()
+    for name, file in files.items():
+        write_bsdf(tmp_path / "files" / f"{name}_spec.bsdf", file)
+    import_files(tmp_path / "library.zarr", [tmp_path / "files"])
+    truth = files["syn_satin_gold"]
+    responses = read_responses(tmp_path / "curves.csv", Bands(tuple(truth.wavelengths_nm.tolist())))
+    seen = np.einsum("cb,pibxy->picxy", responses, truth.spectra).astype(np.float32)
+    write_bsdf(tmp_path / "seen_rgb.bsdf", replace(measured("syn_satin_gold"), spectra=seen))
+    light = environment("overcast", 128)
+    ball = render_floating_ball(
+        tmp_path / "seen_rgb.bsdf", True, light, size=96, samples=32, margin=0.3, distance=8.0
+    )
+    write_image(tmp_path / "ball.exr", ball)
+    errors = {}
+    for camera in ((), ("--camera", "curves.csv")):
+        code, _, err = run(
+            "complete", "--photo", "ball.exr", "--light", "overcast", "--distance", 8, "--circle", "48,48,36.9",
+            *camera, "-o", "found_spec.bsdf", cwd=tmp_path,
+        )  # fmt: skip
+        assert code == 0, err
+        found = MeasuredBRDF(read_bsdf(tmp_path / "found_spec.bsdf"))
+        errors[camera] = brdf_errors(MeasuredBRDF(truth), found).ball
+    assert errors["--camera", "curves.csv"] < min(3.0, 0.5 * errors[()])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.ones((64, 64, 3)), "every pixel is clipped"),
+        (np.full((64, 64, 3), np.nan), "every pixel is clipped"),
+        (np.full((64, 64, 3), 0.5) + 0.01 * np.random.default_rng(0).random((64, 64, 3)), "no ball found"),
+    ],
+)
+def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, words):
+    tifffile.imwrite(folder / "bad.tif", values.astype(np.float32), photometric="rgb")
+    code, _, err = run(
+        "complete",
+        "--photo",
+        "bad.tif",
+        "--light",
+        "studio",
+        "--library",
+        library,
+        "-o",
+        "x.bsdf",
+        cwd=folder,
+    )
+    assert code in (1, 2)
+    assert words in " ".join(err.split())
 
 
 @pytest.mark.parametrize(

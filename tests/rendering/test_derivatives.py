@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.small_library import small_library
+from helpers.small_library import measured, small_library
 
 from manifold.brdf.analytic import corpus
 from manifold.errors import LatentError, UsageError
@@ -33,6 +33,14 @@ def models(tmp_path_factory) -> dict[str, Path]:
         write_bsdf(folder / f"{name}_spec.bsdf", corpus.measure(materials[name]))
     assert not import_files(folder / "library.zarr", [folder]).failed
     rgb, spectral = small_library(tmp_path_factory.mktemp("rgb")), folder / "library.zarr"
+    file, fewer = measured("syn_gloss_red"), [0, 1, 2, 3, 4, 6, 7]  # tables of another size: another loop
+    coarse = {name: getattr(file, name)[:, fewer] for name in ("vndf", "luminance", "spectra")}
+    coarse["valid"] = np.packbits(np.unpackbits(file.valid).reshape(file.luminance.shape)[:, fewer])
+    write_bsdf(
+        folder / "coarse_rgb.bsdf",
+        replace(file, name="coarse", theta_i_rad=file.theta_i_rad[fewer], **coarse),
+    )
+    assert not import_files(rgb, [folder / "coarse_rgb.bsdf"]).failed
     paths = {}
     for name, source, settings in (
         ("rgb blend", rgb, Settings(kind="blend")),
@@ -90,8 +98,8 @@ def uniform_sampling(monkeypatch) -> None:
         n = len(found.names)
         set_weights(self, replace(found, lobes=np.full(n, 1.0 / n)), *given)
 
-    def with_equal_share(self, lobes, i, active):
-        v, _, slopes = weight(self, lobes, i, active)
+    def with_equal_share(self, lobes, *given):
+        v, _, slopes = weight(self, lobes, *given)
         return v, 1.0 / self._n, slopes
 
     monkeypatch.setattr(Evaluation, "_weight", with_equal_share)

@@ -67,6 +67,8 @@ class Evaluation:
         self._groups = _Group.all_of(tables.meta.reshape(-1, META).astype(np.int64))
         self._n_theta, self._n_phi = tables.n_theta, tables.n_phi
         self._n_stored, self._has_samples = tables.n_bands, False
+        self._slopes: list[Any] = []
+        self._offsets: list[Any] = []
         self._meta = mi.UInt32(tables.meta)
         self._theta_nodes, self._phi_nodes = mi.Float(tables.theta_nodes), mi.Float(tables.phi_nodes)
         self._grids = mi.Float(tables.grids)
@@ -100,15 +102,8 @@ class Evaluation:
         if mixture.weights is None:
             return
         self._has_samples = mixture.weights.ndim == 3
-        self._weights = self._uploaded(mixture.weights)
-        if latent is not None and mixture.slopes:
-            offset = latent - dr.detach(latent)  # of value 0
-            offsets = [dr.gather(mi.Float, offset, mi.UInt32(q)) for q in range(len(latent))]
-            if colours is not None:
-                offsets.append(dr.repeat(colours - dr.detach(colours), len(self._weights) // len(colours)))
-            for slope, along in zip(mixture.slopes, offsets, strict=True):
-                self._weights += self._uploaded(slope) * along
-            dr.eval(self._weights)
+        self._weights, *self._slopes = map(self._uploaded, (mixture.weights, *mixture.slopes))
+        self._offsets = [v - dr.detach(v) for v in (latent, colours) if v is not None]  # of value 0
 
     def _uploaded(self, weights: Array) -> Any:
         """Weights of materials, or of samples padded as they are stored."""
@@ -120,16 +115,36 @@ class Evaluation:
         """Weights at latents, a list of Q arrays; None for a fixed mixture, which has its own."""
         return None if latent is None or self._varying is None else self._varying.at(latent)
 
-    def _weight(self, lobes: Lobes | None, i: Any, active: Any) -> tuple[Any, Any, list[Any]]:
-        """Weight of material i, its share in sampling, and slopes of the weight where `lobes` has slopes."""
+    def _weight(
+        self, lobes: Lobes | None, i: Any, has_slopes: bool, active: Any
+    ) -> tuple[Any, Any, list[Any]]:
+        """Weight of material i, its share in sampling, and slopes of the weight if asked for."""
         mi, dr = self._mi, self._dr
         if lobes is not None and self._varying is not None:
             v, slopes = self._varying.weight(lobes, i)
             return v, dr.abs(v) / lobes.magnitude, slopes
         share = dr.gather(mi.Float, self._lobe_shares, i, active)
         if self._has_samples:
-            return 1.0, share, []
-        return dr.gather(mi.Float, self._weights, i, active), share, []
+            return None, share, []
+        arrays = [self._weights, *self._slopes[: len(self._slopes) * has_slopes]]
+        weight, *slopes = (dr.gather(mi.Float, array, i, active) for array in arrays)
+        return weight, share, slopes
+
+    def _offsets_at(self, lobes: Lobes | None, bands: Any) -> list[Any]:
+        """Factors of the slopes, of value 0 with the derivatives of parameters; none where nothing is changes."""
+        mi, dr = self._mi, self._dr
+        if lobes is not None:
+            return list(lobes.offsets)
+        if not self._slopes or not dr.grad_enabled(self._offsets):
+            return []
+        latent, *colours = self._offsets
+        offsets = [dr.gather(mi.Float, latent, mi.UInt32(q)) for q in range(dr.width(latent))]
+        for offset in colours:
+            at = [[0, 1, 2]] if self._is_rgb else [[b for b, _ in bands], [b + 1 for b, _ in bands]]
+            offsets += [
+                mi.Spectrum(*(dr.gather(mi.Float, offset, mi.UInt32(b)) for b in some)) for some in at
+            ]
+        return offsets
 
     # -- one material --------------------------------------------------------------------------------------
 
@@ -220,13 +235,19 @@ class Evaluation:
             scale = self._grid(rest[0:3], ux, uy, active) / (
                 self._grid(rest[3:6], sigma_x, sigma_y, active) * cos_o
             )
-            weight, share, slopes = self._weight(lobes, i, active)
-            values = self._spectrum(rest[6], luminance, slices, u, v, bands, i, scale, cosines, active)
-            tangents = [tangent + values * slope for tangent, slope in zip(tangents, slopes, strict=True)]
-            return i + 1, total + values * weight, tangents, density + share * pdf
+            weight, share, slopes = self._weight(lobes, i, has_slopes, active)
+            values = self._spectrum(rest[6], luminance, slices, u, v, bands, scale, cosines, active)
+            if weight is None:
+                value, *changes = self._combined(values, i, bands, has_slopes, active)
+            else:
+                value, *changes = (values * w for w in (weight, *slopes))
+            tangents = [tangent + change for tangent, change in zip(tangents, changes, strict=True)]
+            return i + 1, total + value, tangents, density + share * pdf
 
-        total, density = mi.Spectrum(0.0), mi.Float(0.0)
-        tangents = [] if lobes is None else [mi.Spectrum(0.0) for _ in lobes.slopes]
+        # Sums with slopes of the weights, not derivatives through the loop: those of Dr.Jit 1.5 fail for several loops.
+        offsets = self._offsets_at(lobes, bands)
+        has_slopes = len(offsets) > 0
+        total, tangents, density = mi.Spectrum(0.0), [mi.Spectrum(0.0) for _ in offsets], mi.Float(0.0)
         for group in self._groups:
             turn, sign = self._in_its_frame(group.symmetry, group.rotation_rad, wi)
             phi_i, phi_m = (_azimuth(dr, sign * _turned(mi, w, turn)) for w in (wi, m))
@@ -238,20 +259,18 @@ class Evaluation:
                 lambda i, *_, end=group.end: i < end,
                 add,
                 labels=("material", "sum", "tangents", "density"),
-                max_iterations=-1,  # it only sums: derivatives by the weights need no stored states
             )
-        if lobes is not None and tangents:
-            total += sum(tangent * offset for tangent, offset in zip(tangents, lobes.offsets, strict=True))
+        total += sum(tangent * offset for tangent, offset in zip(tangents, offsets, strict=True))
         f = self._mapping.inverse(total, cosines)
         if self._is_clipped:
             f = dr.maximum(f, 0.0)
         return f * cos_o, density / jacobian
 
     def _spectrum(
-        self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any, material: Any,
+        self, cells: Any, grid: Family, slices: Slices, u: Any, v: Any, bands: Any,
         scale: Any, cosines: Any, active: Any,
     ) -> Any:  # fmt: skip
-        """Mapped values of one material at the warped point (u, v); those of monochrome samples are weighted."""
+        """Mapped values of one material at the warped point (u, v): a spectrum, or those of its monochrome samples."""
         mi, dr = self._mi, self._dr
         j, tx = self._warps.cell(u, grid.columns)
         i, ty = self._warps.cell(v, grid.rows)
@@ -268,15 +287,7 @@ class Evaluation:
 
         if self._is_rgb or self._has_samples:
             mapped = [forward(value) for value in self._all_bands(packets, active)]
-            if not self._has_samples:
-                return mi.Spectrum(*mapped[:3])
-            if self._is_rgb:
-                return mi.Spectrum(*(self._dot(b, material, mapped, active) for b in range(3)))
-            rows = [
-                dr.lerp(self._dot(b, material, mapped, active), self._dot(b + 1, material, mapped, active), s)
-                for b, s in bands
-            ]
-            return mi.Spectrum(*rows)
+            return mapped if self._has_samples else mi.Spectrum(*mapped[:3])
         values = []
         for band, s in bands:
             if self._is_dense:  # reading one band instead of two saves more than a quarter of the time
@@ -320,11 +331,33 @@ class Evaluation:
             total += sum(w * mi.Float(packet[c]) for c, w in enumerate(corners))
         return total
 
-    def _dot(self, band: Any, material: Any, mapped: list[Any], active: Any) -> Any:
-        dr, n = self._dr, self._n_stored
-        index = self._mi.UInt32(band) * self._n + material
-        weights = dr.gather(self._mi.ArrayXf, self._weights, index, active, shape=(n, dr.width(material)))
-        return sum(weights[k] * mapped[k] for k in range(n))
+    def _combined(
+        self, mapped: list[Any], material: Any, bands: Any, has_slopes: bool, active: Any
+    ) -> list[Any]:
+        """Sums over the samples of a material, by the weights and by their slopes as `_offsets_at` orders them."""
+        mi, dr, n = self._mi, self._dr, self._n_stored
+
+        def dot(array: Any, band: Any) -> Any:
+            index = mi.UInt32(band) * self._n + material
+            weights = dr.gather(mi.ArrayXf, array, index, active, shape=(n, dr.width(material)))
+            return sum(weights[k] * mapped[k] for k in range(n))
+
+        def spectra(array: Any) -> list[Any]:
+            """Of the bands, or parts of the bands below and above the wavelengths."""
+            if self._is_rgb:
+                return [mi.Spectrum(*(dot(array, b) for b in range(3)))]
+            below, above = (
+                ((1.0 - s) * dot(array, b) for b, s in bands),
+                (s * dot(array, b + 1) for b, s in bands),
+            )
+            return [mi.Spectrum(*below), mi.Spectrum(*above)]
+
+        sums = [sum(spectra(self._weights))]
+        if has_slopes:
+            n_latent = dr.width(self._offsets[0])
+            sums += [sum(spectra(array)) for array in self._slopes[:n_latent]]
+            sums += [part for array in self._slopes[n_latent:] for part in spectra(array)]
+        return sums
 
     def _locate_bands(self, wavelengths: Any) -> list[tuple[Any, Any]]:
         """Band below each wavelength, and how far it is to the next; held constant outside."""

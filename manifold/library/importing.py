@@ -227,9 +227,8 @@ def _choose(
         known = library.attributes(source.name) if source.name in library else None
         if source.rotation_rad is None:
             source = changed(source, rotation_rad=known.rotation_rad if known else 0.0)
-        first = first_of.setdefault(
-            source.name.casefold(), source
-        )  # on some file systems, case does not count
+        # On some file systems, case does not count.
+        first = first_of.setdefault(source.name.casefold(), source)
         is_same = known is not None and known.sha256 == source.sha256
         is_same_form = (
             known is not None

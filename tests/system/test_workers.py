@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -58,10 +57,10 @@ def written(name):
 
 
 def lost_once(marker):
-    """A task whose worker is killed the first time."""
+    """A task whose worker ends the first time."""
     if not Path(marker).exists():
         Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+        os._exit(9)
     return "done"
 
 

@@ -45,7 +45,6 @@ from manifold.workflows import fits, many_files
 from manifold.workflows.inputs import find_inputs, find_samples
 from manifold.workflows.sources import FileSource
 
-PORT = 8791
 WORKERS = 4
 IN_LIBRARY = 50  # materials that readings are completed from
 RUNS = 6  # of a command at most, where it fails
@@ -75,10 +74,15 @@ class LocalCluster:
 
     workers: int
     folder: Path
+    port: int
     scheduler: subprocess.Popen[bytes] | None = None
     nanny: subprocess.Popen[bytes] | None = None
     memory: dict[str, int] = field(default_factory=lambda: {"scheduler": 0, "worker": 0})
-    address: str = f"tcp://127.0.0.1:{PORT}"
+
+    @property
+    def address(self) -> str:
+        """Of the scheduler."""
+        return f"tcp://127.0.0.1:{self.port}"
 
     def start(self) -> None:
         """Start a scheduler, and workers, of which those that are killed are replaced."""
@@ -88,7 +92,7 @@ class LocalCluster:
             "stderr": subprocess.DEVNULL,
             "env": ENVIRONMENT,
         }
-        words = ["scheduler", "--host", "127.0.0.1", "--port", str(PORT), "--no-dashboard"]
+        words = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
         self.scheduler = subprocess.Popen([*dask, *words], **quiet)
         words = [
             "worker", self.address, "--nworkers", str(self.workers), "--nthreads", "1", "--no-dashboard",
@@ -243,7 +247,7 @@ def robustness(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[s
         run(words if name == "embed" else [*words, "--workers", "2"])
         times["local"][name] = round(time.monotonic() - start, 1)
         print("local", name, times["local"][name], flush=True)
-    cluster, step, errors = LocalCluster(WORKERS, folder / "dask"), ["start"], {}
+    cluster, step, errors = LocalCluster(WORKERS, folder / "dask", counts.port), ["start"], {}
     cluster.start()
     try:
         with disturbed(cluster, counts.kills, sum(times["local"].values()), step) as done:
@@ -264,14 +268,14 @@ def robustness(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[s
     }
 
 
-def speed(inputs: Path, folder: Path, rounds: int = 3) -> dict[str, Any]:
+def speed(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[str, Any]:
     """Seconds of some fits and completions by one worker and by two, in turns; workers are warm."""
-    files = find_inputs([FileSource(path) for path in sorted((inputs / "files").iterdir())[:12]])
-    samples = find_samples([inputs / "readings"])[:24]
+    files = find_inputs([FileSource(path) for path in sorted((inputs / "files").iterdir())[: counts.timed]])
+    samples = find_samples([inputs / "readings"])[: 2 * counts.timed]
     seconds: dict[str, dict[int, list[float]]] = {"fits": {1: [], 2: []}, "completions": {1: [], 2: []}}
-    for k in range(rounds):
+    for k in range(counts.rounds):
         for count in (1, 2):
-            cluster = LocalCluster(count, folder / "dask")
+            cluster = LocalCluster(count, folder / "dask", counts.port)
             cluster.start()
             try:
                 for what, first in (("warm", 4), ("measured", None)):
@@ -308,6 +312,11 @@ def main() -> None:
     parser.add_argument("--fits", type=int, default=40)
     parser.add_argument("--completions", type=int, default=100)
     parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument(
+        "--timed", type=int, default=12, help="fits whose time is measured; and twice the completions"
+    )
+    parser.add_argument("--rounds", type=int, default=3, help="of one worker and two, in turns")
+    parser.add_argument("--port", type=int, default=8791)
     parser.add_argument("--only", choices=("robustness", "speed"))
     parser.add_argument("--folder", type=Path, help="where inputs and results are kept; by default nowhere")
     parser.add_argument("--json", type=Path)
@@ -320,17 +329,14 @@ def main() -> None:
         write_readings(inputs / "readings", given.completions)
         few = sorted(str(path) for path in (inputs / "files").iterdir())[:IN_LIBRARY]
         run(["import", *few, "-L", str(inputs / "small.zarr")])
-        found: dict[str, Any] = {
-            "command": f"benchmarks/bench_cluster.py --materials {given.materials} --embed {given.embed} "
-            f"--fits {given.fits} --completions {given.completions} --kills {given.kills}",
-            "machine": f"{os.cpu_count()} cores, {platform.machine()}",
-        }
+        found: dict[str, Any] = {"machine": f"{os.cpu_count()} cores, {platform.machine()}"}
         if given.json is not None and given.json.is_file():
             found = json.loads(given.json.read_text()) | found
+        command = {"command": " ".join(["benchmarks/bench_cluster.py", *sys.argv[1:]])}
         if given.only != "speed":
-            found["robustness"] = robustness(inputs, folder, given)
+            found["robustness"] = command | robustness(inputs, folder, given)
         if given.only != "robustness":
-            found["speed"] = speed(inputs, folder)
+            found["speed"] = command | speed(inputs, folder, given)
     print(json.dumps(found, indent=1))
     if given.json is not None:
         given.json.write_text(json.dumps(found, indent=1) + "\n")

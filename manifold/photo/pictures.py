@@ -107,8 +107,7 @@ def _read_display(path: Path) -> tuple[Array, Mask, Array | None]:
     except Exception as error:  # Pillow raises whatever its decoders do
         raise FileFormatError(f"{path}: not a readable picture ({error}); save it again") from error
     of_byte = decode_srgb(np.arange(256) / 255.0).astype(np.float32)
-    values, clipped, opaque = _split(of_byte[pixels], 1.0)
-    return values, clipped, opaque
+    return _split(of_byte[pixels], 1.0)
 
 
 def _read_tiff(path: Path) -> tuple[Array, Mask, Array | None]:

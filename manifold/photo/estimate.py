@@ -33,6 +33,7 @@ _KEEP = 1e-3  # weight of squared changes over all directions against those of p
 _DARK = 0.05  # of the root mean square of cube roots: changes of darker directions cost no more
 _LEAST = 216.0 / 24389.0  # of display white: CIELAB is linear below
 _FITS = 2  # each with the slopes, and the bounds, of the one before
+_STRIDE = 7  # one in this many directions of the encoding grid is enough to compare atoms
 _SHOWN = 200  # mixtures of which the mean is taken
 
 
@@ -105,7 +106,7 @@ def estimate(
     """
     usable = np.ones(len(atoms), bool) if usable is None else usable
     priors = [prior_of(atoms, rows, usable) for rows in channels]
-    G = atoms.on_grid
+    G = atoms.on_grid[:, ::_STRIDE]
     means = np.array([np.cbrt(np.maximum(prior.mean @ G, 0.0)) for prior in priors])
     norms = np.sum(means**2, axis=1)
     norms = np.maximum(norms, _DARK * norms.mean() + np.finfo(float).tiny)
@@ -151,7 +152,7 @@ def prior_of(atoms: PhotoAtoms, rows: Rows, usable: Mask) -> Prior:
     for row, bound in zip(bounds.T, least_seen, strict=True):
         value = scale * (share * row[first] + (1.0 - share) * row[second]) + lambertian * row[-1]
         misfit += np.maximum(bound - value, 0.0) ** 2
-    G = atoms.on_grid[index]
+    G = atoms.on_grid[index, ::_STRIDE]
     norm = MixtureProducts.of(G @ G.T, first, second, share).norm(scale, lambertian)
     # A Lambertian as bright as what was seen, or black to the eye.
     albedo = max(float(with_seen[-1]) / inner.ll, _LEAST)
@@ -166,7 +167,7 @@ def prior_of(atoms: PhotoAtoms, rows: Rows, usable: Mask) -> Prior:
     mixtures[k, index[first[best]]] += scale[best] * share[best]
     mixtures[k, index[second[best]]] += scale[best] * (1.0 - share[best])
     mixtures[:, index[-1]] += lambertian[best]
-    roots = np.cbrt(mixtures @ atoms.on_grid)
+    roots = np.cbrt(mixtures @ atoms.on_grid[:, ::_STRIDE])
     mean = probability @ roots
     variance = probability @ (roots - mean) ** 2
     spread = float(np.sqrt(variance.sum() / max(float(mean @ mean), np.finfo(float).tiny)))

@@ -221,15 +221,11 @@ def _filled(file: BsdfFile) -> tuple[MeasuredBRDF, tuple[str, ...]]:
 
 def trial_rotations(file: BsdfFile) -> list[float]:
     """Azimuths by which a sample may lie turned: as it is, or with its normals spread along x or along y."""
+    if file.is_isotropic:
+        return [0.0]
     rotation = rotation_of(file) or 0.0
-    trials = [
-        file.rotation_rad,
-        rotation,
-        rotation + 0.5 * np.pi if rotation <= 0.0 else rotation - 0.5 * np.pi,
-    ]
-    return list(dict.fromkeys(angle - file.rotation_rad for angle in trials if not file.is_isotropic)) or [
-        0.0
-    ]
+    across = rotation + 0.5 * np.pi * (1.0 if rotation <= 0.0 else -1.0)
+    return list(dict.fromkeys((0.0, rotation - file.rotation_rad, across - file.rotation_rad)))
 
 
 def _turned(brdf: BRDF, angle_rad: float) -> BRDF:

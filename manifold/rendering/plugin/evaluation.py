@@ -131,7 +131,7 @@ class Evaluation:
         return weight, share, slopes
 
     def _offsets_at(self, lobes: Lobes | None, bands: Any) -> list[Any]:
-        """Factors of the slopes, of value 0 with the derivatives of parameters; none where nothing is changes."""
+        """Factors of the slopes: 0, with the derivatives of parameters; none where nothing is differentiated."""
         mi, dr = self._mi, self._dr
         if lobes is not None:
             return list(lobes.offsets)

@@ -190,13 +190,13 @@ def draw(sizes: list[int], rows: dict[str, list[Run]], path: Path) -> None:
     save(figure, path)
 
 
-def compare(library: Path, landmarks: list[int], latent_dim: int) -> list[dict[str, object]]:
+def compare(library: Path, landmarks: list[int], latent_dim: int) -> dict[str, dict[str, object]]:
     """A row per number of landmarks, printed too."""
     print(
         "| landmarks | ball: left out, rank correlation | cube root: left out, rank correlation | holes | processor s |"
     )
     print("|---|---|---|---|---|")
-    rows: list[dict[str, object]] = []
+    rows: dict[str, dict[str, object]] = {}
     for count in landmarks:
         used = time.process_time()
         model = Manifold.fit(library, Settings(latent_dim=latent_dim, landmarks=count or None))
@@ -208,11 +208,16 @@ def compare(library: Path, landmarks: list[int], latent_dim: int) -> list[dict[s
             interior = Interior(model, seed)
             valleys = [plausibility(model.predict(interior.draw())).highlight_valley for _ in range(PLACES)]
             holes.append(float(np.mean(np.array(valleys) > 0.1)))
-        errors = {name: [*found.true, found.rank_correlation] for name, found in calibration.items()}
-        rows.append({"landmarks": count or len(model.names), "holes": holes, "cpu_s": used} | errors)
-        found = [f"{median:.3g} / {most:.3g}, {rank:.2f}" for median, most, rank in errors.values()]
+        row: dict[str, object] = {"holes": holes, "cpu_s": used}
+        for name, found in calibration.items():
+            row |= {name: list(found.true), f"{name}_rank": found.rank_correlation}
+        rows[str(count or "all")] = row
+        cells = [
+            f"{found.true[0]:.3g} / {found.true[1]:.3g}, {found.rank_correlation:.2f}"
+            for found in calibration.values()
+        ]
         shares = ", ".join(f"{share:.0%}" for share in holes)
-        print(f"| {count or 'all'} | " + " | ".join(found) + f" | {shares} | {used:.0f} |", flush=True)
+        print(f"| {count or 'all'} | " + " | ".join(cells) + f" | {shares} | {used:.0f} |", flush=True)
     return rows
 
 
@@ -244,7 +249,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         rows = run_sizes(sizes, given.folder or Path(temporary))
     print_table(sizes, rows)
-    record(given.json, {"sizes": sizes, "steps": rows})
+    steps = {step: dict(zip(map(str, sizes), runs, strict=True)) for step, runs in rows.items()}
+    record(given.json, {"steps": steps})
     if given.figure:
         draw(sizes, rows, given.figure)
 

@@ -247,10 +247,11 @@ def robustness(inputs: Path, folder: Path, counts: argparse.Namespace) -> dict[s
         run(words if name == "embed" else [*words, "--workers", "2"])
         times["local"][name] = round(time.monotonic() - start, 1)
         print("local", name, times["local"][name], flush=True)
+    span_s = 0.4 * sum(times["local"].values())  # twice as many workers
     cluster, step, errors = LocalCluster(WORKERS, folder / "dask", counts.port), ["start"], {}
     cluster.start()
     try:
-        with disturbed(cluster, counts.kills, sum(times["local"].values()), step) as done:
+        with disturbed(cluster, counts.kills, span_s, step) as done:
             for name, words in commands(inputs, there, counts).items():
                 step.append(name)
                 start = time.monotonic()

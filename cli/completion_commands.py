@@ -115,7 +115,9 @@ def complete(
     results = terminal.Results(json)
     written = OutputOptions(physical, force, resolution, incidences)
     if readings and lab is not None:
-        raise UsageError("found --lab and a file of readings, expected one of them")
+        raise UsageError(
+            f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
+        )
     if photo:
         if lab is not None or suggest:
             raise UsageError(
@@ -199,7 +201,7 @@ def complete(
             **(
                 {
                     "gloss": [
-                        f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} read"
+                        f"{found.gloss[a]:.3g} at {a:g} degrees, {u:g} given"
                         for a, u in found.readings.gloss.items()
                     ]
                 }

@@ -47,7 +47,10 @@ def export(
     srgb: options.SrgbOption = None,
     output: Annotated[
         Path | None,
-        options.output_option("The file: .glb, .mtlx, .usda, .py, .json; for many materials, a folder."),
+        options.output_option(
+            "The file: .glb, .mtlx (MaterialX), .usda (USD), .py (Blender), .json; for many materials, a folder. "
+            "[default: the material's name, .glb; or exports]"
+        ),
     ] = None,
     target: Annotated[
         TargetName | None,
@@ -73,6 +76,7 @@ def export(
     the fit starts.
     """
     from manifold.fitting.exports.targets import TARGETS, target_of
+    from manifold.io_rgl import material_name
     from manifold.system.stages import Stages
     from manifold.workflows import export_folders, exports
     from manifold.workflows.sources import FileSource
@@ -92,7 +96,8 @@ def export(
             )
         _show_all(results, outcomes, folder)
         return
-    path = or_default(output, "material.glb")
+    name = material_name(Path(material.name.removesuffix(".fit.json")))
+    path = or_default(output, name + TARGETS[target or "gltf"].suffix)
     chosen = target_of(target, path)
     atomic.require_writable(path)
     with terminal.progress("Exporting") as step:
@@ -112,7 +117,7 @@ def _show(results: terminal.Results, outcome: Outcome[Any], picture: Path | None
         f"{content['ciede2000_in_fitted_light']:.2f}"
     )
     if content["principled_ciede2000"] is not None:
-        rows["of principled"] = f"{content['principled_ciede2000']:.2f}"
+        rows["of Mitsuba's principled"] = f"{content['principled_ciede2000']:.2f}"
     if picture is not None:
         rows["picture"] = picture
     rows |= terminal.numbered("note", outcome.notes)

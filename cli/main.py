@@ -113,7 +113,8 @@ def _message(error: Exception) -> str:
         return str(error)
     if isinstance(error, _Mistyped):
         command = getattr(error.ctx, "command_path", "manifold")
-        return f"{error.format_message().rstrip('.')}; see `{command} --help`"
+        found = error.format_message().replace("Value error, ", "").rstrip(".")  # words of Typer's
+        return f"{found}; see `{command} --help`"
     if isinstance(error, MemoryError):
         return "out of memory; close other programs, or use a smaller library"
     if isinstance(error, OSError):

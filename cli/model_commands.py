@@ -296,7 +296,10 @@ def predict(
     )
     written = OutputOptions(physical, force, resolution, incidences)
     if None not in (place, latent):
-        raise UsageError(f"found two places, {place} and --latent {latent}, expected one")
+        raise UsageError(
+            f"found two places, {place} and --latent {latent}, expected one; coordinates have commas and no "
+            "blanks, such as 0.3,1.2"
+        )
     latent = latent if place is None else place.strip()
     if points is not None:
         if latent is not None or colour != NEAREST or attributes is not None:
@@ -317,7 +320,8 @@ def predict(
         return
     if latent is None:
         raise UsageError(
-            "found no latent; give --latent X,Y or --latent NAME, or --from with a table of latents"
+            "found no latent; give --latent -0.3,1.2 or a material, or --from with a table of latents; of a colour and "
+            "gloss alone, `manifold complete --lab L,a,b --gloss 60=UNITS` makes a material"
         )
     with terminal.progress("Reading materials") as step:
         made = prediction.predict(
@@ -339,8 +343,9 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
     rows: dict[str, object] = {"latent": ",".join(made.coordinates)}
     if made.colour is not None:
         rows["colour"] = made.colour
+    if made.weights:
+        rows["largest weights"] = [f"{name} ({weight:+.2f})" for name, weight in made.weights]
     rows |= {
-        "largest weights": [f"{name} ({weight:+.2f})" for name, weight in made.weights],
         "negative values": f"{made.clipped_share:.2%}, zero in the file" if made.clipped_share else "none",
         "time": f"{made.seconds:.2f} s after loading",
     } | made.rows

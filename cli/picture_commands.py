@@ -88,6 +88,7 @@ def walk(
 
     A walk is made of the two materials alone: roughness goes from one to the other, the rest is averaged. The path
     of latents shows what `predict` makes of the surrounding materials on the straight line between the two.
+    `manifold predict FROM:TO:T -o FILE.bsdf` and `manifold export FROM:TO:T` write a step of the walk.
     """
     from manifold.workflows import ball_pictures
 

@@ -31,6 +31,7 @@ from manifold.library.schema import READABLE_VERSIONS, SCHEMA
 from manifold.library.writing import make_store
 from manifold.library.zarr_arrays import open_group, read_array, read_attributes
 from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.system.names import names_like
 from manifold.system.stages import with_progress
 
 if TYPE_CHECKING:
@@ -228,7 +229,8 @@ class Library:
         """The material's folder; whatever goes wrong with it becomes one LibraryError that names it."""
         if name not in self:
             raise UnknownNameError(
-                f"{name}: no such material in {self.path.name}, which holds {len(self)} materials"
+                f"{name}: no such material in {self.path.name}, which holds {len(self)} materials; "
+                f"{names_like(self.names, name, 'among them')}"
             )
         try:
             yield self.path / "materials" / name

@@ -76,7 +76,7 @@ def choose_colour(model: Manifold, x: PlaceLike, choice: ColourChoice) -> Chosen
     place = model.place(x)
     x = place.latent
     if choice == NEAREST and place.path is not None:
-        return ChosenColour(None, "between {} and {}".format(*place.path), 0.0)
+        return ChosenColour(None, "between {} and {}, of these two alone".format(*place.path), 0.0)
     if choice == NEAREST and not model.space.needs_colours:
         return ChosenColour(None, "blended from the surrounding materials", 0.0)
     if choice.reflectance is None and choice.srgb is None:

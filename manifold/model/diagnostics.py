@@ -40,7 +40,8 @@ class Prediction:
         coordinates: the same, with the digits that reproduce the prediction.
         colour: where the colour comes from, in words; None where the latent fixes it.
         reflectance_residual: largest difference over bands between the requested reflectance and the one reached.
-        weights: the materials with the largest weights, by magnitude, in this colour.
+        weights: the materials with the largest weights, by magnitude, in this colour; none of a step of a walk, which
+            its two materials make.
         nearest: the three nearest materials with their distances.
         materials: number of materials of the model, on whose left-out errors expected ones are based.
         expected: expected errors; None where the model is not calibrated.
@@ -139,7 +140,7 @@ def diagnose(
         coordinates=model.space.printed(place.latent),
         colour=chosen.words,
         reflectance_residual=chosen.residual,
-        weights=model.largest_weights(place, 5, colours),
+        weights=model.largest_weights(place, 5, colours) if place.path is None or colours is not None else [],
         nearest=nearest,
         materials=len(model.names),
         expected=expected,
@@ -159,7 +160,7 @@ def in_words(expected: ExpectedErrors | None, materials: int) -> list[str]:
     """An expected error for a terminal, of a model of `materials` materials."""
     if expected is None:
         return ["unknown: the model is not calibrated", "embed again, with four materials or more"]
-    if expected.ball == 0.0 and expected.cube_root == 0.0:
+    if expected.ball < 0.05 and expected.cube_root < 0.005:  # which are printed as 0
         return ["none: a measured material"]
     words = [
         f"{expected.ball:.1f} CIEDE2000 of the ball",

@@ -118,7 +118,7 @@ def read_model(path: Path) -> ModelRecord:
     _, *version = _HEADER.unpack_from(content.ljust(_HEADER.size))
     if version != [FORMAT_VERSION]:
         raise ModelError(
-            f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; embed again with this version"
+            f"{path}: model format {version[0]}, expected {FORMAT_VERSION}; embed again, with `manifold embed`"
         )
     try:
         return _record_of(content, path)

@@ -290,7 +290,8 @@ def calibrate_instrument(paths: Sequence[Path], output: Path) -> tuple[ColourCor
     is_folders = len(paths) == 2 and all(path.is_dir() for path in paths)
     if len(paths) % 2 or not paths:
         raise UsageError(
-            f"{len(paths)} files, expected pairs: of every sample the reference's, then the other's"
+            f"found {len(paths)}, expected pairs of files, of every sample the reference's, then the other's; or two "
+            "folders, the reference's first"
         )
     pairs = (
         _pairs_of_folders(paths[0], paths[1])

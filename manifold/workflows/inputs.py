@@ -153,7 +153,7 @@ def find_samples(sources: Iterable[Path], on_progress: Progress | None = None) -
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
-    paths = find_files(given, is_readings, "file of readings")
+    paths = find_files(given, is_readings, "readings file")
     for path in with_progress(paths, on_progress, str):
         try:
             records = registry.read_all(path)

@@ -61,7 +61,7 @@ def write_output(
         return WrittenFile(
             found,
             refusal=f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 "
-            f"degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it",
+            f"degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it: options physical, force",
         )
     write_bsdf(output, file)
     if not options.physical:

@@ -113,9 +113,13 @@ def parse_source(
     looks_like_file = "/" in text or _FILE_ENDING.fullmatch(path.suffix) is not None
     try:
         known, names = _names(model, library)
-        unknown = f"no material of {known.name} ({names_like(names, text)})"
+        unknown = (
+            f"no material of {known.name} ({names_like(names, text)}), and no place on a map; "
+            "places are X,Y or FROM:TO:T between two materials"
+        )
     except ManifoldError as error:
-        known, names, unknown = Path(), (), f"no name of a material ({error})"
+        known, names = Path(), ()
+        unknown = f"no place on a map, and no materials to look it up among: {error}"
     if text in names:
         return LibrarySource(known, text)
     if os.path.exists(path):
@@ -126,9 +130,7 @@ def parse_source(
         raise MissingFileError(
             f"{text}: no such file or folder; name one, or a material of a library, or a place on a map"
         )
-    raise UnknownNameError(
-        f"{text}: no file, {unknown}, and no place on a map; places are X,Y or FROM:TO:T between two materials"
-    )
+    raise UnknownNameError(f"{text}: no file, {unknown}")
 
 
 def matching(text: str) -> list[str]:

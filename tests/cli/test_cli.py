@@ -99,7 +99,10 @@ def test_help_loads_nothing_heavy(tmp_path):
         (["predict", "--latnt", "0,0"], "--latent"),
         (["predict"], "--latent"),
         (["embed", "--latent-dim", "0"], "latent-dim"),
-        (["embed", "--optimizer", "adam"], "l-bfgs"),
+        (["embed", "--optimizer", "adam"], "for '--optimizer': 'adam' is not one of 'dls', 'l-bfgs'"),
+        (["predict", "--latent", "0.3", "1.2"], "coordinates have commas and no blanks, such as 0.3,1.2"),
+        (["complete", "--lab", "40", "50", "30"], "a colour has commas, such as 50,20,10"),
+        (["calibrate", "samples"], "or two folders"),
         (["embed", "--kernel", "cubic"], "matern32+linear"),
         (["embed", "--mapping", "cuberoot"], "did you mean cube-root?"),
         (["embed", "--mu", "0"], "mu = 0.0, expected 1e-10 to 1e+06"),
@@ -126,6 +129,7 @@ def test_mistyped_commands_and_options_are_usage_errors(run, tmp_path, arguments
         (["predict", "--latent", "0,0"], 1, "manifold embed"),
         (["report"], 1, "manifold embed"),
         (["import", "absent"], 2, "absent"),
+        (["complete", "absent"], 2, "name readings files or folders of them"),
         (["import", "."], 2, "bsdf"),
         (["fetch", "satin_golt"], 2, "satin_gold"),
         (["info", "x.txt", "--verify"], 2, "only libraries can be verified"),
@@ -152,7 +156,7 @@ def test_an_empty_folder_gives_one_line_that_says_what_to_do(run, tmp_path, argu
 @pytest.mark.parametrize("command", [["report"], ["chart", "-L", "library.zarr"]])
 def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch, command):
     from manifold.experiments.chart.held_out import HeldOut
-    from manifold.experiments.evaluation import report
+    from manifold.experiments.evaluation import refits
 
     small_model(tmp_path) if command == ["report"] else small_library(tmp_path)
 
@@ -160,7 +164,7 @@ def test_a_mistyped_anchor_is_refused_before_the_work(run, tmp_path, monkeypatch
         raise AssertionError("began to work")
 
     monkeypatch.setattr(HeldOut, "__init__", work)
-    monkeypatch.setattr(report, "_tabulate", work)
+    monkeypatch.setattr(refits, "tabulate", work)
     status, _, err = run(*command, "--anchor", "absent.zip", cwd=tmp_path)
     assert status == 2
     assert err.startswith("manifold: absent.zip: no such file or folder")

@@ -142,4 +142,4 @@ def test_a_colour_and_gloss_without_a_file_are_completed(run, model, tmp_path):
     assert json.loads(out)["expected"]["ball"] > 0.0
     code, _, err = run(*arguments, tmp_path / "r.csv", cwd=tmp_path)
     assert code == 2
-    assert "expected one of them" in err
+    assert "expected one of them; a colour has commas" in err

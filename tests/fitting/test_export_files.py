@@ -261,7 +261,7 @@ def test_a_name_that_does_not_print_spoils_no_document(tmp_path):
     [
         ("nowhere", "x.glb", "no target is called 'nowhere'"),
         (None, "x.obj", "suffix '.obj', expected one of .glb"),
-        (None, "x", "suffix 'missing'"),
+        (None, "x", r"no suffix, expected one of .*\.py \(blender\)"),
         (None, "x.json", "several targets are JSON; name one of blender-json, unreal, unity"),
         ("gltf", "x.usda", "expected .glb for gltf"),
     ],

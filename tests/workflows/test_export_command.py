@@ -56,6 +56,14 @@ def test_a_fit_is_exported_with_its_loss_against_itself(folder, tmp_path):
     assert document["materials"][0]["extras"]["ciede2000"] == made["ciede2000"]
 
 
+def test_a_file_that_is_not_named_is_called_after_the_material(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for target, name in ((), "copper.glb"), (("--target", "blender"), "copper.py"):
+        result = run("export", folder / "copper_rgb.fit.json", "--mapped", *target)
+        assert result.exit_code == 0, result.output
+        assert (tmp_path / name).is_file()
+
+
 def test_a_fit_against_the_measured_file_says_what_both_models_lose(folder, tmp_path):
     subject = exports.subject_of(folder / "copper_rgb.fit.json", folder / "copper_rgb.bsdf")
     made = exports.export(subject, TARGETS["openpbr"], tmp_path / "x.mtlx").content
@@ -88,7 +96,7 @@ def test_a_measured_file_is_fitted_on_the_way(folder, tmp_path):
     result = run("export", folder / "copper_rgb.bsdf", *words)
     assert result.exit_code == 0, result.output
     assert "CIEDE2000 on the ball" in result.stdout
-    assert "of principled" in result.stdout
+    assert "of Mitsuba's principled" in result.stdout
     assert "in the light of the fit" in " ".join(result.stdout.split())
     assert imread(tmp_path / "x.png").shape[0] > 400
     content = json.loads((tmp_path / "x.json").read_text())

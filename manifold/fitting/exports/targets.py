@@ -146,18 +146,19 @@ def target_of(name: str | None, path: Path) -> Target:
     Raises:
         UsageError: there is none, or the suffix is another's.
     """
+    suffix = f"suffix {path.suffix!r}" if path.suffix else "no suffix"
     if name is not None:
         if name not in TARGETS:
             raise UsageError(f"no target is called {name!r}, expected one of {', '.join(TARGETS)}")
         target = TARGETS[name]
         if path.suffix.lower() != target.suffix:
-            found = path.suffix or "missing"
-            raise UsageError(f"{path}: suffix {found!r}, expected {target.suffix} for {name}")
+            raise UsageError(f"{path}: {suffix}, expected {target.suffix} for {name}")
         return target
     fitting = [target for target in _ALL if target.suffix == path.suffix.lower()]
     if not fitting:
-        known = ", ".join(dict.fromkeys(target.suffix for target in _ALL))
-        raise UsageError(f"{path}: suffix {path.suffix or 'missing'!r}, expected one of {known}")
+        endings = dict.fromkeys(target.suffix for target in _ALL)
+        known = ", ".join(f"{e} ({', '.join(t.name for t in _ALL if t.suffix == e)})" for e in endings)
+        raise UsageError(f"{path}: {suffix}, expected one of {known}")
     if path.suffix.lower() == ".json":
         names = ", ".join(target.name for target in fitting)
         raise UsageError(f"{path}: several targets are JSON; name one of {names}")

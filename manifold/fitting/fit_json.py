@@ -88,7 +88,7 @@ def read(path: Path) -> dict[str, Any]:
         UsageError: there is no such file.
         FileFormatError: it is no fit, an entry is missing or of the wrong type, or entries contradict each other.
     """
-    content: dict[str, Any] = reading.read_json(path, "the JSON of a fit")
+    content: dict[str, Any] = reading.read_json(path, "a .bsdf file or the JSON of a fit")
     fit_check.require_fit(content, path.name)
     return content
 

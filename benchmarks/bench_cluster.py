@@ -76,7 +76,7 @@ class LocalCluster:
     folder: Path
     port: int
     scheduler: subprocess.Popen[bytes] | None = None
-    nanny: subprocess.Popen[bytes] | None = None
+    nannies: list[subprocess.Popen[bytes]] = field(default_factory=list)
     memory: dict[str, int] = field(default_factory=lambda: {"scheduler": 0, "worker": 0})
 
     @property
@@ -85,39 +85,41 @@ class LocalCluster:
         return f"tcp://127.0.0.1:{self.port}"
 
     def start(self) -> None:
-        """Start a scheduler, and workers, of which those that are killed are replaced."""
-        dask = [sys.executable, "-m", "dask"]
-        quiet: dict[str, Any] = {
-            "stdout": subprocess.DEVNULL,
-            "stderr": subprocess.DEVNULL,
-            "env": ENVIRONMENT,
-        }
-        words = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
-        self.scheduler = subprocess.Popen([*dask, *words], **quiet)
-        words = [
-            "worker", self.address, "--nworkers", str(self.workers), "--nthreads", "1", "--no-dashboard",
-            "--memory-limit", "0", "--local-directory", str(self.folder),
-        ]  # fmt: skip
-        self.nanny = subprocess.Popen([*dask, *words], **quiet)
+        """Start a scheduler, and workers."""
+        self.scheduler = self._dask("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+        self.keep_up()
+
+    def keep_up(self) -> None:
+        """Start workers in place of those that have ended, as a batch system does: one killed while it starts does."""
+        self.nannies = [nanny for nanny in self.nannies if nanny.poll() is None]
+        while len(self.nannies) < self.workers:
+            words = ["--nthreads", "1", "--memory-limit", "0", "--local-directory", str(self.folder)]
+            self.nannies.append(self._dask("worker", self.address, *words))
+
+    def _dask(self, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+        return subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=ENVIRONMENT
+        )
 
     def stop(self) -> None:
         """End all of them."""
-        for process in (self.nanny, self.scheduler):
-            if process is not None:
-                with suppress(psutil.NoSuchProcess):
-                    for child in psutil.Process(process.pid).children(recursive=True):
-                        with suppress(psutil.NoSuchProcess):
-                            child.kill()
-                process.kill()
-                process.wait()
+        for process in (*self.nannies, *filter(None, [self.scheduler])):
+            with suppress(psutil.NoSuchProcess):
+                for child in psutil.Process(process.pid).children(recursive=True):
+                    with suppress(psutil.NoSuchProcess):
+                        child.kill()
+            process.kill()
+            process.wait()
 
     def worker_processes(self) -> list[psutil.Process]:
         """Those that run tasks."""
-        assert self.nanny is not None
-        with suppress(psutil.NoSuchProcess):
-            found = psutil.Process(self.nanny.pid).children()
-            return [child for child in found if "spawn_main" in " ".join(child.cmdline())]
-        return []
+        found = []
+        for nanny in self.nannies:
+            with suppress(psutil.NoSuchProcess):
+                children = psutil.Process(nanny.pid).children()
+                found += [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+        return found
 
     def measure(self) -> None:
         """Note what memory is taken now."""
@@ -143,6 +145,7 @@ def disturbed(
     def disturb() -> None:
         while not over.wait(0.3):
             cluster.measure()
+            cluster.keep_up()
             if not moments or time.monotonic() - start < moments[0][0]:
                 continue
             _, whom = moments[0]

@@ -142,6 +142,7 @@ def _make_materials(*_: object) -> None:
 
 
 os.environ["MANIFOLD_DOCS_WORK"] = str(WORK)
+os.environ["PYTHONPATH"] = str(HERE)  # for shell_cells
 os.environ["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))  # `manifold`
 
 

@@ -35,6 +35,7 @@ from manifold.model.restoring import SPACES, open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
 from manifold.records import Array, Bands, Progress, evenly_spaced
+from manifold.system.parallel import one_blas_thread
 
 _ONE = np.ones(1)
 _DEFAULTS = Settings()
@@ -105,10 +106,13 @@ class Manifold(LatentMap):
         chosen = library.names if names is None else names_among(library, names)
         is_nonnegative = SPACES[settings.kind].is_nonnegative
         materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
-        space, statistics, samples = fit_space(materials, settings, on_progress)
         left_out = None
-        if calibrate and len(chosen) >= LEAST_MATERIALS:
-            left_out = leave_out(space, materials, settings, on_progress, samples)
+        with (
+            one_blas_thread
+        ):  # a layout amplifies the rounding of sums, which depends on the number of threads
+            space, statistics, samples = fit_space(materials, settings, on_progress)
+            if calibrate and len(chosen) >= LEAST_MATERIALS:
+                left_out = leave_out(space, materials, settings, on_progress, samples)
         return cls(materials, space, settings, statistics, left_out)
 
     # -- materials -----------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from helpers.small_library import NAMES, measured, small_library
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.measured import MeasuredBRDF
@@ -433,3 +434,14 @@ def test_a_material_that_is_too_bright_to_be_one_is_named(tmp_path):
     with pytest.warns(BrightMaterialWarning, match=r"^bright has a directional albedo of [0-9.]+") as caught:
         Manifold.fit(Library.open(tmp_path / "library.zarr"), Settings(latent_dim=1), calibrate=False)
     assert len(caught) == 1
+
+
+def test_a_layout_is_fitted_by_one_thread_of_blas(tmp_path):
+    counts = []
+
+    def step(*_):
+        counts.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+
+    with threadpool_limits(2, "blas"):
+        Manifold.fit(small_library(tmp_path), on_progress=step)
+    assert set(counts) == {1}

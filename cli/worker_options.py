@@ -39,8 +39,7 @@ def workers_of(count: int | None, scheduler: str | None, default: Workers | None
     """The workers of `--workers` or `--scheduler`; by default a process per core.
 
     Raises:
-        UsageError: both are given.
-        ManifoldError: there is no such scheduler, or Dask is not installed.
+        UsageError: both are given, or Dask is not installed.
     """
     from manifold.system.workers import Processes
 

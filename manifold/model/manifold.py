@@ -107,9 +107,8 @@ class Manifold(LatentMap):
         is_nonnegative = SPACES[settings.kind].is_nonnegative
         materials = MaterialCache(library, chosen, is_nonnegative=is_nonnegative)
         left_out = None
-        with (
-            one_blas_thread
-        ):  # a layout amplifies the rounding of sums, which depends on the number of threads
+        # A layout amplifies the rounding of sums, which depends on the number of threads.
+        with one_blas_thread:
             space, statistics, samples = fit_space(materials, settings, on_progress)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
                 left_out = leave_out(space, materials, settings, on_progress, samples)

@@ -31,9 +31,8 @@ R = TypeVar("R")
 
 _PACKAGES = ("brdf-manifold", "numpy", "scipy", "numba", "mitsuba")  # on which results depend
 _CONNECT_S = 10
-_one_at_a_time = (
-    threading.Lock()
-)  # of workers with several threads: the folder and the renderer are the process's
+# Of workers with several threads: the folder and the renderer are the process's.
+_one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)

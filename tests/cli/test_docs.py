@@ -71,7 +71,7 @@ def measured_figures(document):
 
 @pytest.mark.parametrize(
     "document",
-    [d for d in DOCUMENTS if d.parent.name in ("explanation", "how-to") and d.stem != "photographs"],
+    [d for d in DOCUMENTS if d.parent.name in ("explanation", "how-to")],
     ids=lambda path: path.name,
 )
 def test_figures_in_pages_are_filled_in_from_results(document):

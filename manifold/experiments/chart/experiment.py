@@ -122,7 +122,8 @@ def make_chart(
         workers: who measure settings; others than this process read the files from the library. Times are relative to
             a reference in the same process.
     Raises:
-        UsageError: a key is unknown, there are fewer than four materials, or `neural` holds none of them.
+        UsageError: a key is unknown, there are fewer than four materials, `neural` holds none of them, or other
+            workers are asked for without a library.
         ManifoldError: a setting cannot be measured, or a worker was lost.
     """
     if len(files) < 4:
@@ -149,7 +150,10 @@ def make_chart(
         measure = _Measuring(files, how).measure
         tasks = [[key] for key in sorted(todo, key=lambda key: _storage_key(known[key]))]
     else:
-        assert library is not None
+        if library is None:
+            raise UsageError(
+                "found no library, expected that of the files, from which other workers read them"
+            )
         measure = partial(_measure_there, library=library.path, names=names, how=how)
         tasks = _that_share_fits(todo, known)
     reference_seconds, scaled = 0.0, dict[str, float]()

@@ -51,8 +51,10 @@ def hemisphere(n=64):
     ("roughness", "anisotropic", "rtol"),
     [(0.2, 0.0, 2e-5), (0.5, 0.0, 2e-5), (1.0, 0.0, 2e-5), (0.5, 0.7, 1e-4)],
 )
-def test_a_rough_metal_in_gltf_is_principled_s(roughness, anisotropic, rtol, rng):
-    # Both are GGX with separable Smith masking and Schlick's term; Mitsuba's in single precision.
+def test_a_rough_metal_in_gltf_is_principled_s_but_for_height_correlated_masking(
+    roughness, anisotropic, rtol, rng
+):
+    # Both are GGX with Schlick's term; Mitsuba's masking is separable, and in single precision.
     view, light = directions(rng, 500), directions(rng, 500)
     values = {
         "base_color": [0.9, 0.5, 0.1],
@@ -62,7 +64,24 @@ def test_a_rough_metal_in_gltf_is_principled_s(roughness, anisotropic, rtol, rng
     }
     expected = mitsuba(principled(values), values, view, light)
     material = Principled((0.9, 0.5, 0.1), metallic=1.0, roughness=roughness, anisotropic=anisotropic)
+    alone = [lobes.smith_g1(each, *material.alphas) for each in (view, light)]
+    correlated = 1.0 / (1.0 / alone[0] + 1.0 / alone[1] - 1.0)  # Heitz 2014, eq. 99
+    expected = expected * (correlated / (alone[0] * alone[1]))[:, None]
     np.testing.assert_allclose(gltf.brdf(gltf.parameters(material), view, light), expected, rtol=rtol)
+
+
+def test_a_film_in_gltf_has_the_colour_of_the_viewer_s_angle_and_leaves_the_diffuse():
+    view = np.broadcast_to(from_spherical(0.9, 0.0), (2, 3))
+    light = from_spherical(np.array([0.1, 1.3]), np.array([1.0, 3.0]))
+    film = dict(zip(gltf.FILM, (1.0, 400.0, 1.7), strict=True))
+    black, grey = (gltf.parameters(Principled((c, c, c), roughness=0.6)) for c in (0.0, 0.5))
+    lobe = lobes.specular_joint(Pairs.of(view, light), 0.36, 0.36)[:, None]
+    reflected = gltf.brdf(black | film, view, light) / lobe
+    np.testing.assert_allclose(reflected[0], reflected[1], rtol=1e-9)  # whatever the light
+    diffuse = [
+        gltf.brdf(grey | each, view, light) - gltf.brdf(black | each, view, light) for each in ({}, film)
+    ]
+    np.testing.assert_allclose(*diffuse, rtol=1e-9)
 
 
 def test_other_metals_are_principled_s_but_for_masking_and_what_scatters_between_facets(rng):
@@ -194,7 +213,7 @@ def test_the_coat_has_the_peak_of_mitsuba_s(rng):
     )
     material = Principled((0.0, 0.0, 0.0), clearcoat=1.0, clearcoat_gloss=0.6)
     alpha = material.coat_alpha
-    coat = 0.04 * lobes.specular_separable(Pairs.of(up, up), alpha, alpha)
+    coat = 0.04 * lobes.specular_joint(Pairs.of(up, up), alpha, alpha)
     assert coat[0] == pytest.approx(both[0, 0], rel=2e-3)
 
 

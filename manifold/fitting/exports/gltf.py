@@ -102,24 +102,26 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Args:
         values: all of `DEFAULTS`.
         view, light: unit vectors (P, 3).
-    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions.
+    Source: glTF 2.0 specification, appendix B, and the implementation notes of the KHR_materials extensions. The thin
+    film, which they leave open, as three.js and Khronos' renderer have it: at the angle of the viewer with the normal;
+    the diffuse is what it is without, as in three.js.
     """
     pairs = Pairs.of(view, light)
     base = np.asarray(values["baseColorFactor"])
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2
-    specular = lobes.specular_separable(pairs, along, alpha)[:, None]
+    specular = lobes.specular_joint(pairs, along, alpha)[:, None]
     metal = specular * _filmed(values, pairs, lobes.schlick(base, 1.0, pairs.cos_d), base)
     f0 = np.minimum(ior_to_f0(values["ior"]) * np.asarray(values["specularColorFactor"]), 1.0)
     strength = values["specularFactor"]
     bare = lobes.schlick(f0 * strength, np.full(3, strength), pairs.cos_d)
-    fresnel = _filmed(values, pairs, bare, f0 * strength)
-    dielectric = (1.0 - fresnel.max(axis=1, keepdims=True)) * base / np.pi + fresnel * specular
+    dielectric = (1.0 - bare.max(axis=1, keepdims=True)) * base / np.pi
+    dielectric = dielectric + specular * _filmed(values, pairs, bare, f0 * strength)
     f: Array = dielectric + values["metallicFactor"] * (metal - dielectric)
     f = _sheen(values, pairs, f)
     if values["clearcoatFactor"]:
         coat_alpha = values["clearcoatRoughnessFactor"] ** 2
-        coat = lobes.specular_separable(pairs, coat_alpha, coat_alpha)[:, None]
+        coat = lobes.specular_joint(pairs, coat_alpha, coat_alpha)[:, None]
         share = values["clearcoatFactor"] * lobes.schlick(0.04, 1.0, pairs.cos_v)
         f = f + share * (coat - f)
     return f
@@ -130,7 +132,7 @@ def _filmed(values: Mapping[str, Any], pairs: Pairs, bare: Array, f0: Array) -> 
     weight, thickness_nm, ior = (float(values[name]) for name in FILM)
     if not weight:
         return bare
-    return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_d) - bare)
+    return bare + weight * (film_over_f0(ior, thickness_nm, f0, pairs.cos_v) - bare)
 
 
 def _sheen(values: Mapping[str, Any], pairs: Pairs, base: Array) -> Array:

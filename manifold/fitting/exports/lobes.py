@@ -72,12 +72,6 @@ def smith_correlated(cos_l: Array, cos_v: Array, alpha: float) -> Array:
     return 2.0 * cos_l * cos_v / (of_l * cos_v + of_v * cos_l)
 
 
-def specular_separable(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
-    """`D G1 G1 / (4 cos cos)` of GGX, (P,): without Fresnel, as glTF and Mitsuba have it."""
-    g = smith_g1(pairs.view, alpha_x, alpha_y) * smith_g1(pairs.light, alpha_x, alpha_y)
-    return ggx(pairs, alpha_x, alpha_y) * g / (4.0 * pairs.cos_v * pairs.cos_l)
-
-
 def specular_correlated(pairs: Pairs, alpha_x: float, alpha_y: float) -> Array:
     """`D G2 / (4 cos cos)` of GGX, (P,), G2 by the geometric mean of the alphas, as MaterialX has it."""
     g = smith_correlated(pairs.cos_l, pairs.cos_v, np.sqrt(alpha_x * alpha_y))

@@ -80,10 +80,13 @@ def compact_library(
         for name in with_progress(library.names, on_progress, str):
             folder = library.path / "materials" / name
             try:
+                for part in (folder, *folder.iterdir()):
+                    staging.require_no_link(part)
                 info = library.attributes(name)
                 if info.accuracy is None:
                     result.compacted[name] = _compact(library, info, staged / name, folder, tolerance)
                 else:
+                    library.read(name)  # `accuracy` is no proof that the compact form is there
                     staging.keep_arrays(folder, (COEFFICIENTS, TABLES))
                     skipped.append(name)
             except LibraryError as error:

@@ -1,8 +1,9 @@
 """Atomic writing of folders of a library: staged beside it, renamed into place when whole.
 
-Beside a library `NAME` stand, only while somebody writes, the lock `.NAME.lock` and the staging folder
+Beside a library `NAME` stands the lock `.NAME.lock`, an empty file, and, only while somebody writes, the staging folder
 `.NAME.importing-*`; the next writer removes those that a killed process has left. Of a library that is a mount point,
-which no rename from outside reaches, they stand in it.
+which no rename from outside reaches, they stand in it. A folder that is being replaced is `.NAME.replaced` beside its
+place until the new one is there.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from filelock import FileLock, Timeout
 
 from manifold.errors import LibraryError
 
+_REPLACED = ".replaced"
+_PARTS = ("materials", "cache")  # folders in which folders are replaced
+
 
 @contextmanager
 def writing(library: Path) -> Iterator[Path]:
@@ -33,13 +37,17 @@ def writing(library: Path) -> Iterator[Path]:
     """
     prefix = f".{library.name}.importing-"
     home = library if os.path.ismount(library) else library.parent
-    lock_file = home / f".{library.name}.lock"
-    lock = FileLock(lock_file)
+    lock = FileLock(home / f".{library.name}.lock")
     try:
         home.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=0.1)
+        for name in _PARTS:
+            require_no_link(library / name)
         for stale in home.glob(f"{glob.escape(prefix)}*"):
             shutil.rmtree(stale, ignore_errors=True)
+        for name in _PARTS:
+            for old in (library / name).glob(f".*{_REPLACED}"):
+                _conclude(old.with_name(old.name[1 : -len(_REPLACED)]))
         staging = Path(tempfile.mkdtemp(prefix=prefix, dir=home))
     except Timeout:
         raise LibraryError(
@@ -53,8 +61,16 @@ def writing(library: Path) -> Iterator[Path]:
         yield staging
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-        lock_file.unlink(missing_ok=True)
-        lock.release()
+        lock.release()  # the file stays: unlinked, it would be locked by some and made anew by others
+
+
+def require_no_link(folder: Path) -> None:
+    """Raise LibraryError where a folder of a library is a link: writes would reach another one, without its lock."""
+    if folder.is_symlink():
+        raise LibraryError(
+            f"{folder}: a link to {os.path.realpath(folder)}, expected a folder of the library's own; "
+            "remove the link, and import the files"
+        )
 
 
 def contents(library: Path) -> list[Path]:
@@ -87,7 +103,40 @@ def keep_arrays(group: Path, names: Collection[str]) -> None:
 
 
 def publish(staged: Path, target: Path) -> None:
-    """Rename a finished folder of the staging folder to its final name, in place of what is there."""
+    """Rename a finished folder of the staging folder to its final name, in place of what is there.
+
+    Of a process killed in between, `standing` finds the old folder, and the next writer puts it back.
+    """
     if target.exists():
-        os.rename(target, staged.with_name(f".{staged.name}"))
+        os.rename(target, _replaced(target))
     os.rename(staged, target)
+    _conclude(target)
+
+
+def standing(target: Path) -> Path:
+    """Where a folder stands: at its place, or beside it where it is being replaced."""
+    return _replaced(target) if not target.exists() and _replaced(target).is_dir() else target
+
+
+def standing_names(folder: Path) -> set[str]:
+    """Names of the folders in a folder, those that are being replaced among them."""
+    found = {entry.name for entry in os.scandir(folder) if entry.is_dir()}
+    replaced = {
+        name[1 : -len(_REPLACED)] for name in found if name.startswith(".") and name.endswith(_REPLACED)
+    }
+    return {name for name in found | replaced if name and not name.startswith(".")}
+
+
+def _replaced(target: Path) -> Path:
+    return target.with_name(f".{target.name}{_REPLACED}")
+
+
+def _conclude(target: Path) -> None:
+    """End a replacement: remove the old folder, or put it back where there is no new one."""
+    old = _replaced(target)
+    if not target.exists():
+        os.rename(old, target)
+    elif old.is_symlink():
+        old.unlink()
+    else:
+        shutil.rmtree(old, ignore_errors=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -87,21 +86,19 @@ class Library:
     @property
     def names(self) -> tuple[str, ...]:
         """The materials' names, sorted."""
-        folder = self.path / "materials"
         try:
-            found = [entry.name for entry in os.scandir(folder) if entry.is_dir()]
+            return tuple(sorted(staging.standing_names(self.path / "materials")))
         except OSError as error:
             raise LibraryError(
                 f"{self.path.name}: its folder 'materials' cannot be read ({error.strerror}); "
                 "import its files again into a new library"
             ) from error
-        return tuple(sorted(name for name in found if not name.startswith(".")))
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and is_material_name(name) and (self.path / "materials" / name).is_dir()
+        return isinstance(name, str) and is_material_name(name) and self._folder(name).is_dir()
 
     def read(self, name: str) -> BsdfFile:
         """One material, verified by its hash.
@@ -218,6 +215,10 @@ class Library:
         """Store arrays under a key, atomically; no effect if the library cannot be written."""
         cache.put(self.path, key, arrays)
 
+    def _folder(self, name: str) -> Path:
+        """Where a material stands, or would."""
+        return staging.standing(self.path / "materials" / name)
+
     @contextmanager
     def _material(self, name: str) -> Iterator[zarr.Group]:
         """The material's group, likewise."""
@@ -233,7 +234,7 @@ class Library:
                 f"{names_like(self.names, name, 'among them')}"
             )
         try:
-            yield self.path / "materials" / name
+            yield self._folder(name)
         except ManifoldError:
             raise
         except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors

@@ -275,6 +275,36 @@ def test_compacting_cut_short_leaves_every_material_whole(
     assert len(list((path / "materials").glob("*/*"))) == 6
 
 
+def test_a_whole_material_that_claims_to_be_compact_keeps_its_arrays(tmp_path: Path) -> None:
+    path = small_library(tmp_path, names=["syn_felt_green", "syn_satin_gold"])
+    attributes = path / "materials" / "syn_felt_green" / "zarr.json"
+    content = json.loads(attributes.read_text())
+    content["attributes"]["accuracy"] = {"tolerance": 0.2, "ball": 0.1, "cube_root": 0.001}
+    before = sorted(attributes.parent.rglob("*"))
+    attributes.write_text(json.dumps(content))
+    result = compact_library(path)
+    assert (list(result.compacted), list(result.failed)) == (["syn_satin_gold"], ["syn_felt_green"])
+    assert "lacks its field 'coefficients'" in result.failed["syn_felt_green"]
+    assert sorted(attributes.parent.rglob("*")) == before
+    content["attributes"]["accuracy"] = None
+    attributes.write_text(json.dumps(content))
+    assert Library(path).verify() == []
+
+
+@pytest.mark.parametrize("linked", ["syn_felt_green", "syn_felt_green/spectra"])
+def test_a_link_into_another_library_is_not_compacted(tmp_path: Path, linked: str) -> None:
+    victim = small_library(tmp_path, names=["syn_felt_green"])
+    own = tmp_path / "own.zarr"
+    shutil.copytree(victim, own)
+    shutil.rmtree(own / "materials" / linked)
+    (own / "materials" / linked).symlink_to(victim / "materials" / linked)
+    result = compact_library(own)
+    assert (result.compacted, list(result.failed)) == ({}, ["syn_felt_green"])
+    assert f"{linked}: a link to" in result.failed["syn_felt_green"]
+    assert Library(victim).attributes("syn_felt_green").accuracy is None
+    assert Library(victim).verify() == []
+
+
 # Commands
 
 

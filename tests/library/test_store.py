@@ -48,7 +48,9 @@ def library(tmp_path: Path, folder: Path) -> Library:
 
 
 def beside(library: Path) -> set[str]:
-    return {path.name for path in library.parent.iterdir() if path.name.startswith(".")}
+    """Hidden files beside a library and its materials, without locks."""
+    found = {path.name for folder in (library.parent, library / "materials") for path in folder.glob(".*")}
+    return {name for name in found if not name.endswith(".zarr.lock")}
 
 
 # Reading
@@ -413,7 +415,13 @@ import_files({str(library.path)!r}, [{str(folder)!r}], replace=True)
     child = subprocess.run([sys.executable, "-c", prelude() + script], check=False)
     assert child.returncode == -signal.SIGKILL
     opened = Library.open(library.path)
-    assert opened.verify() == []
+    seeds = {1: 0, 2: 99}  # moved away, the old one is there still
+    for _ in range(2):  # now, and after another writer
+        assert opened.names == ("m00", "m01", "m02")
+        assert opened.verify() == []
+        assert_same(opened.read("m00"), sample_file("m00", seeds[renames]))
+        opened.cache_put("key", {"numbers": np.zeros(1)})
+    assert beside(library.path) == set()
     import_files(library.path, [folder], replace=True)
     assert_same(opened.read("m00"), sample_file("m00", 99))
     assert beside(library.path) == set()
@@ -439,6 +447,39 @@ def test_two_imports_at_once_leave_a_sound_library(tmp_path: Path) -> None:
     library = Library.open(tmp_path / "library.zarr")
     assert len(library) == 30
     assert library.verify() == []
+
+
+def test_the_lock_file_outlives_its_writer(library: Library) -> None:
+    """Removed, it could be locked by one that had opened it, and made anew and locked by another."""
+    lock = library.path.with_name(f".{library.path.name}.lock")
+    inode = lock.stat().st_ino
+    with staging.writing(library.path):
+        assert lock.stat().st_ino == inode
+    assert lock.stat().st_ino == inode
+
+
+def test_a_library_whose_materials_are_those_of_another_is_not_written_to(
+    tmp_path: Path, library: Library, folder: Path
+) -> None:
+    other = Library.create(tmp_path / "other.zarr", library.bands).path
+    shutil.rmtree(other / "materials")
+    (other / "materials").symlink_to(library.path / "materials")
+    with pytest.raises(LibraryError, match=r"other\.zarr/materials: a link to .*library\.zarr/materials"):
+        import_files(other, [folder], replace=True)
+    assert library.verify() == []
+
+
+def test_a_link_that_is_replaced_leaves_what_it_leads_to(
+    tmp_path: Path, library: Library, folder: Path
+) -> None:
+    other = Library.create(tmp_path / "other.zarr", library.bands)
+    (other.path / "materials" / "m00").symlink_to(library.path / "materials" / "m00")
+    (folder / "m00_spec.bsdf").unlink()
+    write_bsdf(folder / "m00_spec.bsdf", sample_file("m00", 99))
+    assert import_files(other.path, [folder], replace=True).replaced == ("m00",)
+    assert_same(other.read("m00"), sample_file("m00", 99))
+    assert_same(library.read("m00"), sample_file("m00", 0))
+    assert beside(other.path) == set()
 
 
 def test_the_library_may_be_a_link(tmp_path: Path, folder: Path) -> None:
@@ -637,7 +678,7 @@ def test_a_library_may_be_a_mount_point(tmp_path, monkeypatch):
     cache.put(volume, "key", {"numbers": np.arange(3.0)})  # as fits of models do
     np.testing.assert_array_equal(cache.get(volume, "key")["numbers"], np.arange(3.0))
     assert len(Library(volume)) == 2
-    assert {path.name for path in volume.iterdir()} == {"zarr.json", "materials", "cache"}
+    assert {path.name for path in volume.iterdir()} == {"zarr.json", "materials", "cache", ".volume.lock"}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["files", "volume"]
 
 

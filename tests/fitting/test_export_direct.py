@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manifold.fitting import fit_samples
-from manifold.fitting.exports import TARGETS, Principled, blender, gltf, standard_surface
+from manifold.fitting.exports import TARGETS, Principled, blender, gltf, openpbr, standard_surface
 from manifold.fitting.exports.direct import fit_target
 from manifold.fitting.exports.targets import TargetBRDF
 from manifold.fitting.fit_metrics import BallDifference
@@ -69,6 +69,7 @@ def test_a_sheen_that_shows_at_the_rim_alone_is_not_made_up():
     ("name", "film"),
     [
         ("gltf", dict(zip(gltf.FILM, (0.8, 420.0, 1.5), strict=True))),
+        ("openpbr", dict(zip(openpbr.FILM, (0.8, 0.42, 1.5), strict=True))),
         ("standard-surface", dict(zip(standard_surface.FILM, (420.0, 1.5), strict=True))),
         ("blender", dict(zip(blender.FILM, (420.0, 1.5), strict=True))),
     ],

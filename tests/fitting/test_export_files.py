@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from helpers.exported_files import (
     materialx_parameters,
     read_glb,
 )
+from helpers.materialx_glsl import MaterialXGlsl, mtlx_document
 from helpers.three_js import EDGE, SIZE, ThreeJs, node_modules
 
 from manifold.colour import ball_colours
@@ -52,6 +54,7 @@ MATERIALS = {
     "film": Principled((0.7, 0.5, 0.4), metallic=0.4, roughness=0.3),
 }  # fmt: skip
 FILMS = {
+    "openpbr": dict(zip(openpbr.FILM, (0.7, 0.38, 1.6), strict=True)),
     "gltf": dict(zip(gltf.FILM, (0.7, 380.0, 1.6), strict=True)),
     "standard-surface": dict(zip(standard_surface.FILM, (380.0, 1.6), strict=True)),
     "blender": dict(zip(blender.FILM, (380.0, 1.6), strict=True)),
@@ -306,32 +309,70 @@ THREE_JS = {"full": 0.6, "plain": 0.1, "metal": 0.4, 'cloth <&> "1"': 1.0, "diff
 
 
 @pytest.fixture(scope="module")
-def three():
+def browser():
     with chromium() as browser:
-        yield ThreeJs(browser, node_modules())
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def three(browser):
+    return ThreeJs(browser, node_modules())
+
+
+@pytest.fixture(scope="module")
+def glsl(browser):
+    return MaterialXGlsl(browser)
+
+
+VIEW, LIGHT = normalize(np.array([0.0, 0.3, 1.0])), normalize(np.array([-0.5, 0.7, 0.6]))
+
+
+def ball_frames():
+    """Which pixels of a ball are compared, and tangent, bitangent and normal there, (K, 3, 3)."""
+    right = normalize(np.cross([0.0, 1.0, 0.0], VIEW))
+    across = (2.0 * (np.arange(SIZE) + 0.5) / SIZE - 1.0) * EDGE
+    x, y = np.meshgrid(across, -across)
+    inside = x * x + y * y < 0.9**2  # towards the rim a pixel sees many normals
+    x, y = x[inside][:, None], y[inside][:, None]
+    normal = x * right + y * np.cross(VIEW, right) + np.sqrt(1.0 - x * x - y * y) * VIEW
+    tangent = normalize(np.cross([0.0, 1.0, 0.0], normal))
+    return inside, np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
+
+
+def model_difference(target, parameters, frames, drawn):
+    """CIEDE2000 between drawn colours (K, 3) and those of a target's model, where light arrives."""
+    wi, wo = frames @ VIEW, frames @ LIGHT
+    lit = wo[:, 2] > 0.02
+    expected = np.pi * TARGETS[target].brdf(parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
+    return ball_colours.delta_e(*(srgb_to_xyz(np.clip(each, 0.0, 1.0)) for each in (drawn[lit], expected)))
+
+
+@pytest.mark.slow  # a shader takes up to 20 s to compile without a graphics card
+@pytest.mark.parametrize("target", ["openpbr", "standard-surface"])
+def test_materialx_draws_the_model_that_losses_are_measured_with(glsl, target):
+    _, frames = ball_frames()
+    for name, material in MATERIALS.items():
+        made = export(name, target, material)
+        document = mtlx_document(materialx.mtlx(replace(made, name="x")))  # one shader for all
+        drawn = glsl.radiance(document, VIEW, LIGHT, frames)
+        difference = model_difference(target, made.parameters, frames, drawn)
+        print(target, name, difference)
+        assert difference < 0.15  # MaterialX's albedos are fits, the model's quadratures
+
+
+def test_names_of_materials_are_identifiers_in_shaders():
+    # Two underscores in a row are reserved in GLSL ES.
+    for name, expected in (("a <&> b_", "a_b"), ("1 x", "material_1_x"), ("--", "material"), ("a_b", "a_b")):
+        assert materialx.identifier(name) == expected
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_three_js_draws_the_model_that_losses_are_measured_with(tmp_path, three, name):
     path, made = written(tmp_path, name, "gltf")
-    view, light = normalize(np.array([0.0, 0.3, 1.0])), normalize(np.array([-0.5, 0.7, 0.6]))
-    picture = three.ball(path, view, light)
-    right = normalize(np.cross([0.0, 1.0, 0.0], view))
-    across = (2.0 * (np.arange(SIZE) + 0.5) / SIZE - 1.0) * EDGE
-    x, y = np.meshgrid(across, -across)
-    inside = x * x + y * y < 0.9**2  # towards the rim a pixel sees many normals
-    x, y = x[inside][:, None], y[inside][:, None]
-    normal = x * right + y * np.cross(view, right) + np.sqrt(1.0 - x * x - y * y) * view
-    tangent = normalize(np.cross([0.0, 1.0, 0.0], normal))
-    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
-    wi, wo = frame @ view, frame @ light
-    lit = wo[:, 2] > 0.02
-    expected = np.pi * gltf.brdf(made.parameters, wi[lit], wo[lit]) * wo[lit][:, 2:]
-    drawn = picture[inside][lit]
+    picture, (inside, frames) = three.ball(path, VIEW, LIGHT), ball_frames()
+    drawn = picture[inside]
     assert np.all(drawn[:, 3] == 1.0)
-    difference = ball_colours.delta_e(
-        *(srgb_to_xyz(np.clip(linear, 0.0, 1.0)) for linear in (drawn[:, :3], expected))
-    )
+    difference = model_difference("gltf", made.parameters, frames, drawn[:, :3])
     print(name, difference)
     assert difference < THREE_JS[name]
     assert three.errors == []

@@ -57,6 +57,12 @@ def test_cycles_film_is_airy_s_formula_with_the_observer(rng):
         np.testing.assert_allclose(found, np.clip(expected, 0.0, 1.0), atol=0.01)
 
 
+def test_materialx_takes_a_coloured_metal_below_a_film_for_x_y_and_z():
+    found = film_over_index(1.0, 400.0, METAL_N, METAL_K, COSINES)
+    bare = fresnel_conductor(COSINES, METAL_N, METAL_K)
+    np.testing.assert_allclose(found, np.clip(bare @ _FROM_XYZ_MATERIALX.T, 0.0, 1.0), atol=1e-9)
+
+
 def test_a_film_of_the_index_of_air_leaves_cycles_metal():
     f0, edge = np.array([0.9, 0.6, 0.3]), np.array([0.8, 0.9, 1.0])
     found = film_over_f82(1.0, 400.0, f0, edge, COSINES)
@@ -73,7 +79,8 @@ def test_schlick_s_form_is_near_fresnel_s_on_a_dielectric():
 
 
 def test_a_film_of_the_index_of_air_is_none():
-    found = film_over_index(1.0, 400.0, METAL_N, METAL_K, COSINES)
-    np.testing.assert_allclose(found, fresnel_conductor(COSINES, METAL_N, METAL_K), atol=1e-9)
+    n, k = np.full(3, METAL_N[0]), np.full(3, METAL_K[0])
+    found = film_over_index(1.0, 400.0, n, k, COSINES)
+    np.testing.assert_allclose(found, fresnel_conductor(COSINES, n, k), atol=1e-7)  # of its matrix
     f0 = np.array([0.04, 0.3, 0.9])
     np.testing.assert_allclose(film_over_f0(1.0, 400.0, f0, np.ones(1))[0], f0, atol=0.01)

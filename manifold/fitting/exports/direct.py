@@ -22,7 +22,8 @@ _COAT, _COAT_ROUGHNESS = 0.3, 0.6  # of the second start: long tails come from a
 _EVALUATIONS = 40
 _NONE = 2e-3  # a coat, a sheen or a film below this weight is none
 _FILM_GAIN = 0.8  # a film that is kept lowers the squared residual and the ball's difference below this share
-_FILM_WEIGHT, _FILM_IORS, _FILM_THICKNESSES = 0.5, (1.3, 1.8), range(150, 1001, 50)  # nm, of its starts
+_FILM_WEIGHT, _FILM_IORS = 0.5, (1.3, 1.8)  # of its starts
+_FILM_THICKNESSES = np.arange(150, 1001, 50) / 1200.0  # of the thickest
 _FILM_STARTS = 3  # that are refined
 
 
@@ -96,9 +97,10 @@ class _Problem:
     def film_starts(self, values: Mapping[str, Any]) -> list[Array]:
         """Parameters with the thin films that lower their residual most, of all that are tried."""
         *weight, thickness, ior = self._target.film
+        thickest = self._target.entries[thickness].high
         films = [
-            dict.fromkeys(weight, _FILM_WEIGHT) | {thickness: float(nm), ior: n}
-            for nm in _FILM_THICKNESSES
+            dict.fromkeys(weight, _FILM_WEIGHT) | {thickness: share * thickest, ior: n}
+            for share in _FILM_THICKNESSES
             for n in _FILM_IORS
         ]
         starts = [self._vector(dict(values) | film) for film in films]

@@ -18,9 +18,9 @@ NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
 
 
 def identifier(name: str) -> str:
-    """A name that MaterialX and USD accept."""
-    made = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return made if re.match(r"[A-Za-z_]", made) else f"_{made}"
+    """A name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
+    made = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    return made if re.match(r"[A-Za-z]", made) else f"material_{made}".rstrip("_")
 
 
 def mtlx(export: Export) -> bytes:

@@ -13,6 +13,7 @@ from manifold.fitting.exports.layers import dielectric_layer, metal, zeltner_lay
 from manifold.fitting.exports.lobes import Pairs
 from manifold.fitting.exports.parameter import Parameter, defaults
 from manifold.fitting.exports.principled_values import Principled, ior_to_f0
+from manifold.fitting.exports.thin_film import film_over_f82_materialx, film_over_index
 from manifold.records import Array
 
 FUZZ_SCALE, FUZZ_ROUGHNESS = 0.126, 0.45  # nearest in directional albedo, docs/how-to/export.md
@@ -33,6 +34,9 @@ PARAMETERS = {
     "fuzz_weight": Parameter(0.0, is_free=True),
     "fuzz_color": Parameter([1.0, 1.0, 1.0]),
     "fuzz_roughness": Parameter(0.5, is_free=True, low=FUZZ_ROUGHNESS),
+    "thin_film_weight": Parameter(0.0),
+    "thin_film_thickness": Parameter(0.5, low=0.05, high=1.2),  # in micrometres
+    "thin_film_ior": Parameter(1.4, low=1.0, high=2.5),
 }
 """Every parameter that exports may set."""
 
@@ -40,6 +44,7 @@ DEFAULTS = defaults(PARAMETERS)
 
 COAT = ("coat_weight", "coat_roughness", "coat_ior", "coat_darkening")
 SHEEN = ("fuzz_weight", "fuzz_color", "fuzz_roughness")
+FILM = ("thin_film_weight", "thin_film_thickness", "thin_film_ior")
 
 
 def parameters(material: Principled) -> dict[str, Any]:
@@ -101,14 +106,20 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     ratio = values["specular_ior"] / values["coat_ior"]
     ior = (1.0 - weight) * values["specular_ior"] + weight * max(ratio, 1.0 / ratio)
     root = np.sign(ior - 1.0) * np.sqrt(min(values["specular_weight"] * ior_to_f0(ior), 0.99999))
-    f = np.broadcast_to(base / np.pi, (len(view), 3))
-    f = dielectric_layer(
-        pairs, f, (1.0 + root) / (1.0 - root), alpha_x, alpha_y, tint=np.asarray(values["specular_color"])
-    )
-    m = values["base_metalness"]
-    if m:
-        edge = lobes.fresnel_f82(base, np.asarray(values["specular_color"]), pairs.cos_d)
-        f = (1.0 - m) * f + m * values["specular_weight"] * metal(pairs, edge, alpha_x, alpha_y)
+    ior, tint = (1.0 + root) / (1.0 - root), np.asarray(values["specular_color"])
+    m, film = values["base_metalness"], values["thin_film_weight"]
+    diffuse = np.broadcast_to(base / np.pi, (len(view), 3))
+
+    def substrate(fresnel: Array | None, edge: Array) -> Array:
+        below = dielectric_layer(pairs, diffuse, ior, alpha_x, alpha_y, tint=tint, fresnel=fresnel)
+        return (1.0 - m) * below + m * values["specular_weight"] * metal(pairs, edge, alpha_x, alpha_y)
+
+    f = substrate(None, lobes.fresnel_f82(base, tint, pairs.cos_d))
+    if film:
+        layer = values["thin_film_ior"], 1e3 * values["thin_film_thickness"]
+        fresnel = film_over_index(*layer, np.full(3, ior), np.zeros(3), pairs.cos_d)
+        filmed = substrate(fresnel, film_over_f82_materialx(*layer, base, tint, pairs.cos_d))
+        f = (1.0 - film) * f + film * filmed
     f = f * _darkening(values, base)
     coat_x, coat_y = _alphas(values["coat_roughness"], 0.0)
     f = dielectric_layer(pairs, f, values["coat_ior"], coat_x, coat_y, weight=weight)

@@ -46,7 +46,7 @@ class Target:
         brdf: the target's own shading model, f in 1/sr of parameters, view and light.
         content: the file of an export.
         coat, sheen: parameters of the coat and of the sheen, the weight first; empty where there is none.
-        film: those of the thin film, the thickness in nm and the index last; empty where there is none.
+        film: those of the thin film, the thickness and the index last; empty where there is none.
     """
 
     name: str

@@ -2,6 +2,7 @@
 
 Source: Belcour & Barla 2017, section 4, as KHR_materials_iridescence, MaterialX 1.39 and Cycles 5.0 have it. The first
 two take two orders of interference and Gaussians for the colour matching functions, Cycles three and the functions.
+MaterialX takes reflectances of red, green and blue for those of X, Y and Z, and converts the sum.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from manifold.fitting.exports.lobes import artistic_index, fresnel_f82, schlick
 from manifold.records import Array
 
 Sensitivity = Callable[[Array, Array], Array]
-"""Mean RGB (P, 3) of the cosine of a phase, by the difference of path in nm (P,) and a shift (3,) or (P, 3)."""
+"""Mean RGB or XYZ (P, 3) of the cosine of a phase, by the difference of path in nm (P,) and a shift (3,) or (P, 3)."""
 
 _HEIGHT = np.array([5.4856e-13, 4.4201e-13, 5.2481e-13, 9.7470e-14])  # of Gaussians for X, Y, Z, and X again
 _WAVE_NUMBER = np.array([1.6810e6, 1.7953e6, 2.2084e6, 2.2399e6])  # 1/m
@@ -70,8 +71,24 @@ def film_over_index(ior: float, thickness_nm: float, n: Array, k: Array, cosine:
         n, k: of the surface, relative to the outside.
     Source: MaterialX 1.39, mx_fresnel_airy: Fresnel's equations and phases of both polarisations.
     """
-    below = fresnel_polarised(_refracted(cosine, ior), n / ior, k / ior)
-    return _airy(ior, thickness_nm, below, n, k, cosine, _materialx)
+    inside = _refracted(cosine, ior)
+    below, phases = fresnel_polarised(inside, n / ior, k / ior), _phases(inside, ior, n, k)
+    return _from_xyz(_airy(ior, thickness_nm, below, phases, cosine, _xyz))
+
+
+def film_over_f82_materialx(ior: float, thickness_nm: float, f0: Array, edge: Array, cosine: Array) -> Array:
+    """Reflectance of a film on a metal of F82-tint, shape (P, 3), in [0, 1].
+
+    Args:
+        ior, thickness_nm, cosine: as in `film_over_f0`.
+        f0, edge: of the metal without the film, shape (3,).
+    Source: MaterialX 1.39, mx_fresnel_airy, which takes half of the metal's reflectance for each polarisation.
+    """
+    inside = _refracted(cosine, ior)
+    below = 0.5 * fresnel_f82(f0, edge, inside)
+    root = np.sqrt(np.clip(f0, 0.01, 0.99))
+    phase = np.where((1.0 + root) / (1.0 - root) < ior, np.pi, 0.0)
+    return _from_xyz(_airy(ior, thickness_nm, (below, below), (phase, phase), cosine, _xyz))
 
 
 def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Array) -> Array:
@@ -83,8 +100,9 @@ def film_over_index_cycles(ior: float, thickness_nm: float, n: float, cosine: Ar
     Source: Cycles 5.0, bsdf_util.h.
     """
     index, none = np.full(3, n), np.zeros(3)
-    below = fresnel_polarised(_refracted(cosine, ior), index / ior, none)
-    return _airy(ior, thickness_nm, below, index, none, cosine, _cycles, orders=3)
+    inside = _refracted(cosine, ior)
+    below, phases = fresnel_polarised(inside, index / ior, none), _phases(inside, ior, index, none)
+    return np.clip(_airy(ior, thickness_nm, below, phases, cosine, _cycles, orders=3), 0.0, 1.0)
 
 
 def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosine: Array) -> Array:
@@ -99,17 +117,18 @@ def film_over_f82(ior: float, thickness_nm: float, f0: Array, edge: Array, cosin
     g = np.clip(fresnel_f82(f0, edge, at)[0], 0.0, 1.0)
     n, k = artistic_index(f0, g, most=0.999)
     inner = ((n - ior) ** 2 + k**2) / ((n + ior) ** 2 + k**2)
-    below = np.clip(fresnel_f82(inner, g / schlick(inner, 1.0, at)[0], _refracted(cosine, ior)), 0.0, 1.0)
-    return _airy(ior, thickness_nm, (below, below), n, k, cosine, _cycles, orders=3)
+    inside = _refracted(cosine, ior)
+    below = np.clip(fresnel_f82(inner, g / schlick(inner, 1.0, at)[0], inside), 0.0, 1.0)
+    phases = _phases(inside, ior, n, k)
+    return np.clip(_airy(ior, thickness_nm, (below, below), phases, cosine, _cycles, orders=3), 0.0, 1.0)
 
 
 def _airy(
-    ior: float, thickness_nm: float, below: tuple[Array, Array], n: Array, k: Array, cosine: Array,
+    ior: float, thickness_nm: float, below: tuple[Array, Array], phases: tuple[Array, Array], cosine: Array,
     sensitivity: Sensitivity, orders: int = 2,
 ) -> Array:  # fmt: skip
-    """Mean of both polarisations, (P, 3), of reflectances `below` the film, parallel and perpendicular, (P, 3) each."""
-    inside = _refracted(cosine, ior)
-    path_nm = 2.0 * ior * thickness_nm * inside
+    """Mean of both polarisations, (P, 3), of reflectances and phases `below` the film, parallel and perpendicular."""
+    path_nm = 2.0 * ior * thickness_nm * _refracted(cosine, ior)
     outer = (np.where(cosine < np.cos(np.arctan(ior)), 0.0, np.pi), np.full(len(cosine), np.pi))
     above = fresnel_polarised(cosine, np.array([ior]), np.zeros(1))
     total = sum(
@@ -117,9 +136,9 @@ def _airy(
             first, second, np.clip(first * second, 0.0, 1.0 - 1e-9), path_nm, inner + shift[:, None],
             sensitivity, orders,
         )
-        for first, second, inner, shift in zip(above, below, _phases(inside, ior, n, k), outer, strict=True)
+        for first, second, inner, shift in zip(above, below, phases, outer, strict=True)
     )  # fmt: skip
-    return np.clip(0.5 * total, 0.0, 1.0)
+    return np.asarray(0.5 * total)
 
 
 def _refracted(cosine: Array, ior: float) -> Array:
@@ -137,7 +156,7 @@ def _interference(
         first, second, product: reflectances (P, 1) and (P, 3), and their product.
         path_nm: difference of path, shape (P,).
         shift: of the phase, shape (3,) or (P, 3).
-        sensitivity: of the RGB space.
+        sensitivity: of the colour space.
         orders: of interference.
     """
     passed = 1.0 - first
@@ -150,20 +169,21 @@ def _interference(
 
 
 def _gltf(path_nm: Array, shift: Array) -> Array:
-    return _gaussians(path_nm, shift, _FROM_XYZ_GLTF)
+    return _xyz(path_nm, shift) @ _FROM_XYZ_GLTF.T
 
 
-def _materialx(path_nm: Array, shift: Array) -> Array:
-    return _gaussians(path_nm, shift, _FROM_XYZ_MATERIALX)
+def _from_xyz(xyz: Array) -> Array:
+    """MaterialX's RGB of reflectances (P, 3)."""
+    return np.clip(xyz @ _FROM_XYZ_MATERIALX.T, 0.0, 1.0)
 
 
-def _gaussians(path_nm: Array, shift: Array, from_xyz: Array) -> Array:
+def _xyz(path_nm: Array, shift: Array) -> Array:
     phase = 2e-9 * np.pi * path_nm[:, None]
     shifts = np.concatenate([shift, shift[..., :1]], axis=-1)
     waves: Array = _HEIGHT * np.sqrt(2.0 * np.pi * _VARIANCE) * np.cos(_WAVE_NUMBER * phase + shifts)
     waves = waves * np.exp(-_VARIANCE * phase**2) / _NORM
     waves[:, 0] += waves[:, 3]
-    return waves[:, :3] @ from_xyz.T
+    return waves[:, :3]
 
 
 def _cycles(path_nm: Array, shift: Array) -> Array:

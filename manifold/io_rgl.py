@@ -111,6 +111,19 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
             f"{path}: found {type(file).__name__}, expected a BsdfFile; goniometer.measure makes one of a BRDF"
         )
     context = ErrorContext(path, "correct the record; nothing was written")
+    tensors = _tensors(file, context)
+    _check(tensors, context)
+    write_tensors(path, tensors)
+
+
+def require_sound(file: BsdfFile) -> None:
+    """Raise FileFormatError unless a record is what a file may hold: compiled code relies on its shapes."""
+    context = ErrorContext(Path(file.name), "correct the record")
+    _check(_tensors(file, context), context)
+
+
+def _tensors(file: BsdfFile, context: ErrorContext) -> dict[str, AnyArray]:
+    """The fields of a record as a file holds them."""
     spectral = file.wavelengths_nm is not None
     tensors: dict[str, AnyArray] = {
         "version": _stored("version", file.version, "<u4", context),
@@ -128,9 +141,7 @@ def write_bsdf(path: Path | str, file: BsdfFile) -> None:
     }
     if reserved := _FIELDS.keys() & file.extra.keys():
         raise context.error("is among the extra fields, expected another name", field=min(reserved))
-    tensors |= file.extra
-    _check(tensors, context)
-    write_tensors(path, tensors)
+    return {**tensors, **file.extra}
 
 
 def _stored(name: str, value: str | tuple[int, ...], dtype: str, context: ErrorContext) -> AnyArray:

@@ -71,6 +71,10 @@ def decode(coefficients: NDArray[np.int32], tables: Mapping[str, AnyArray]) -> d
     difference, step = tables.pop("vndf_difference"), tables.pop("step")
     basis = (tables.pop("basis") * step).astype(np.float32)
     least = np.float32(0.0 if tables.pop("is_nonnegative")[0] else -np.inf)
+    if coefficients.ndim != 5 or basis.ndim != 2 or len(coefficients) != len(basis) or basis.shape[1] < 2:
+        raise ValueError(
+            f"coefficients {coefficients.shape} with a basis {basis.shape}, expected (K, P, T, H, W) with (K, B + 1)"
+        )
     (count, *shape), n_bands = coefficients.shape, basis.shape[1] - 1
     if math.prod(shape) * n_bands > _MOST_VALUES:
         raise ValueError(f"{math.prod(shape) * n_bands} values, expected at most {_MOST_VALUES}")

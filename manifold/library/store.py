@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from manifold.errors import (
+    FileFormatError,
     LibraryError,
     ManifoldError,
     MissingLibraryError,
@@ -22,6 +23,7 @@ from manifold.errors import (
     UnknownNameError,
     UsageError,
 )
+from manifold.io_rgl import require_sound
 from manifold.library import cache, staging
 from manifold.library.identity import MaterialInfo, info_of, is_material_name
 from manifold.library.location import require_outside_libraries
@@ -115,11 +117,12 @@ class Library:
         with self._material(name) as group:
             info = info_of(name, group.attrs)
             file, found = read_material(group, info, is_rgb=self.bands.is_rgb)
-        if found != info.content_sha256:
-            raise LibraryError(
-                f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
-                f"{self._repair(name)}"
-            )
+            if found != info.content_sha256:
+                raise LibraryError(
+                    f"{name}: content has SHA-256 {found[:12]}..., expected {info.content_sha256[:12]}...; "
+                    f"{self._repair(name)}"
+                )
+            require_sound(file)  # whoever writes a library can write the hash
         if file.bands != self.bands:  # those of the library stand in its root, which no hash covers
             raise LibraryError(
                 f"{name}: has {file.bands}, but {self.path.name} says {self.bands}; its zarr.json was changed: "
@@ -235,9 +238,9 @@ class Library:
             )
         try:
             yield self._folder(name)
-        except ManifoldError:
-            raise
         except Exception as error:  # zarr lets many kinds through: OSError, ValueError, KeyError, JSON errors
+            if isinstance(error, ManifoldError) and not isinstance(error, FileFormatError):
+                raise
             raise LibraryError(
                 f"{name}: damaged in the library ({_first_line(error)}); {self._repair(name)}"
             ) from error

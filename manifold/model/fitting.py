@@ -146,7 +146,8 @@ def _gram(
     chosen = None if bands is None else bands.tolist()
     key = gram.cache_key(library.content_hash, materials.names, mapping, grid, chosen)
     cached = library.cache_get(key)
-    if cached is not None:
+    size = len(materials.names) * (1 if bands is None else len(bands))
+    if cached is not None and cached["S"].shape == (size, size):
         return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
     brdfs = materials.filled(on_progress=on_progress)
     if chosen is not None:

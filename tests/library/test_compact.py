@@ -247,6 +247,14 @@ def test_values_that_would_not_fit_into_memory_are_refused(
         compacted.read("syn_felt_green")
 
 
+@pytest.mark.parametrize("rows", [[0, 0, 0, 0, 0, 0, 0, 0], [0], 0])
+def test_a_basis_of_another_shape_is_refused_before_it_is_used(rows: list[int] | int) -> None:
+    compact = encode(measured("syn_felt_green"))
+    compact.tables["basis"] = compact.tables["basis"][rows]
+    with pytest.raises(ValueError, match=r"^coefficients \(.* with a basis \(.* expected \(K, P, T, H, W\)"):
+        compact.decode()
+
+
 @pytest.mark.parametrize("step", ["rename", "replace", "rmtree"])
 def test_compacting_cut_short_leaves_every_material_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str

@@ -482,6 +482,20 @@ def test_a_link_that_is_replaced_leaves_what_it_leads_to(
     assert beside(other.path) == set()
 
 
+@pytest.mark.parametrize("field", ["theta_i_rad", "luminance"])
+def test_shapes_that_disagree_are_refused_whatever_the_hash_says(library: Library, field: str) -> None:
+    """Compiled code relies on them, and whoever writes a library can write the hash."""
+    file = library.read("m00")
+    values = getattr(file, field)
+    forged = dataclasses.replace(file, **{field: np.concatenate([values, values[-1:]])})
+    shutil.rmtree(library.path / "materials" / "m00")
+    writing.write_material(library.path / "materials" / "m00", forged, "m00_spec.bsdf", "0" * 64)
+    with pytest.raises(
+        LibraryError, match=r"^m00: damaged in the library \(m00: field .* expected .*import its"
+    ):
+        library.read("m00")
+
+
 def test_the_library_may_be_a_link(tmp_path: Path, folder: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     import_files(tmp_path / "elsewhere" / "real.zarr", [folder / "m00_spec.bsdf"])

@@ -1,15 +1,67 @@
-"""Whether readings are brightest towards the light: retroreflectors are, and misread azimuths."""
+"""Readings towards the light: hidden by the receiver, or the brightest, as of retroreflectors and wrong azimuths."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
+from manifold.records import Array, Mask
 
 _LEAST_PAIRS = 50  # fewer are a spectrophotometer's, whose geometries have names
 _NEAR = np.cos(np.deg2rad(12.0))
 _OBLIQUE = np.cos(np.deg2rad([75.0, 20.0]))
 _BRIGHTER = 3.0  # rough paints and papers are 1.4 times as bright towards the light at most
+_LEAST_HIDDEN = np.cos(
+    np.deg2rad(14.0)
+)  # spectrophotometers, whose blacks are 0.00, look 15 degrees away or more
+_MOST_HIDDEN, _BESIDE = np.cos(np.deg2rad([25.0, 45.0]))
+
+
+def hidden(wi: Array, wo: Array, values: Array) -> Mask:
+    """Which zeros are no readings, bool (P,): around the light, whose way the receiver stands in, amid brighter ones.
+
+    Of each incidence the reading nearest to the light is zero in all bands, and so are all that count, within 25
+    degrees of it; most of those up to 45 degrees are not, as they are beside the highlight of a mirror.
+    """
+    towards_light = np.einsum("pi,pi->p", wi, wo)
+    near = np.flatnonzero(towards_light > _BESIDE)
+    is_zero = np.all(values[near] == 0.0, axis=1)
+    found = np.zeros(len(wi), dtype=bool)
+    if not np.any(is_zero & (towards_light[near] > _LEAST_HIDDEN)):
+        return found
+    _, incidence = np.unique(np.round(wi[near], 6), axis=0, return_inverse=True)
+    incidence = incidence.reshape(-1)
+    for k in np.unique(incidence[is_zero]):
+        own = incidence == k
+        cosine, zero = towards_light[near[own]], is_zero[own]
+        nearest = np.argmax(cosine)
+        is_beside = cosine <= _MOST_HIDDEN
+        is_dark = not np.any(is_beside) or np.mean(zero[is_beside]) > 0.5
+        if zero[nearest] and cosine[nearest] > _LEAST_HIDDEN and not is_dark:
+            found[near[own][zero & ~is_beside]] = True
+    return found
+
+
+def without_hidden(record: Readings | DenseTable) -> Readings | DenseTable:
+    """The record without the zeros that are `hidden`, and a note of it."""
+    if isinstance(record, Readings):
+        is_hidden = hidden(record.wi, record.wo, record.values)
+    elif record.coordinates == "incident-outgoing":
+        is_hidden = hidden(*record.directions(), record.values.reshape(-1, record.values.shape[-1]))
+    else:
+        return record  # nodes of half vectors share no incidence
+    if not np.any(is_hidden):
+        return record
+    note = (
+        f"{int(is_hidden.sum())} readings around the light are zero: the receiver hides it; they are left out"
+    )
+    if isinstance(record, Readings):
+        return record.select_pairs(~is_hidden).with_note(note)
+    values = np.where(is_hidden.reshape(*record.values.shape[:-1], 1), np.nan, record.values)
+    return replace(record, values=values, notes=(*record.notes, note))
 
 
 def with_light_side_note(readings: Readings) -> Readings:

@@ -1,7 +1,7 @@
 """LightTools text `.bsdf`: blocks of `AOI`, `POI`, `Wavelength`, `TIS` and a table of azimuths x polar angles.
 
 Angles are in degrees about the normal. Synopsys' Mini-Diff writes such files, too. Where the incident direction lies
-relative to azimuth 0 differs between programs: it is found from the highlight.
+relative to azimuth 0 differs between programs: it is found from the light's shadow or the highlight.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from manifold.directions import from_spherical
 from manifold.formats.bsdf_text import Block, angle_line, read_blocks, total_scatter
 from manifold.formats.dense import DenseTable
 from manifold.formats.error_context import ErrorContext
+from manifold.formats.light_side import hidden
 from manifold.formats.readings import Readings
 from manifold.formats.text import decode
 from manifold.formats.values import converted, linear_srgb_to_xyz, unnamed_band
@@ -23,6 +24,7 @@ from manifold.system import atomic
 
 _PADDING_FROM = 75.0  # degrees, of a Mini-Diff
 _USUAL_AZIMUTH = 90.0  # of incidence relative to POI, where the data do not tell
+_AZIMUTHS = (90.0, 270.0, 180.0, 0.0)  # where programs have it
 _NEAR = np.cos(np.deg2rad(10.0))  # around a mirror direction
 _AROUND = np.cos(np.deg2rad([20.0, 40.0]))
 _TELLING = 1.6  # by this factor a highlight stands out; retro-reflection of paints and papers by 1.4 at most
@@ -140,7 +142,7 @@ def _is_ramp(theta: Array, phi: Array, values: Array) -> bool:
 def _incident_azimuth(
     incidences: list[tuple[float, float]], theta: Array, phi: Array, values: Array, notes: list[str]
 ) -> float:
-    """Azimuth of incidence relative to POI in degrees, of four: the one opposite the clearest highlight.
+    """Azimuth of incidence relative to POI in degrees, of four: where the receiver hides it, or opposite the highlight.
 
     Matte materials are bright towards the light as well, without a peak: these do not decide.
     """
@@ -148,7 +150,13 @@ def _incident_azimuth(
     if not oblique:
         return _USUAL_AZIMUTH
     wo = from_spherical(np.deg2rad(theta), np.deg2rad(phi))
-    peaks = {o: _peak(incidences, oblique, wo, values.mean(axis=-1), o) for o in (90.0, 270.0, 180.0, 0.0)}
+    shadowed = [o for o in _AZIMUTHS if _is_hidden(incidences, oblique, wo, values, o)]
+    if len(shadowed) == 1:
+        notes.append(
+            f"incidence is taken at azimuth POI + {shadowed[0]:g}, where the receiver hides the light"
+        )
+        return shadowed[0]
+    peaks = {o: _peak(incidences, oblique, wo, values.mean(axis=-1), o) for o in _AZIMUTHS}
     best = max(peaks, key=lambda offset: peaks[offset])
     if peaks[best] >= _TELLING * max(peak for offset, peak in peaks.items() if offset != best):
         notes.append(f"incidence is taken at azimuth POI + {best:g}, opposite the highlight")
@@ -157,6 +165,18 @@ def _incident_azimuth(
     taken = _USUAL_AZIMUTH if in_usual_plane else _USUAL_AZIMUTH + 90.0
     notes.append(f"no highlight shows the mirror direction: incidence is taken at azimuth POI + {taken:g}")
     return taken
+
+
+def _is_hidden(
+    incidences: list[tuple[float, float]], oblique: list[int], wo: Array, values: Array, offset: float
+) -> bool:
+    """Whether the receiver hides the light at most incidences, which lies at POI + offset."""
+    count = 0
+    for k in oblique:
+        aoi, poi = incidences[k]
+        wi = from_spherical(np.deg2rad(aoi), np.deg2rad(poi + offset))
+        count += bool(np.any(hidden(np.broadcast_to(wi, wo.shape), wo, values[k])))
+    return 2 * count > len(oblique)
 
 
 def _peak(

@@ -30,7 +30,7 @@ from manifold.formats import (
 )
 from manifold.formats.dense import DenseTable
 from manifold.formats.foreign import name_format
-from manifold.formats.light_side import with_light_side_note
+from manifold.formats.light_side import with_light_side_note, without_hidden
 from manifold.formats.readings import Readings
 from manifold.formats.tables import HEADERS
 from manifold.formats.tensor_file import MAGIC
@@ -124,7 +124,8 @@ def read_all(path: Path | str) -> list[Record]:
                 f"{printable(path.name, 255)}: a value of {largest:.3g}, expected f in 1/sr or reflectance factors; "
                 "the file is damaged, or of other units"
             )
-    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in records]
+    found = map(without_hidden, records)
+    return [with_light_side_note(r) if isinstance(r, Readings) else r for r in found]
 
 
 def read(path: Path | str, sample: str | None = None, *, is_only: bool = True) -> Record:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.instrument_files import smooth
+from helpers.instrument_files import SUFFIXES, dense, lighttools_axes, smooth
 from helpers.paths import REPOSITORY
 
 from manifold.directions import from_spherical
 from manifold.errors import FileFormatError
-from manifold.formats import registry
+from manifold.formats import fred, lighttools, openmaterial, registry, speos, utia
 from manifold.formats.column_heads import RELATIVE, angle_name, value_head, wavelength
 from manifold.records import Array, Bands
 
@@ -241,3 +242,61 @@ def test_tables_of_directions_that_cannot_be_read_say_why(table, words, tmp_path
     path.write_text(table)
     with pytest.raises(FileFormatError, match=words):
         registry.read_all(path)
+
+
+def scan(values_of, theta_i=(15.0, 45.0)) -> tuple[Array, str]:
+    """theta_i and theta_o in degrees in the plane of incidence, the light's side negative, and a table of values."""
+    angles = np.array([(i, o) for i in theta_i for o in np.arange(-75.0, 76.0, 5.0)])
+    return angles, "theta_i (deg),theta_o (deg),465,525,630\n" + lines(
+        angles, np.repeat(values_of(*angles.T)[:, None], 3, 1)
+    )
+
+
+def test_zeros_where_the_receiver_hides_the_light_are_no_readings(tmp_path):
+    path = tmp_path / "scan.csv"
+    angles, table = scan(lambda i, o: np.where(np.abs(i + o) <= 10.0, 0.0, 0.2))
+    path.write_text(table)
+    found = registry.read_readings(path)
+    assert len(found) == len(angles) - 10
+    assert np.all(found.values == 0.2)
+    assert any("10 readings around the light are zero" in note for note in found.notes)
+    assert not np.any(np.einsum("pi,pi->p", found.wi, found.wo) > np.cos(np.deg2rad(14.0)))
+
+
+@pytest.mark.parametrize(
+    "values_of",
+    [
+        lambda i, o: np.where(np.abs(i - o) <= 10.0, 5.0, 0.0),  # a mirror, whose sides are black
+        lambda i, o: np.where((i + o <= 0.0) & (i + o > -20.0), 1e-3, 0.2),  # dark, but not zero
+        lambda i, o: np.where(np.abs(np.abs(i + o) - 15.0) <= 0.1, 0.0, 0.2),  # zeros beside the light
+    ],
+)
+def test_other_zeros_are_readings(values_of, tmp_path):
+    path = tmp_path / "scan.csv"
+    angles, table = scan(values_of)
+    path.write_text(table)
+    found = registry.read_readings(path)
+    assert len(found) == len(angles)
+    assert not any("hides" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("name", ["lighttools", "fred", "speos", "openmaterial", "utia"])
+def test_hidden_nodes_of_tables_are_no_readings(name, tmp_path):
+    bands, axes = {"utia": (Bands(None), utia.axes()), "fred": (Bands((550.0,)), lighttools_axes())}.get(
+        name, (BANDS, lighttools_axes())
+    )
+    table = dense(bands, "incident-outgoing", axes)
+    wi, wo = (w.reshape(*table.values.shape[:-1], 3) for w in table.directions())
+    shadow = np.einsum("...i,...i->...", wi, wo) > np.cos(np.deg2rad(8.0))
+    path = tmp_path / SUFFIXES[name]
+    module = {
+        "lighttools": lighttools,
+        "fred": fred,
+        "speos": speos,
+        "openmaterial": openmaterial,
+        "utia": utia,
+    }
+    module[name].write(path, replace(table, values=np.where(shadow[..., None], 0.0, table.values)))
+    found = registry.read_readings(path)
+    assert any("around the light are zero" in note for note in found.notes)
+    assert np.min(found.values) > 0.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manifold.errors import UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -77,11 +78,11 @@ def budget(
         raise UsageError(f"{output}: named like a file, expected a folder; --picture FILE draws the renders")
     tolerance = Tolerance(max_delta_e, max_flip, max_bytes, max_ms)
     settings = budgets.BudgetSettings(size, samples, seed)
-    with terminal.progress("Budget") as step:
+    with progress.shown("Budget"):
         if scene is not None:
-            made = budgets.budget_scene(scene, tolerance, settings, output, step, picture)
+            made = budgets.budget_scene(scene, tolerance, settings, output, picture)
         else:
-            made = budgets.example(str(example), tolerance, settings, output, step, picture)
+            made = budgets.example(str(example), tolerance, settings, output, picture)
     _show(results, made)
 
 

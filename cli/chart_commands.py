@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manifold.errors import UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -92,10 +93,10 @@ def chart(
     else:
         loaded = Manifold.load(model, library)
         opened, names = loaded.library, loaded.names
-    with terminal.progress("Chart") as step:
+    with progress.shown("Chart"):
         files = [opened.read(name) for name in names]
         made = make_chart(
-            files, only or (), step, neural=anchor, library=opened,
+            files, only or (), neural=anchor, library=opened,
             workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
     _write_chart(made, results, output)
@@ -152,8 +153,8 @@ def _chart_readings(
     from manifold.plots import figures, plot_readings
 
     opened = Library.open(library)
-    with terminal.progress("Chart") as step:
-        curves = measure_curves(LibraryAtoms.of_library(opened), only=only, on_progress=step, library=opened)
+    with progress.shown("Chart"):
+        curves = measure_curves(LibraryAtoms.of_library(opened), only=only, library=opened)
     results.text("Errors of left-out materials, median / 90th percentile:\n")
     results.table(
         ["method", "readings", "ball CIEDE2000", "cube root", "linear"],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manifold.errors import UsageError
+from manifold.system import progress
 
 from . import options, photo_options, terminal
 from .application import app
@@ -130,11 +131,11 @@ def complete(
 
         measured = completions.read(readings, sample, correction)[0] if readings else None
         target = or_default(output, f"{photo[0].stem}.bsdf")
-        with terminal.progress("Completing") as step:
+        with progress.shown("Completing"):
             seen = photographs.complete_photographs(
                 request, library, target, readings=measured,
                 picture=checked(target.with_suffix(".png"), "picture") if picture else None,
-                options=OutputOptions(physical, force, resolution, incidences), on_progress=step,
+                options=OutputOptions(physical, force, resolution, incidences),
             )  # fmt: skip
         photo_options.show_photographs(results, f"Completed {target}", seen)
         return
@@ -151,8 +152,8 @@ def complete(
         raise UsageError("--instrument restricts the suggested directions; give --suggest K, too")
     units = completions.parse_gloss(gloss or [])
     if readings and sample is None and not merge:
-        with terminal.progress("Reading files") as step:
-            samples = inputs.find_samples(readings, step)
+        with progress.shown("Reading files"):
+            samples = inputs.find_samples(readings)
         if len(samples) > 1 or len(samples[0].parts) != len(readings) or into or (output and output.is_dir()):
             if units or picture:
                 raise UsageError(
@@ -164,7 +165,7 @@ def complete(
             inputs.require_apart(readings, batch.folder)
             outcomes = many_files.complete_all(
                 samples, library, batch, correction=correction, count=suggest, instrument=instrument,
-                options=written, workers=workers_of(processes, scheduler), stage=terminal.progress,
+                options=written, workers=workers_of(processes, scheduler),
             )  # fmt: skip
             if into is not None:
                 many_files.import_all(outcomes, into)
@@ -183,10 +184,10 @@ def complete(
         )
         target = or_default(output, completions.file_name(taken))
     ball = checked(target.with_suffix(".png"), "picture") if picture else None
-    with terminal.progress("Completing") as step:
+    with progress.shown("Completing"):
         made = completions.complete_readings(
             taken, library, target, correction=learned, picture=ball, count=suggest, instrument=instrument,
-            options=written, on_progress=step,
+            options=written,
         )  # fmt: skip
     found, expected = made.completion, made.expected
     results.rows(

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from manifold.system import progress
+
 from . import options, terminal
 from .application import app
 
@@ -45,12 +47,12 @@ def explore(
     from manifold.workflows import explore
 
     results = terminal.Results()
-    with terminal.progress("Tabulating") as step:
+    with progress.shown("Tabulating"):
         if output is not None:
-            size = explore.write_page(model, output, library=library, on_progress=step)
+            size = explore.write_page(model, output, library=library)
             results.rows(f"Written {output}", {"size": terminal.megabytes(size)})
             return
-        served = explore.server(model, library=library, folder=folder, port=port, on_progress=step)
+        served = explore.server(model, library=library, folder=folder, port=port)
 
     def ready(address: str) -> None:
         results.text(f"{address}\n")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from manifold.errors import UsageError
-from manifold.system import atomic
+from manifold.system import atomic, progress
 
 from . import options, terminal
 from .application import app
@@ -77,7 +77,7 @@ def export(
     """
     from manifold.fitting.exports.targets import TARGETS, target_of
     from manifold.io_rgl import material_name
-    from manifold.system.stages import Stages
+    from manifold.system.progress import Stages
     from manifold.workflows import export_folders, exports
     from manifold.workflows.sources import FileSource
 
@@ -90,9 +90,9 @@ def export(
             raise UsageError("--against goes with the JSON of one fit; leave it out for a folder")
         many = TARGETS[target or "gltf"]
         folder = or_default(output, "exports")
-        with terminal.progress("Exporting") as step:
+        with progress.shown("Exporting"):
             outcomes = export_folders.export_all(
-                material.path, many, folder, step, is_mapped=mapped, with_pictures=picture
+                material.path, many, folder, is_mapped=mapped, with_pictures=picture
             )
         _show_all(results, outcomes, folder)
         return
@@ -100,9 +100,10 @@ def export(
     path = or_default(output, name + TARGETS[target or "gltf"].suffix)
     chosen = target_of(target, path)
     atomic.require_writable(path)
-    with terminal.progress("Exporting") as step:
-        stages = Stages(step, {"": 8, "evaluating the target's model": 2})
-        subject = exports.subject_of_source(material, against, stages.begin(""))
+    with progress.shown("Exporting"):
+        stages = Stages({"": 8, "evaluating the target's model": 2})
+        stages.begin("")
+        subject = exports.subject_of_source(material, against)
         stages.begin("evaluating the target's model")
         drawn = path.with_suffix(".png") if picture else None
         outcome = exports.export(subject, chosen, path, is_mapped=mapped, picture=drawn)

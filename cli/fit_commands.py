@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from manifold.errors import FileFormatError, UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -116,7 +117,6 @@ def fit(
             batch,
             fits.fit_all(
                 several, batch, settings, with_pictures=picture, workers=workers_of(processes, scheduler),
-                stage=terminal.progress,
             ),
         )  # fmt: skip
         return
@@ -129,12 +129,12 @@ def fit(
     predictions = []
     outcome: Outcome[Any]
     if isinstance(source, PlaceSource):
-        with terminal.progress("Reading materials") as step:
-            outcome = fits.fit_prediction(source, output, settings, step)
+        with progress.shown("Reading materials"):
+            outcome = fits.fit_prediction(source, output, settings)
         predictions.append(outcome.source)
     else:
         target = or_default(output, f"{settings.name_of(source)}{inputs.FIT}")
-        with terminal.progress("Fitting"):
+        with progress.shown("Fitting"):
             outcome = fits.fit_file(source, target, settings)
     if outcome.content is not None:
         results.rows(f"Fitted {outcome.path}" + " (up to date)" * outcome.was_there, _rows(outcome.content))
@@ -161,7 +161,7 @@ def _draw(results: terminal.Results, outcome: Outcome[Any], source: MaterialSour
     from manifold.workflows.sources import source_file
 
     target = outcome.path.with_suffix(".png")
-    with terminal.progress("Drawing") as step, source_file(source, step) as path:
+    with progress.shown("Drawing"), source_file(source) as path:
         delta_e, flip = picture_of_fit(outcome.path, path, target)
     results.table(["picture", "CIEDE2000", "FLIP"], [[target.name, f"{delta_e:.2f}", f"{flip:.3f}"]])
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from manifold.system import progress
+
 from . import options, terminal
 from .application import app
 from .batch_options import folder_or_default, inputs_of, is_many, show_batch
@@ -94,13 +96,13 @@ def convert(
         batch = many_files.conversions_in(folder_or_default(output, "conversions"))
         all_made = many_files.convert_all(
             found, to or "rgl", batch, correction=correction, options=Options(resolution, incidences),
-            workers=workers_of(processes, scheduler), stage=terminal.progress,
+            workers=workers_of(processes, scheduler),
         )  # fmt: skip
         show_batch(results, batch, all_made)
         return
-    with terminal.progress("Converting") as step, ExitStack() as files:
+    with progress.shown("Converting"), ExitStack() as files:
         made = conversion.convert(
-            [files.enter_context(source_file(source, step)) for source in sources],
+            [files.enter_context(source_file(source)) for source in sources],
             output,
             to=to,
             sample=sample,

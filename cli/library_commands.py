@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from manifold.errors import LibraryError, UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -87,13 +88,13 @@ def corpus(
             "--spectral without --neural: the built-in corpus is spectral unless --rgb; leave it out"
         )
     require_outside_libraries(folder, into=True)
-    with terminal.progress("Measuring synthetic materials") as step:
+    with progress.shown("Measuring synthetic materials"):
         if instrument is not None:
-            paths = instruments.write(folder, instrument, seed=seed, on_progress=step)
+            paths = instruments.write(folder, instrument, seed=seed)
         elif neural is not None:
-            paths = write_neural(neural, folder, spectral=spectral, on_progress=step)
+            paths = write_neural(neural, folder, spectral=spectral)
         else:
-            paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb, on_progress=step)
+            paths = write(folder, seed=seed, anisotropic=anisotropic, rgb=rgb)
     size = sum(path.stat().st_size for path in paths)
     results = terminal.Results(json)
     what = "Synthetic corpus" if neural is None else "Neural fits"
@@ -128,13 +129,12 @@ def fetch(
     from manifold.library import fetch as fetching
 
     results = terminal.Results(json)
-    with terminal.progress("Downloading", in_bytes=True) as step:
+    with progress.shown("Downloading", in_bytes=True):
         result = fetching.fetch(
             names or None,
             to,
             base_url=base_url or fetching.BASE_URL,
             anisotropic=anisotropic,
-            on_progress=step,
         )
     results.rows(
         f"Files in {to}",
@@ -199,10 +199,10 @@ def import_(
     if compact and tolerance is None:
         tolerance = DEFAULT_TOLERANCE
     results = terminal.Results(json)
-    with terminal.progress("Importing") as step:
+    with progress.shown("Importing"):
         result = import_files(
             library, sources, replace=replace, tolerance=tolerance, rotation_rad=_rotation(rotation),
-            on_progress=step, workers=workers_of(processes, scheduler, THREADS),
+            workers=workers_of(processes, scheduler, THREADS),
         )  # fmt: skip
     results.rows(
         f"Library {library}",
@@ -262,8 +262,8 @@ def compact(
 
     results = terminal.Results(json)
     before = Library(library).disk_bytes
-    with terminal.progress("Compacting") as step:
-        result = compact_library(library, DEFAULT_TOLERANCE if tolerance is None else tolerance, step)
+    with progress.shown("Compacting"):
+        result = compact_library(library, DEFAULT_TOLERANCE if tolerance is None else tolerance)
     after, errors = Library(library).disk_bytes, list(result.compacted.values())
     rows: dict[str, object] = {"compacted": len(errors), "compact already": len(result.skipped)}
     if errors:
@@ -313,12 +313,12 @@ def info(
     from manifold.workflows import inspection
 
     results = terminal.Results(json)
-    with terminal.progress("Verifying" if verify else "Reading") as step:
+    with progress.shown("Verifying" if verify else "Reading"):
         if renderer:
             shown = inspection.inspect_renderer()
         else:
             source = options.material_source(path, model, library)
-            shown = inspection.inspect_source(source, library=library, verify=verify, on_progress=step)
+            shown = inspection.inspect_source(source, library=library, verify=verify)
     results.rows(shown.title, shown.rows)
     for columns, rows in shown.tables:
         if rows:
@@ -364,8 +364,8 @@ def find(
         raise UsageError("found no --lab and no --gloss, expected at least one of them")
     results = terminal.Results(json)
     colour, units = None if lab is None else parse_lab(lab), parse_gloss(gloss or [])
-    with terminal.progress("Reading materials") as step:
-        found = find_materials(Library(library), colour, units, step)[:count]
+    with progress.shown("Reading materials"):
+        found = find_materials(Library(library), colour, units)[:count]
     angles = list(found[0].gloss) if found else []
     results.table(
         ["material", "L", "a", "b", *([] if lab is None else ["CIEDE2000"]), *(f"gloss {a:g}" for a in angles)],

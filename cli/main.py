@@ -17,6 +17,7 @@ import typer
 from manifold import __version__
 from manifold.errors import ManifoldError, UsageError
 from manifold.system.names import printable
+from manifold.system.progress import display_with
 
 from . import terminal
 from .application import app
@@ -71,6 +72,7 @@ def run(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
     terminal.begin()
+    display_with(terminal.display)
     terminal.end_with_listener()
     if strict:
         warnings.simplefilter("always", UserWarning)  # also what this process was warned of before

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from manifold.errors import ManifoldError, UsageError
+from manifold.system import progress
 
 from . import options, photo_options, terminal
 from .application import app
@@ -155,7 +156,6 @@ def embed(
     fitted, candidates = pipeline.embed(
         library, output, Settings(kind=kind, **chosen), without=without or (),
         auto_mapping=auto_mapping, auto_latent_dim=auto_dim, workers=workers_of(None, scheduler, HERE),
-        stage=terminal.progress,
     )  # fmt: skip
     settings = fitted.settings
     if candidates:
@@ -314,7 +314,7 @@ def predict(
         table, folder = point_table.read_points(points), folder_or_default(output, "predictions")
         outcomes = many_points.predict_all(
             model, table, folder, library=library, options=written,
-            workers=workers_of(processes, scheduler, HERE), stage=terminal.progress,
+            workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
         show_points(results, "predictions", folder, outcomes, table.failures)
         return
@@ -323,7 +323,7 @@ def predict(
             "found no latent; give --latent -0.3,1.2 or a material, or --from with a table of latents; of a colour and "
             "gloss alone, `manifold complete --lab L,a,b --gloss 60=UNITS` makes a material"
         )
-    with terminal.progress("Reading materials") as step:
+    with progress.shown("Reading materials"):
         made = prediction.predict(
             model,
             latent if place is None else options.material_source(latent, model, library),
@@ -332,7 +332,6 @@ def predict(
             colour=colour,
             attributes=attributes,
             options=written,
-            on_progress=step,
         )
     show_prediction(results, made)
     results.document(made.to_json())
@@ -408,10 +407,10 @@ def locate(
         )
         from manifold.workflows import photographs
 
-        with terminal.progress("Comparing pixels") as step:
+        with progress.shown("Comparing pixels"):
             seen = photographs.locate_photographs(
                 model, request, output, library=library, picture=picture,
-                options=OutputOptions(physical, force), on_progress=step,
+                options=OutputOptions(physical, force),
             )  # fmt: skip
         place = seen.located
         assert place is not None
@@ -433,15 +432,12 @@ def locate(
         batch = many_files.locations_in(folder_or_default(output, "locations"))
         located = many_files.locate_all(
             several, model, batch, library=library, options=written, workers=workers_of(processes, scheduler),
-            stage=terminal.progress,
         )  # fmt: skip
         show_batch(results, batch, located)
         return
     source = sources[0]
-    with terminal.progress("Reading materials") as step:
-        found = reconstruction.locate(
-            model, source, output, library=library, options=written, on_progress=step
-        )
+    with progress.shown("Reading materials"):
+        found = reconstruction.locate(model, source, output, library=library, options=written)
     rows: dict[str, object] = {
         "latent": ",".join(found.coordinates),
         "nearest": [f"{name} ({distance:.2f})" for name, distance in found.nearest],
@@ -498,15 +494,15 @@ def reconstruct(
         batch = many_files.reconstructions_in(folder_or_default(output, "reconstructions"))
         all_made = many_files.reconstruct_all(
             several, library, batch, without=without or (), numbers=numbers, options=written,
-            workers=workers_of(processes, scheduler), stage=terminal.progress,
+            workers=workers_of(processes, scheduler),
         )  # fmt: skip
         show_batch(results, batch, all_made)
         return
     source, target = sources[0], or_default(output, "reconstructed.bsdf")
-    with terminal.progress("Reading materials") as step:
+    with progress.shown("Reading materials"):
         made = reconstruction.reconstruct(
             library, source, target, without=without or (), numbers=numbers,
-            options=written, on_progress=step,
+            options=written,
         )  # fmt: skip
     rows: dict[str, object] = {
         "combination of": f"{made.materials} materials, and analytic lobes",

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from manifold.errors import UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -47,14 +48,13 @@ def latent_map(
     results = terminal.Results(json)
     refused = "--mark; materials have their own colours" if mark is None else None
     colour = options.colour_choice(like, reflectance, srgb, refused=refused)
-    with terminal.progress("Rendering") as step:
+    with progress.shown("Rendering"):
         marked, left_out = ball_pictures.latent_map(
             model,
             output,
             library=library,
             marked=None if mark is None else options.material_source(mark, model, library),
             colour=colour,
-            on_progress=step,
         )
     rows: dict[str, object] = {"left out": ", ".join(left_out)} if left_out else {}
     results.rows(f"Drawn {output}", rows | (marked.rows if marked is not None else {}))
@@ -94,10 +94,8 @@ def walk(
 
     results = terminal.Results(json)
     ends = [options.material_source(text, model, library) for text in (start, end)]
-    with terminal.progress("Rendering") as step:
-        between = ball_pictures.walk(
-            model, ends[0], ends[1], output, steps=steps, library=library, on_progress=step
-        )
+    with progress.shown("Rendering"):
+        between = ball_pictures.walk(model, ends[0], ends[1], output, steps=steps, library=library)
     diagnosed = tuple(f"t = {t:.2g}: {said}" for t, made in between.items() for said in made.diagnostics)
     expected = [
         f"t = {t:.2g}: {made.expected.ball:.1f}" for t, made in between.items() if made.expected is not None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from manifold.errors import UsageError
+from manifold.system import progress
 
 from . import options, terminal
 from .application import app
@@ -98,7 +99,7 @@ def render(
         table, folder = point_table.read_points(points), folder_or_default(output, "renders")
         outcomes = many_points.render_all(
             model, table, folder, settings, library=library, direct=direct,
-            workers=workers_of(processes, scheduler, HERE), stage=terminal.progress,
+            workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
         show_points(results, "renders", folder, outcomes, table.failures)
         return
@@ -120,14 +121,12 @@ def render(
 
         batch = many_files.renders_in(folder_or_default(output, "renders"))
         all_made = many_files.render_all(
-            several, settings, batch, workers=workers_of(processes, scheduler, HERE), stage=terminal.progress
+            several, settings, batch, workers=workers_of(processes, scheduler, HERE)
         )
         show_batch(results, batch, all_made)
         return
-    with terminal.progress("Rendering") as step:
-        made = renders.render(
-            sources[0], or_default(output, "render.png"), settings, direct=direct, on_progress=step
-        )
+    with progress.shown("Rendering"):
+        made = renders.render(sources[0], or_default(output, "render.png"), settings, direct=direct)
     _show(results, made)
 
 
@@ -185,9 +184,9 @@ def compare(
     settings = make_settings(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
-    with terminal.progress("Comparing") as step:
+    with progress.shown("Comparing"):
         sources = [options.material_source(text, model, library) for text in (a, b)]
-        made = renders.compare(sources[0], sources[1], output, settings, step)
+        made = renders.compare(sources[0], sources[1], output, settings)
     rows = {}
     for name, key in (("CIEDE2000", "ciede2000"), ("Delta E_ITP", "itp"), ("FLIP", "flip")):
         if made.ball:

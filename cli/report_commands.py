@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from manifold.system import progress
+
 from . import options, terminal
 from .application import app
 from .model_commands import show_prediction
@@ -62,10 +64,10 @@ def report(
     from manifold.workflows import pipeline
 
     results = terminal.Results(json)
-    with terminal.progress("Evaluating") as step:
+    with progress.shown("Evaluating"):
         made = pipeline.report(
             model, library=library, grid=grid, compare=compare, all_bands=all_bands, anchors=anchor or (),
-            picture=picture, workers=workers_of(processes, scheduler, HERE), on_progress=step,
+            picture=picture, workers=workers_of(processes, scheduler, HERE),
         )  # fmt: skip
     results.text(format_report(made))
     results.document(made.to_json())
@@ -87,7 +89,7 @@ def demo(
     from manifold.workflows import demo
 
     results = terminal.Results()
-    result = demo.run(folder, terminal.progress)
+    result = demo.run(folder)
     show_prediction(results, result.predicted)
     results.text(f"\n{format_report(result.report)}\n")
     results.text(f"Open {folder / 'index.html'} in a browser.\n\n")

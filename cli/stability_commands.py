@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from manifold.system import progress
+
 from . import options, terminal
 from .application import app
 from .worker_options import OneWorkerOption, SchedulerOption, workers_of
@@ -47,8 +49,8 @@ def stability(
     modes = select_modes(MODES, only or ())
     if picture is not None:
         figures.require_writable(picture)
-    with terminal.progress("Failure modes") as step:
-        made = run_modes(modes, step, workers_of(processes, scheduler, HERE))
+    with progress.shown("Failure modes"):
+        made = run_modes(modes, workers_of(processes, scheduler, HERE))
     if picture is not None:
         figures.save(plot_stability.panels(made, modes), picture)
     results.sentence(conclusions.conclusion(made))

@@ -27,8 +27,10 @@ from rich.progress import (
 )
 
 from manifold import __version__
-from manifold.system import atomic, stages, tables
+from manifold.system import atomic, tables
 from manifold.system.names import first_few, printable
+from manifold.system.progress import PROGRESS_VARIABLE
+from manifold.system.progress import Progress as Listener
 
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
@@ -48,7 +50,7 @@ def begin() -> None:
 
 
 @contextmanager
-def progress(title: str, *, in_bytes: bool = False) -> Iterator[stages.Progress | None]:
+def display(title: str, *, in_bytes: bool) -> Iterator[Listener]:
     """A progress bar on stderr, or a line there every ten seconds where it is no terminal.
 
     Where another program asked for it, JSON lines into its descriptor instead.
@@ -97,12 +99,12 @@ def end_with_listener() -> None:
 
 def _listening() -> int | None:
     """The descriptor into which another program asked for progress."""
-    given = os.environ.get(stages.PROGRESS_VARIABLE, "")
+    given = os.environ.get(PROGRESS_VARIABLE, "")
     return int(given) if given.isdecimal() and len(given) < 6 else None  # descriptors are small numbers
 
 
 @contextmanager
-def _lines(title: str) -> Iterator[stages.Progress]:
+def _lines(title: str) -> Iterator[Listener]:
     """Lines on stderr from a thread of their own, so that long steps do not look like a command that hangs."""
     state, finished = "", threading.Event()
 
@@ -127,7 +129,7 @@ def _lines(title: str) -> Iterator[stages.Progress]:
         thread.join()
 
 
-def _json_lines_to(descriptor: int) -> stages.Progress:
+def _json_lines_to(descriptor: int) -> Listener:
     """Steps as JSON lines into an open file; nothing once the reader is gone."""
 
     def step(done: int, total: int, what: str) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.errors import BandMismatchError, ShapeError
-from manifold.system.stages import Progress as Progress
 
 Array = NDArray[np.floating[Any]]
 AnyArray = NDArray[Any]  # a field of a file, of whatever type

@@ -24,7 +24,7 @@ from manifold.model.appearance import roots_at
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array, Bands, Indices, Progress, evenly_spaced
+from manifold.records import Array, Bands, Indices, evenly_spaced
 from manifold.system.names import counted
 
 MOST_MATERIALS = 1000
@@ -81,7 +81,7 @@ class LibraryAtoms:
     ball: Array
 
     @classmethod
-    def of_library(cls, library: Library, on_progress: Progress | None = None) -> LibraryAtoms:
+    def of_library(cls, library: Library) -> LibraryAtoms:
         """Evaluate all materials of a library, negative values taken for 0.
 
         Raises:
@@ -102,7 +102,7 @@ class LibraryAtoms:
         chosen = evenly_spaced(bands.count, ATOM_BANDS)
         cache = MaterialCache(library, names, is_nonnegative=True)
         coats = dielectric_coats(bands.select(chosen))
-        materials: list[BRDF] = [*cache.in_bands(chosen.tolist(), on_progress), *coats.values()]
+        materials: list[BRDF] = [*cache.in_bands(chosen.tolist()), *coats.values()]
         grid, ball = EncodingPairs.default(all_isotropic(materials)), ball_colours.ball()
         on_grid, on_ball = (_roots_at(materials, pairs.wi, pairs.wo) for pairs in (grid, ball))
         some = slice(None, None, _BALL_STRIDE)

@@ -30,7 +30,8 @@ from manifold.model.colours import NEAREST, ColourChoice, choose_colour
 from manifold.model.decoding import decoder_at
 from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
-from manifold.records import Array, Bands, Progress
+from manifold.records import Array, Bands
+from manifold.system import progress
 
 _GLOSS_WEIGHT = 1e3  # of a squared error of log gloss, against squared distance in length scales
 _COLOUR_WEIGHT = 1.0  # of a squared difference in CIELAB, likewise
@@ -263,7 +264,6 @@ def find(
     library: Library,
     lab: Array | None,
     gloss: Mapping[float, float],
-    on_progress: Progress | None = None,
 ) -> list[Found]:
     """The materials of a library, those nearest to a colour and gloss first.
 
@@ -271,7 +271,6 @@ def find(
         library: of measured materials.
         lab: CIELAB colour in the geometry 45/0 under D65, shape (3,); None for any.
         gloss: gloss units by angle in degrees, 20, 60 or 85.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
         UsageError: gloss meters have no such angle.
         LibraryError: a material cannot be read.
@@ -285,8 +284,7 @@ def find(
         found.append(
             Found(name, own, units, difference, float(np.hypot(difference or 0.0, np.linalg.norm(steps))))
         )
-        if on_progress is not None:
-            on_progress(k + 1, len(library.names), "materials")
+        progress.report(k + 1, len(library.names), "materials")
     return sorted(found, key=lambda one: one.distance)
 
 

@@ -15,8 +15,9 @@ from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import BsdfFamily, Layout
 from manifold.fitting.fit_metrics import Criterion
 from manifold.fitting.fit_samples import FitSamples
-from manifold.records import Array, Indices, Mask, Progress
-from manifold.system.stages import Stages, with_progress
+from manifold.records import Array, Indices, Mask
+from manifold.system import progress
+from manifold.system.progress import Stages
 
 _BAND_ITERATIONS, _BAND_PAIRS = 20, 512  # of `refine_bands`, at most
 _VALLEY = 0.2  # of the ranges: how far to look along the flattest direction
@@ -222,18 +223,15 @@ def select_minima(minima: list[Minimum], limit: float) -> list[Minimum]:
     return sorted(kept, key=lambda minimum: max(minimum.cost, best))
 
 
-def find_minima(
-    residuals: Residuals, options: GaussNewton, on_progress: Progress | None = None
-) -> list[Minimum]:
+def find_minima(residuals: Residuals, options: GaussNewton) -> list[Minimum]:
     """All distinct minima found, best first; of few samples followed by rivals, see `select_minima`.
 
     Args:
         residuals: of all samples.
         options: hyperparameters.
-        on_progress: called after each refinement.
     """
-    stages = Stages(on_progress, {"coarse search": 4, "refinement": 3, "valleys": 3})
-    at_start = stages.begin("coarse search")
+    stages = Stages({"coarse search": 4, "refinement": 3, "valleys": 3})
+    stages.begin("coarse search")
     layout = residuals.layout
     scale = layout.maximum - layout.minimum
     points, _ = search(residuals, options)
@@ -245,22 +243,23 @@ def find_minima(
         parts = _outer_quarters(points, layout)
         rivals = [
             minimize(first, start, options.iterations, options.tolerance, part)
-            for start, part in with_progress(parts, at_start)
+            for start, part in progress.each(parts)
         ]
         starts += [start for start, _ in parts] + [min(rivals, key=_cost).p for _ in parts[:1]]
-        in_starts = with_progress(starts, stages.begin("refinement"))
+        stages.begin("refinement")
+        in_starts = progress.each(starts)
         ends = [minimize(first, start, options.iterations, options.tolerance) for start in in_starts]
         return [*distinct(scale, ends, 0.02), *sorted(rivals, key=_cost)]
-    rough = [
-        minimize(first, start, options.coarse_iterations, 1e-4) for start in with_progress(starts, at_start)
-    ]
+    rough = [minimize(first, start, options.coarse_iterations, 1e-4) for start in progress.each(starts)]
     candidates = distinct(scale, rough, 0.05)
     best = candidates[0].cost
     chosen = [one for one in candidates if one.cost <= 4.0 * best][: options.n_fine]
-    in_chosen = with_progress(chosen, stages.begin("refinement"))
+    stages.begin("refinement")
+    in_chosen = progress.each(chosen)
     ends = [minimize(residuals, one.p, options.iterations, options.tolerance) for one in in_chosen]
     best_end = min(ends, key=_cost)
-    for _ in with_progress(range(options.n_walks), stages.begin("valleys")):
+    stages.begin("valleys")
+    for _ in progress.each(range(options.n_walks)):
         starts = _along_the_valley(residuals, best_end, options)
         beside = [minimize(residuals, start, options.iterations, options.tolerance) for start in starts]
         ends += beside

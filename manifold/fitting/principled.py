@@ -30,7 +30,7 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.fitting.gauss_newton import GaussNewton, Minimum, Residuals
 from manifold.fitting.identifiability import ParameterIdentifiability
 from manifold.fitting.undetermined import TriedDefaults
-from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.records import Array, Bands, BsdfFile
 from manifold.rendering import backend
 
 METHODS: Mapping[str, type] = {"gauss-newton": GaussNewton, "adam": AdamOptions, "swarm": SwarmOptions}
@@ -120,7 +120,6 @@ def fit_bsdf(
     noise: float = 0.01,
     options: GaussNewton | AdamOptions | SwarmOptions | None = None,
     wide_colours: bool = False,
-    on_progress: Progress | None = None,
 ) -> FitResult:
     """Fit the free parameters of a Mitsuba BSDF.
 
@@ -139,7 +138,6 @@ def fit_bsdf(
         noise: relative standard deviation of the samples that the statements assume at least.
         options: hyperparameters of the method.
         wide_colours: without a family, let base colours leave [0, 1], as colours outside Rec. 709 do.
-        on_progress: called with how much of the stages of method gauss-newton is done.
     Raises:
         UsageError: the samples cannot be fitted, a name is unknown, or Mitsuba refuses the BSDF.
         RendererError: Mitsuba is missing, or lacks the backend that the method needs.
@@ -156,10 +154,10 @@ def fit_bsdf(
             turned = (f"fitted to highlights wide along x: the sample's are turned by {degrees:.1f} degrees",)
         target = MeasuredBRDF(fill_unmeasured(file))
     if isinstance(target, FitSamples):
-        return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours, on_progress)
+        return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours)
     require_brdf(target, "what is fitted")
     samples = fit_samples.from_brdf(target)
-    found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours, on_progress)
+    found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours)
     ball = BallDifference.between(
         FittedBRDF.of(found.family, found.values, found.bands, found.spectra), target
     )
@@ -171,13 +169,13 @@ def fit_bsdf(
 
 def _fit_or_diffuse(
     samples: FitSamples, family: BsdfFamily | None, method: str, metric: str, noise: float, options: Any,
-    wide_colours: bool, on_progress: Progress | None,
+    wide_colours: bool,
 ) -> FitResult:  # fmt: skip
     """A fit of the family, or of what is fitted by default."""
     if family is not None:
-        return _fit(samples, family, method, metric, noise, options, on_progress)
+        return _fit(samples, family, method, metric, noise, options)
     default = default_principled(samples.is_isotropic, wide_colours=wide_colours)
-    found = _fit(samples, default, method, metric, noise, options, on_progress)
+    found = _fit(samples, default, method, metric, noise, options)
     is_worse = _is_worse_than_diffuse(found.residuals[metric], found.diffuse_residual)
     if method != "gauss-newton" or not is_worse:
         return found
@@ -190,7 +188,6 @@ def _fit_or_diffuse(
 
 def _fit(
     samples: FitSamples, family: BsdfFamily, method: str, metric: str, noise: float, options: Any,
-    on_progress: Progress | None = None,
 ) -> FitResult:  # fmt: skip
     if not samples.bands.is_rgb:
         _require_independent_bands(family)
@@ -201,7 +198,7 @@ def _fit(
     start = time.perf_counter()
     with threadpool_limits(1):  # small matrices: threads would only wait for each other
         if isinstance(options, GaussNewton):
-            minima = gauss_newton.find_minima(residuals, options, on_progress)
+            minima = gauss_newton.find_minima(residuals, options)
             assessed = _assess(residuals, minima, noise, tried)
             best, tried = undetermined.keep_undetermined(
                 residuals, minima[0], assessed.statements, assessed.limit, options

@@ -30,8 +30,8 @@ from manifold.library.store import Library
 from manifold.library.writing import write_material
 from manifold.library.zarr_arrays import open_group
 from manifold.metrics import RusinkiewiczGrid, cube_root_error
-from manifold.records import AnyArray, Array, BsdfFile, Progress
-from manifold.system.stages import with_progress
+from manifold.records import AnyArray, Array, BsdfFile
+from manifold.system import progress
 
 CUBE_ROOT_PER_BALL = 0.05
 """The cube-root error that is allowed per CIEDE2000 of the ball that is: 1 % at 0.2."""
@@ -57,9 +57,7 @@ class CompactResult:
     failed: dict[str, str]
 
 
-def compact_library(
-    path: Path | str, tolerance: float = DEFAULT_TOLERANCE, on_progress: Progress | None = None
-) -> CompactResult:
+def compact_library(path: Path | str, tolerance: float = DEFAULT_TOLERANCE) -> CompactResult:
     """Store the materials of a library in compact form, one after the other; what they were is lost.
 
     A killed run leaves every material whole, in one form or the other; another run does the rest.
@@ -67,7 +65,6 @@ def compact_library(
     Args:
         path: the library.
         tolerance: as `encode` takes it.
-        on_progress: called with (done, total, name) after each material.
     Raises:
         UsageError: the tolerance is not above 0.
         LibraryError: it cannot be written, or another process writes to it.
@@ -77,7 +74,7 @@ def compact_library(
     result = CompactResult({}, (), {})
     skipped = []
     with staging.writing(library.path) as staged:
-        for name in with_progress(library.names, on_progress, str):
+        for name in progress.each(library.names, str):
             folder = library.path / "materials" / name
             try:
                 for part in (folder, *folder.iterdir()):

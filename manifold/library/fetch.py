@@ -15,7 +15,7 @@ from manifold.errors import FetchError, FileFormatError, UsageError
 from manifold.io_rgl import read_bsdf
 from manifold.library.location import require_outside_libraries
 from manifold.library.rgl_table import Entry, rgl_table, select
-from manifold.records import Progress
+from manifold.system import progress
 from manifold.system.names import first_few
 
 BASE_URL = "https://d38rqfq1h7iukm.cloudfront.net/media/materials"
@@ -59,7 +59,6 @@ def fetch(
     base_url: str = BASE_URL,
     anisotropic: bool = False,
     table: Mapping[str, Entry] | None = None,
-    on_progress: Progress | None = None,
     timeout_s: float = 30.0,
     attempts: int = 4,
 ) -> FetchResult:
@@ -74,7 +73,6 @@ def fetch(
         base_url: http or https.
         anisotropic: with `names` None, also the anisotropic ones (1.2 GB more, no checksums known).
         table: what is known of each file; the database's own table by default.
-        on_progress: called with (bytes done, bytes in all, file).
         timeout_s: seconds without data after which a connection counts as stalled.
         attempts: tries per file.
     Raises:
@@ -111,7 +109,7 @@ def fetch(
         (present if action == "fetch" else downloaded).append(Path(path))
         return path
 
-    meter = _Meter(list(entries.values()), on_progress)
+    meter = _Meter(list(entries.values()))
     downloader = pooch.HTTPDownloader(
         progressbar=meter,
         chunk_size=_BLOCK_BYTES,
@@ -166,10 +164,9 @@ def _require_url(url: str) -> None:
 class _Meter:
     """Counts the bytes of all files for pooch, which takes it for a progress bar of one file."""
 
-    def __init__(self, entries: Sequence[Entry], on_progress: Progress | None) -> None:
+    def __init__(self, entries: Sequence[Entry]) -> None:
         self._sizes = {entry.name: entry.size_bytes or 0 for entry in entries}
-        self._on_progress, self._before = on_progress, 0
-        self._done, self._total = 0, 0
+        self._before, self._done, self._total = 0, 0, 0
 
     def begin(self, entry: Entry) -> None:
         self._entry = entry
@@ -198,8 +195,7 @@ class _Meter:
             raise FetchError(f"the server sends more than the expected {most} bytes")
         done = min(self._done, self._total or self._done)  # pooch counts whole blocks
         self._sizes[self._entry.name] = max(self._sizes[self._entry.name], done)
-        if self._on_progress:
-            self._on_progress(self._before + done, sum(self._sizes.values()), f"{self._entry.name}_spec.bsdf")
+        progress.report(self._before + done, sum(self._sizes.values()), f"{self._entry.name}_spec.bsdf")
 
     def close(self) -> None:
         """Nothing: the next file follows."""

@@ -21,7 +21,8 @@ from manifold.library.identity import file_sha256, require_material_name, requir
 from manifold.library.location import require_outside_libraries
 from manifold.library.store import Library
 from manifold.library.writing import make_store, write_material
-from manifold.records import Bands, Progress
+from manifold.records import Bands
+from manifold.system import progress
 from manifold.system.workers import THREADS, Workers
 
 _MANY_TASKS = 64  # from which on tasks have several files
@@ -68,7 +69,6 @@ def import_files(
     replace: bool = False,
     tolerance: float | None = None,
     rotation_rad: Rotation = None,
-    on_progress: Progress | None = None,
     workers: Workers = THREADS,
 ) -> ImportResult:
     """Import RGL files into a library, which is made with the bands of the first file if there is none.
@@ -83,7 +83,6 @@ def import_files(
         tolerance: store them in compact form, within so much CIEDE2000 of the ball; by default as they are.
         rotation_rad: azimuth by which anisotropic samples lay turned, from -pi to pi, which whatever evaluates them
             undoes; "auto" finds it from the normals, see `manifold.brdf.orientation`.
-        on_progress: called with (done, total, name) after each file.
         workers: who check files, and write materials.
     Returns:
         What became of each file; `failed` must be looked at.
@@ -103,7 +102,7 @@ def import_files(
     require_outside_libraries(library)
     is_new = not library.exists() or (os.path.ismount(library) and not staging.contents(library))
     expected = None if is_new else Library(library).bands
-    report = _Report(2 * len(paths), on_progress)
+    report = _Report(2 * len(paths))
     loaded = _load(paths, rotation_rad, workers, report)
     _require_one_grid(loaded, expected, library)
     if loaded:
@@ -157,15 +156,14 @@ def _walk(folder: Path) -> Iterator[Path]:
 class _Report:
     """Collects outcomes, and counts progress."""
 
-    def __init__(self, total: int, on_progress: Progress | None) -> None:
+    def __init__(self, total: int) -> None:
         self.outcomes: dict[str, Outcome] = {}
         self.failed: dict[str, str] = {}
-        self._done, self._total, self._on_progress = 0, total, on_progress
+        self._done, self._total = 0, total
 
     def step(self, path: Path, steps: int = 1) -> None:
         self._done += steps
-        if self._on_progress:
-            self._on_progress(self._done, self._total, path.name)
+        progress.report(self._done, self._total, path.name)
 
     def fail(self, path: Path, message: str) -> None:
         self.failed[str(path)] = message

@@ -31,9 +31,9 @@ from manifold.library.reading import read_material
 from manifold.library.schema import READABLE_VERSIONS, SCHEMA
 from manifold.library.writing import make_store
 from manifold.library.zarr_arrays import open_group, read_array, read_attributes
-from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.records import Array, Bands, BsdfFile
+from manifold.system import progress
 from manifold.system.names import names_like
-from manifold.system.stages import with_progress
 
 if TYPE_CHECKING:
     import zarr
@@ -194,16 +194,14 @@ class Library:
             digest.update(f"\n{name}\t{info.sha256}{turned}".encode())
         return digest.hexdigest()
 
-    def verify(self, callback: Progress | None = None) -> list[str]:
+    def verify(self) -> list[str]:
         """Read and hash every material again.
 
-        Args:
-            callback: called with (done, total, name) after each material.
         Returns:
             One line per damaged material, naming it; empty if all is well.
         """
         problems = []
-        for name in with_progress(self.names, callback, str):
+        for name in progress.each(self.names, str):
             try:
                 self.read(name)
             except ManifoldError as error:

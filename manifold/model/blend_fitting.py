@@ -28,8 +28,8 @@ from manifold.model.appearance import OF_BALL, AppearancePairs, appearance_pairs
 from manifold.model.blend_space import BlendSpace
 from manifold.model.decoding import integrating_sphere
 from manifold.model.landmark_search import SIGNATURE, signatures
-from manifold.records import Array, Indices, Progress, evenly_spaced
-from manifold.system.stages import with_progress
+from manifold.records import Array, Indices, evenly_spaced
+from manifold.system import progress
 
 _BANDS = 12  # in which materials are compared, evenly spaced
 _FLOOR = 1e-2  # 1/sr, added before logarithms: smaller values look black
@@ -243,11 +243,9 @@ class BlendTables:
     samples: BlendSamples
 
     @classmethod
-    def of(
-        cls, materials: Sequence[MeasuredBRDF], bands: Indices, on_progress: Progress | None = None
-    ) -> BlendTables:
+    def of(cls, materials: Sequence[MeasuredBRDF], bands: Indices) -> BlendTables:
         """Evaluate materials; `bands` (B_s,) become samples."""
-        read = with_progress(materials, on_progress, "appearance")
+        read = progress.each(materials, "appearance")
         appearance, samples = evaluate(read, bands, all_isotropic(materials))
         return cls(appearance.distances(), samples)
 
@@ -263,7 +261,6 @@ class BlendTables:
 
 def fit_landmarks(
     appearance: Appearance, samples: BlendSamples, count: int, latent_dim: int, kernel: Kernel,
-    on_progress: Progress | None = None,
 ) -> tuple[BlendSpace, Layout]:  # fmt: skip
     """The map of N materials by landmarks, `count` of them, and its layout: at a cost linear in N."""
     N, everything = len(appearance), np.arange(len(appearance))
@@ -273,8 +270,7 @@ def fit_landmarks(
     def distances_to(landmark: int) -> Array:
         ball, shape, valley = appearance.compare(landmark, everything)
         compared[landmark] = _targets(ball, scale * shape, valley)
-        if on_progress is not None:
-            on_progress(len(compared), count, "landmarks")
+        progress.report(len(compared), count, "landmarks")
         return compared[landmark][0]
 
     landmarks = farthest_samples(count, distances_to)
@@ -286,7 +282,7 @@ def fit_landmarks(
 
     def compare(others: Indices) -> Comparison:
         rows = []
-        for i, row in with_progress(enumerate(others), on_progress, "neighbours"):
+        for i, row in progress.each(enumerate(others), "neighbours"):
             ball, shape, valley = appearance.compare(i, row)
             rows.append(_targets(ball, scale * shape, valley))
         return Comparison(others, *(np.stack(each) for each in zip(*rows, strict=True)))

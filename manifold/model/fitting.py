@@ -22,9 +22,9 @@ from manifold.model.latent_space import LatentSpace
 from manifold.model.material_space import MaterialSpace
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import MOST_LAID_OUT, Settings
-from manifold.records import Indices, Progress, evenly_spaced
+from manifold.records import Indices, evenly_spaced
+from manifold.system import progress
 from manifold.system.names import counted
-from manifold.system.stages import with_progress
 
 _LIT_DEG = np.array([0.0, 45.0])
 # Measured materials reach a little above 1; reflectance factors taken for f are pi times as large.
@@ -36,7 +36,7 @@ Fitted = tuple[LatentSpace, Statistics, BlendSamples | None]
 """A space, its statistics, and of a map by landmarks the samples that it was fitted to."""
 
 
-def fit_space(materials: MaterialCache, settings: Settings, on_progress: Progress | None) -> Fitted:
+def fit_space(materials: MaterialCache, settings: Settings) -> Fitted:
     """Fit the kind of space that the settings ask for to all materials of a cache.
 
     Raises:
@@ -60,9 +60,9 @@ def fit_space(materials: MaterialCache, settings: Settings, on_progress: Progres
             "materials out"
         )
     if settings.kind != "blend":
-        for material in materials.filled(on_progress=on_progress):
+        for material in materials.filled():
             _warn_if_bright(material)
-    return _FITS[settings.kind](materials, settings, on_progress)
+    return _FITS[settings.kind](materials, settings)
 
 
 class BrightMaterialWarning(UserWarning):
@@ -83,10 +83,10 @@ def _warn_if_bright(material: MeasuredBRDF) -> MeasuredBRDF:
     return material
 
 
-def _fit_materials(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
+def _fit_materials(materials: MaterialCache, s: Settings) -> Fitted:
     from manifold.gplvm import GPLVM  # imports scikit-learn, most of a second that predictions need not spend
 
-    matrix = _gram(materials, s, None, on_progress)
+    matrix = _gram(materials, s, None)
     fitted = GPLVM(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, optimizer=s.optimizer, prior=s.prior
     ).fit_gram(matrix.S, matrix.n_outputs)  # fmt: skip
@@ -98,10 +98,10 @@ def _fit_materials(materials: MaterialCache, s: Settings, on_progress: Progress 
     )
 
 
-def _fit_curves(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
+def _fit_curves(materials: MaterialCache, s: Settings) -> Fitted:
     n_bands = materials.library.bands.count
     bands = evenly_spaced(n_bands, s.sample_bands)
-    matrix = _gram(materials, s, bands, on_progress)
+    matrix = _gram(materials, s, bands)
     fitted = MonochromeGPLVM(
         s.latent_dim, mu=s.mu, length_scale=s.length_scale, kernel=s.kernel, prior=s.prior
     ).fit_gram(matrix.S, len(materials.names), matrix.n_outputs)  # fmt: skip
@@ -113,7 +113,7 @@ def _fit_curves(materials: MaterialCache, s: Settings, on_progress: Progress | N
     sphere, measure = integrating_sphere()
     colours = np.empty((len(materials.names), n_bands))
     reflectances = np.empty_like(colours)
-    for n, material in with_progress(enumerate(materials.filled()), on_progress, "colours"):
+    for n, material in progress.each(enumerate(materials.filled()), "colours"):
         f = material.eval(pairs.wi, pairs.wo).T
         colours[n] = encoder.encode_colours(space.X[n], f)[:, 0]
         reflectances[n] = measure @ material.eval(sphere.wi, sphere.wo)
@@ -121,25 +121,23 @@ def _fit_curves(materials: MaterialCache, s: Settings, on_progress: Progress | N
     return replace(space, own_colours=colours, reflectances=reflectances), statistics, None
 
 
-def _fit_blends(materials: MaterialCache, s: Settings, on_progress: Progress | None) -> Fitted:
+def _fit_blends(materials: MaterialCache, s: Settings) -> Fitted:
     bands, samples = evenly_spaced(materials.library.bands.count, s.sample_bands), None
     count = s.landmarks_of(len(materials.names))
     if count < len(materials.names):
-        read = map(_warn_if_bright, materials.stream(on_progress))
+        read = map(_warn_if_bright, materials.stream())
         appearance, samples = evaluate(read, bands, materials.is_isotropic)
-        space, layout = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance(), on_progress)
+        space, layout = fit_landmarks(appearance, samples, count, s.latent_dim, s.covariance())
     else:
-        brdfs = [_warn_if_bright(material) for material in materials.filled(on_progress=on_progress)]
-        space, layout = BlendTables.of(brdfs, bands, on_progress).fit(s.latent_dim, s.covariance())
+        brdfs = [_warn_if_bright(material) for material in materials.filled()]
+        space, layout = BlendTables.of(brdfs, bands).fit(s.latent_dim, s.covariance())
     return space, {"objective_start": layout.objective_start, "objective": layout.objective}, samples
 
 
 _FITS = {"blend": _fit_blends, "material": _fit_materials, "monochrome": _fit_curves}
 
 
-def _gram(
-    materials: MaterialCache, s: Settings, bands: Indices | None, on_progress: Progress | None
-) -> gram.Gram:
+def _gram(materials: MaterialCache, s: Settings, bands: Indices | None) -> gram.Gram:
     """The Gram matrix of whole materials, or of the given bands as samples, from the library's cache."""
     library, mapping = materials.library, mapping_named(s.mapping)
     grid = RusinkiewiczGrid.named(s.grid).suited_to(materials.is_isotropic)
@@ -149,9 +147,9 @@ def _gram(
     size = len(materials.names) * (1 if bands is None else len(bands))
     if cached is not None and cached["S"].shape == (size, size):
         return gram.Gram(cached["S"], int(cached["n_outputs"][0]))
-    brdfs = materials.filled(on_progress=on_progress)
+    brdfs = materials.filled()
     if chosen is not None:
         brdfs = [brdf.select_bands(chosen) for brdf in brdfs]
-    matrix = gram.gram_matrix(brdfs, mapping, grid, on_progress, per_band=chosen is not None)
+    matrix = gram.gram_matrix(brdfs, mapping, grid, per_band=chosen is not None)
     library.cache_put(key, {"S": matrix.S, "n_outputs": np.array([matrix.n_outputs])})
     return matrix

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from manifold.brdf.measured import BRDF, all_isotropic
 from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, cosine_weight
 from manifold.records import Array
+from manifold.system import progress
 
 BLOCK_PAIRS = 1024  # direction pairs held at once: 51 materials x 195 bands x 1024 pairs are 80 MB
 
@@ -47,7 +48,6 @@ def gram_matrix(
     materials: Sequence[BRDF],
     mapping: Mapping,
     grid: RusinkiewiczGrid,
-    on_progress: Callable[[int, int, str], None] | None = None,
     *,
     per_band: bool = False,
 ) -> Gram:
@@ -68,8 +68,7 @@ def gram_matrix(
         flat = mapped.reshape(n_samples, -1)
         S += flat @ flat.T
         n_outputs += flat.shape[1]
-        if on_progress is not None:
-            on_progress(done, total, "direction pairs")
+        progress.report(done, total, "direction pairs")
     return Gram(S, n_outputs)
 
 

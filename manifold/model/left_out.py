@@ -19,8 +19,8 @@ from manifold.model.latent_space import LatentSpace, require_shapes
 from manifold.model.material_table import MaterialTable
 from manifold.model.materials import MaterialCache
 from manifold.model.settings import Settings
-from manifold.records import Array, Indices, Mask, Progress, evenly_spaced
-from manifold.system.stages import with_progress
+from manifold.records import Array, Indices, Mask, evenly_spaced
+from manifold.system import progress
 
 _BANDS = 12  # in which errors are measured, evenly spaced, beside those of the samples
 _PREFIX, _ARRAYS = "left_out_", ("places", "ball", "cube_root", "residual", "materials")
@@ -168,7 +168,6 @@ def leave_out(
     space: LatentSpace,
     materials: MaterialCache,
     settings: Settings,
-    on_progress: Progress | None = None,
     samples: BlendSamples | None = None,
 ) -> LeftOut:
     """Leave out materials of a space once, find their places from their data, and measure their predictions there.
@@ -179,7 +178,6 @@ def leave_out(
         space: of the materials.
         materials: in its order.
         settings: of the fit.
-        on_progress: called with (done, total, what).
         samples: that a map by landmarks was fitted to.
     """
     n_bands = materials.library.bands.count
@@ -189,13 +187,13 @@ def leave_out(
         chosen = np.sort(farthest_samples(_SAMPLE, lambda i: np.linalg.norm(space.X - space.X[i], axis=1)))
         find, measure = landmark_left_out(space, materials, bands, samples)
     else:
-        table = MaterialTable(materials.with_negative_values(on_progress), bands)
+        table = MaterialTable(materials.with_negative_values(), bands)
         find, measure = space.left_out_search(table, materials, settings), table.errors
     places, (ball, cube_root, residual) = (
         np.empty((len(chosen), space.X.shape[1])),
         np.empty((3, len(chosen))),
     )
-    for k, i in with_progress(enumerate(chosen.tolist()), on_progress, "left-out materials"):
+    for k, i in progress.each(enumerate(chosen.tolist()), "left-out materials"):
         places[k], combination, residual[k] = find(i)
         ball[k], cube_root[k] = measure(i, combination)
     return LeftOut(space, places, ball, cube_root, residual, chosen)

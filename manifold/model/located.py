@@ -22,7 +22,7 @@ from manifold.model.materials import MaterialCache, names_without
 from manifold.model.prediction import PredictedBRDF
 from manifold.model.reconstruction import reconstruct
 from manifold.model.settings import Settings
-from manifold.records import Array, BsdfFile, Progress, evenly_spaced
+from manifold.records import Array, BsdfFile, evenly_spaced
 
 _SHOWN_PARTS = 5
 
@@ -165,7 +165,6 @@ def reconstruct_file(
     library: Library,
     file: BsdfFile,
     without: Collection[str] = (),
-    on_progress: Progress | None = None,
     *,
     numbers: int | None = None,
 ) -> Reconstruction:
@@ -175,7 +174,6 @@ def reconstruct_file(
         library: of measured materials in the same bands.
         file: the measured file.
         without: names of materials that take no part.
-        on_progress: called with (done, total, what) while materials are read.
         numbers: that may describe the file; by default as many as it takes.
     Raises:
         BandMismatchError: the file's bands are not the library's.
@@ -191,10 +189,7 @@ def reconstruct_file(
     materials = MaterialCache(library, names, is_nonnegative=True)
     bands = evenly_spaced(library.bands.count, Settings().sample_bands)
     trials = [0.0] if materials.is_isotropic else trial_rotations(file)
-    tried = [
-        reconstruct(materials, bands, _turned(brdf, -angle), numbers, on_progress).turned(angle)
-        for angle in trials
-    ]
+    tried = [reconstruct(materials, bands, _turned(brdf, -angle), numbers).turned(angle) for angle in trials]
     of_tried = [brdf_errors(brdf, found) for found in tried]
     best = int(np.argmin([errors.cube_root for errors in of_tried]))
     found = tried[best]

@@ -34,7 +34,7 @@ from manifold.model.reflectance import ReflectanceColours
 from manifold.model.restoring import SPACES, open_library, restore
 from manifold.model.settings import Settings
 from manifold.model.walks import Walk, Walked
-from manifold.records import Array, Bands, Progress, evenly_spaced
+from manifold.records import Array, Bands, evenly_spaced
 from manifold.system.parallel import one_blas_thread
 
 _ONE = np.ones(1)
@@ -83,7 +83,6 @@ class Manifold(LatentMap):
         cls,
         library: Library | Path | str,
         settings: Settings = _DEFAULTS,
-        on_progress: Progress | None = None,
         *,
         names: Collection[str] | None = None,
         calibrate: bool = True,
@@ -93,7 +92,6 @@ class Manifold(LatentMap):
         Args:
             library: at least two materials, or the path of a library.
             settings: see `Settings`.
-            on_progress: called with (done, total, what) while materials are read and evaluated.
             names: of the materials to embed, such as all but those that are held out; None for all of them.
             calibrate: False saves the time of leaving materials out; expected errors are unknown then, as they are
                 with fewer than four materials.
@@ -109,9 +107,9 @@ class Manifold(LatentMap):
         left_out = None
         # A layout amplifies the rounding of sums, which depends on the number of threads.
         with one_blas_thread:
-            space, statistics, samples = fit_space(materials, settings, on_progress)
+            space, statistics, samples = fit_space(materials, settings)
             if calibrate and len(chosen) >= LEAST_MATERIALS:
-                left_out = leave_out(space, materials, settings, on_progress, samples)
+                left_out = leave_out(space, materials, settings, samples)
         return cls(materials, space, settings, statistics, left_out)
 
     # -- materials -----------------------------------------------------------------------------------------
@@ -140,16 +138,12 @@ class Manifold(LatentMap):
         """
         return self.materials.measured(name)
 
-    def prepare(self, on_progress: Progress | None = None) -> None:
-        """Load what all predictions need: the materials, or, for a monochrome manifold, some of their bands.
-
-        Args:
-            on_progress: called with (done, total, what) while they are read.
-        """
+    def prepare(self) -> None:
+        """Load what all predictions need: the materials, or, for a monochrome manifold, some of their bands."""
         if self.space.sample_bands is not None:
-            self.materials.in_bands(self.space.sample_bands.tolist(), on_progress)
+            self.materials.in_bands(self.space.sample_bands.tolist())
         else:
-            self.materials.filled(on_progress=on_progress)
+            self.materials.filled()
 
     # -- predicting ----------------------------------------------------------------------------------------
 
@@ -163,17 +157,12 @@ class Manifold(LatentMap):
         return ReflectanceColours(self.space, self.materials, self.settings)
 
     @overload
-    def predict(
-        self, x: PlaceLike, colours: Array | None = None, on_progress: Progress | None = None
-    ) -> PredictedBRDF: ...
+    def predict(self, x: PlaceLike, colours: Array | None = None) -> PredictedBRDF: ...
     @overload
     def predict(
         self, x: Sequence[Array] | Sequence[Sequence[float]], colours: Array | None = None,
-        on_progress: Progress | None = None,
     ) -> list[PredictedBRDF]: ...  # fmt: skip
-    def predict(
-        self, x: Any, colours: Array | None = None, on_progress: Progress | None = None
-    ) -> PredictedBRDF | list[PredictedBRDF]:
+    def predict(self, x: Any, colours: Array | None = None) -> PredictedBRDF | list[PredictedBRDF]:
         """The BRDF at a latent x (Q,); at a training latent the measured one, bit for bit. A list at latents (M, Q).
 
         Args:
@@ -182,7 +171,6 @@ class Manifold(LatentMap):
             colours: colour coordinate of every band, shape (B,), as `colours.of_reflectance` gives them; of blends
                 also with gains, shape (2, B), as `embed` does. None blends the colours of the surrounding materials,
                 and gives x on a monochrome manifold the reflectance of the nearest one.
-            on_progress: called with (done, total, what) while materials with a weight are read.
         Raises:
             LatentError: x is not (Q,) or not finite.
             UsageError: colours for a manifold of kind `material`, or no such material.
@@ -190,7 +178,7 @@ class Manifold(LatentMap):
         """
         # As objects, rows of different lengths are no error here; `place` reports them.
         if np.asarray(x, dtype=object).ndim == 2:
-            return [self.predict(row, colours, on_progress) for row in x]
+            return [self.predict(row, colours) for row in x]
         place = self.place(x)
         if place.path is not None and colours is None:
             return self.interpolate(*place.path)
@@ -205,9 +193,9 @@ class Manifold(LatentMap):
         used, combination = combination.used
         names = [self.names[k] for k in used]
         if combination.sample_bands is None:
-            return PredictedBRDF(self.materials.filled(names, on_progress), combination)
+            return PredictedBRDF(self.materials.filled(names), combination)
         bands = combination.sample_bands.tolist()
-        return PredictedBRDF(self.materials.in_bands(bands, on_progress, names), combination, self.bands)
+        return PredictedBRDF(self.materials.in_bands(bands, names), combination, self.bands)
 
     def combination(self, x: Array, colours: Array | None) -> Combination:
         """The weighted sum of a prediction at a latent x (Q,); at a training latent, that material alone."""

@@ -16,7 +16,8 @@ from manifold.brdf.orientation import rotation_of
 from manifold.brdf.unmeasured import fill_unmeasured, unmeasured_cells, unmeasured_share
 from manifold.errors import UnknownNameError
 from manifold.library.store import Library
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
+from manifold.system import progress
 from manifold.system.names import names_like
 
 _MOST_KEPT = 1000  # materials in memory, those read last
@@ -88,26 +89,20 @@ class MaterialCache:
             self._measured[name] = self._filled[name] if is_same else MeasuredBRDF(self.library.read(name))
         return self._measured[name]
 
-    def filled(
-        self, names: Iterable[str] | None = None, on_progress: Progress | None = None
-    ) -> list[MeasuredBRDF]:
+    def filled(self, names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
         """Materials with their unmeasured cells filled, as predictions combine them; all by default."""
-        return self._read(self._fill, self.names if names is None else tuple(names), on_progress)
+        return self._read(self._fill, self.names if names is None else tuple(names))
 
-    def with_negative_values(
-        self, on_progress: Progress | None = None, names: Sequence[str] | None = None
-    ) -> list[MeasuredBRDF]:
+    def with_negative_values(self, names: Sequence[str] | None = None) -> list[MeasuredBRDF]:
         """Materials, by default all, unmeasured cells filled, negative values kept: references for errors."""
         names = self.names if names is None else names
-        filled = self.filled(names, on_progress)
+        filled = self.filled(names)
         return [
             MeasuredBRDF(fill_unmeasured(self.library.read(name))) if name in self._cut else material
             for name, material in zip(names, filled, strict=True)
         ]
 
-    def in_bands(
-        self, bands: Sequence[int], on_progress: Progress | None = None, names: Iterable[str] | None = None
-    ) -> list[MeasuredBRDF]:
+    def in_bands(self, bands: Sequence[int], names: Iterable[str] | None = None) -> list[MeasuredBRDF]:
         """Materials, by default all, unmeasured cells filled, in some of their bands; the others are not kept."""
         key = tuple(int(b) for b in bands)
         if self._in_bands[0] != key:
@@ -122,15 +117,16 @@ class MaterialCache:
                 found = kept[name] = whole.select_bands(list(key))
             return found
 
-        return self._read(read, self.names if names is None else tuple(names), on_progress)
+        return self._read(read, self.names if names is None else tuple(names))
 
-    def stream(self, on_progress: Progress | None = None) -> Iterator[MeasuredBRDF]:
+    def stream(self) -> Iterator[MeasuredBRDF]:
         """All materials as `filled` has them, one after another; none are kept."""
         for first in range(0, len(self.names), _AT_ONCE):
             some = self.names[first : first + _AT_ONCE]
-            yield from self._read(lambda name: MeasuredBRDF(self.filled_file(name)), some, None)
-            if on_progress is not None:
-                on_progress(first + len(some), len(self.names), some[-1])
+            with progress.listen(None):
+                read = self._read(lambda name: MeasuredBRDF(self.filled_file(name)), some)
+            yield from read
+            progress.report(first + len(some), len(self.names), some[-1])
 
     def filled_file(self, name: str) -> BsdfFile:
         """A material's file as predictions combine it."""
@@ -175,14 +171,12 @@ class MaterialCache:
         self,
         read: Callable[[str], MeasuredBRDF],
         names: Sequence[str],
-        on_progress: Progress | None,
     ) -> list[MeasuredBRDF]:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             loaded = []
             for done, material in enumerate(pool.map(read, names), start=1):
                 loaded.append(material)
-                if on_progress is not None:
-                    on_progress(done, len(names), material.name)
+                progress.report(done, len(names), material.name)
         return loaded
 
 

@@ -18,7 +18,7 @@ from manifold.mapping import Identity
 from manifold.model.combination import Combination
 from manifold.model.materials import MaterialCache
 from manifold.model.prediction import PredictedBRDF
-from manifold.records import Array, Indices, Progress, evenly_spaced
+from manifold.records import Array, Indices, evenly_spaced
 
 DICTIONARY = Dictionary((1.0, 2.0 / 3.0, 1.0 / 3.0))
 """Atoms of reconstructions: roots of samples have the broader lobes that sums of values lack."""
@@ -94,7 +94,6 @@ def reconstruct(
     sample_bands: Indices,
     brdf: BRDF,
     numbers: int | None = None,
-    on_progress: Progress | None = None,
 ) -> PredictedBRDF:
     """Combine bands of materials, and lobes, with weights that may only add: see `reconstruction_weights`.
 
@@ -105,7 +104,6 @@ def reconstruct(
         sample_bands: which of their bands are samples, increasing, shape (B_s,).
         brdf: the material, in the bands of the library.
         numbers: that may describe it, see `ComparedValues.weights`; by default as many as it takes.
-        on_progress: called with (done, total, name) while materials are read.
     Raises:
         UsageError: it is black, or numbers is below 1.
     """
@@ -113,13 +111,8 @@ def reconstruct(
         raise UsageError(f"found {numbers} numbers to describe a material by, expected at least 1")
     sampled, N = list[BRDF](), len(materials.names)
     for first in range(0, N, _AT_ONCE):
-
-        def report(done: int, _: int, name: str, first: int = first) -> None:
-            if on_progress is not None:
-                on_progress(first + done, N, name)
-
         new = materials.names[first : first + _AT_ONCE]
-        sampled += materials.in_bands(sample_bands.tolist(), report, new)
+        sampled += materials.in_bands(sample_bands.tolist(), new)
         compared, is_last = ComparedValues.default(all_isotropic([brdf, *sampled])), first + _AT_ONCE >= N
         weights = compared.weights(compared.of_atoms(sampled), brdf, numbers if is_last else None)
         if not is_last:

@@ -14,7 +14,7 @@ from manifold.colour.illuminants import Illuminant
 from manifold.errors import MissingFileError, UsageError
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array, BsdfFile, Progress
+from manifold.records import Array, BsdfFile
 from manifold.rendering import images
 from manifold.rendering.render import RenderSettings, render_bsdf
 
@@ -35,9 +35,9 @@ class BallMaterial:
     is_rgb: bool
     route: str
 
-    def render(self, settings: RenderSettings, on_progress: Progress | None = None) -> Array:
+    def render(self, settings: RenderSettings) -> Array:
         """The ball in linear sRGB; see `render_bsdf`."""
-        return render_bsdf(self.bsdf, self.is_rgb, settings, on_progress)
+        return render_bsdf(self.bsdf, self.is_rgb, settings)
 
 
 def read_material(path: Path) -> BallMaterial:
@@ -103,7 +103,6 @@ def render_ball(
     seed: int = 0,
     illuminant: str = "D65",
     environment: Path | None = None,
-    on_progress: Progress | None = None,
 ) -> Array:
     """The ball of a material under an environment light: linear sRGB, float64, shape (size, size, 3).
 
@@ -115,7 +114,6 @@ def render_ball(
         seed: fixes the noise.
         illuminant: name of a CIE illuminant, or path of a text file of wavelengths in nm and powers.
         environment: picture of the surroundings, latitude by longitude; a studio by default.
-        on_progress: called with (done, total, what).
     Raises:
         UsageError: the material has no spectrum, and the light is not D65; or an argument cannot be used.
         FileFormatError: a file is not what it should be.
@@ -125,13 +123,11 @@ def render_ball(
         size=size, samples=samples, seed=seed, illuminant=illuminant, environment=environment
     )
     if isinstance(material, str | Path):
-        return read_material(Path(material)).render(settings, on_progress)
-    return render_material(material, settings, on_progress)
+        return read_material(Path(material)).render(settings)
+    return render_material(material, settings)
 
 
-def render_material(
-    material: BRDF | BsdfFile, settings: RenderSettings, on_progress: Progress | None = None
-) -> Array:
+def render_material(material: BRDF | BsdfFile, settings: RenderSettings) -> Array:
     """The ball of a file that was read, or of a BRDF, which is measured first, negative values as 0.
 
     Returns and raises: as `render_bsdf`.
@@ -145,4 +141,4 @@ def render_material(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
         write_bsdf(path, material)
-        return read_material(path).render(settings, on_progress)
+        return read_material(path).render(settings)

@@ -17,10 +17,10 @@ import numpy as np
 from manifold.colour.conversion import sensor_responses, xyz_to_srgb
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import UsageError
-from manifold.records import Array, Progress
+from manifold.records import Array
 from manifold.rendering import backend, scenes
 from manifold.rendering.plugin.bsdf import register_always
-from manifold.system.stages import with_progress
+from manifold.system import progress
 
 LARGEST_SIZE = 8192
 _LANES = 1 << 23  # samples rendered at once: the sampler stratifies those of one pass among each other
@@ -63,7 +63,6 @@ def render_bsdf(
     bsdf: Mapping[str, Any],
     is_rgb: bool,
     settings: RenderSettings = RenderSettings(),
-    on_progress: Progress | None = None,
 ) -> Array:
     """The material ball in linear sRGB, shape (size, size, 3).
 
@@ -71,7 +70,6 @@ def render_bsdf(
         bsdf: as a dictionary of Mitsuba.
         is_rgb: whether it is linear sRGB, with no spectrum.
         settings: see there.
-        on_progress: called with (done, total, what).
     Raises:
         UsageError: the material has no spectrum, and the light is not D65; or there is no visible light.
     """
@@ -79,11 +77,11 @@ def render_bsdf(
         require_d65(settings.illuminant)
         mi = backend.mitsuba("rgb")
         scene = mi.load_dict(scenes.material_ball(mi, bsdf, rgb_film(settings.size), settings.environment))
-        return render_scene(mi, scene, settings, on_progress)
+        return render_scene(mi, scene, settings)
     mi = backend.mitsuba("spectral")
     film = colorimetric_film(mi, settings.size, settings.illuminant)
     scene = mi.load_dict(scenes.material_ball(mi, bsdf, film, settings.environment))
-    xyz = render_scene(mi, scene, settings, on_progress)
+    xyz = render_scene(mi, scene, settings)
     return xyz_to_srgb(xyz, sensor_responses(settings.illuminant)[1].sum(axis=0))
 
 
@@ -123,7 +121,7 @@ def require_d65(illuminant: Illuminant) -> None:
         )
 
 
-def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Progress | None = None) -> Array:
+def render_scene(mi: Any, scene: Any, settings: RenderSettings) -> Array:
     """The channels of a scene's film, float64, shape (size, size, channels).
 
     Rendered in passes of a few seconds, each with a seed of its own that follows from the settings'.
@@ -134,7 +132,7 @@ def render_scene(mi: Any, scene: Any, settings: RenderSettings, on_progress: Pro
     ends = np.arange(1, n_passes + 1) * settings.samples // n_passes
     total: Array | float = 0.0
     with backend.only_errors():
-        for k, count in with_progress(enumerate(np.diff(ends, prepend=0)), on_progress):
+        for k, count in progress.each(enumerate(np.diff(ends, prepend=0))):
             picture = mi.render(scene, spp=int(count), seed=int(seeds[k]))
             total = total + int(count) * np.array(picture, dtype=np.float64)
     return np.asarray(total) / settings.samples

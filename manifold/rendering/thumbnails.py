@@ -9,18 +9,18 @@ import numpy as np
 
 from manifold.brdf.measured import BRDF
 from manifold.model.manifold import Manifold
-from manifold.records import Array, BsdfFile, Progress
+from manifold.records import Array, BsdfFile
 from manifold.rendering import images, scenes
 from manifold.rendering.ball import read_material, render_material
 from manifold.rendering.render import RenderSettings
-from manifold.system.stages import with_progress
+from manifold.system import progress
 
 SIZE, SAMPLES = 96, 64
 _OUTLINE = 4  # samples per pixel and axis of the ball's edge
 _VERSION = "thumbnail-1"  # raise where scene, size or tone mapping change
 
 
-def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[Array]:
+def of_materials(model: Manifold) -> list[Array]:
     """The materials of `model.pictured` as balls, RGBA in [0, 1], (SIZE, SIZE, 4); cached in the library."""
     names = tuple(model.names[k] for k in model.pictured)
     key = hashlib.sha256(
@@ -29,7 +29,7 @@ def of_materials(model: Manifold, on_progress: Progress | None = None) -> list[A
     cached = model.library.cache_get(key)
     if cached is not None:
         return list(cached["images"].astype(np.float64))
-    images = [of_material(model.library.read(name)) for name in with_progress(names, on_progress, str)]
+    images = [of_material(model.library.read(name)) for name in progress.each(names, str)]
     model.library.cache_put(key, {"images": np.stack(images).astype(np.float32)})
     return images
 

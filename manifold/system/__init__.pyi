@@ -1,3 +1,3 @@
-from . import atomic, caching, names, parallel, reading, stages
+from . import atomic, caching, names, parallel, progress, reading
 
-__all__ = ["atomic", "caching", "names", "parallel", "reading", "stages"]
+__all__ = ["atomic", "caching", "names", "parallel", "progress", "reading"]

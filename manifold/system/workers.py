@@ -20,6 +20,7 @@ from multiprocessing.connection import wait
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from manifold.errors import ManifoldError
+from manifold.system import progress
 from manifold.system.parallel import one_blas_thread
 
 T = TypeVar("T")
@@ -116,7 +117,7 @@ THREADS = Threads()
 def attempt(function: Callable[[T], R], index: int, task: T) -> Finished[R]:
     """Run one task, in any process."""
     try:
-        with one_blas_thread:
+        with one_blas_thread, progress.listen(None):  # how many tasks have ended is what is told
             return Finished(index, function(task))
     except ManifoldError as error:
         return Finished(index, None, str(error))

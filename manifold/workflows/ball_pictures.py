@@ -16,9 +16,10 @@ from manifold.model.latents import Place, PlaceLike, on_line
 from manifold.model.manifold import Manifold
 from manifold.model.walks import Walk
 from manifold.plots import figures, plot_balls, plot_latents
-from manifold.records import Array, Progress
+from manifold.records import Array
 from manifold.rendering import backend, thumbnails
 from manifold.rendering.thumbnails import cropped
+from manifold.system import progress
 from manifold.workflows.sources import LibrarySource, MaterialSource, PlaceSource, place_of, read_source
 
 
@@ -29,7 +30,6 @@ def latent_map(
     library: Path | None = None,
     marked: PlaceLike | MaterialSource | None = None,
     colour: ColourChoice = NEAREST,
-    on_progress: Progress | None = None,
 ) -> tuple[Prediction | None, tuple[str, ...]]:
     """Draw the map of latents with a rendered ball per material, and with one of a prediction.
 
@@ -39,7 +39,6 @@ def latent_map(
         library: path of the model's library, if it was moved.
         marked: place of a prediction to show; a material is located.
         colour: of that prediction, on a monochrome manifold.
-        on_progress: called with (done, total, what) while balls are rendered for the first time.
     Returns:
         The prediction that is marked, and what is left out: balls, where Mitsuba is missing; materials are points then.
     """
@@ -51,7 +50,7 @@ def latent_map(
         figures.save(plot_latents.latent_map(loaded, marked=x), output)
         return predicted, ("rendered balls, since Mitsuba is missing",)
     ball = None if predicted is None else cropped(thumbnails.of_material(predicted.brdf))
-    balls = [cropped(image) for image in thumbnails.of_materials(loaded, on_progress)]
+    balls = [cropped(image) for image in thumbnails.of_materials(loaded)]
     figures.save(plot_balls.ball_map(loaded, balls, x, ball), output)
     return predicted, ()
 
@@ -64,7 +63,6 @@ def walk(
     *,
     steps: int = 7,
     library: Path | None = None,
-    on_progress: Progress | None = None,
 ) -> dict[float, Prediction]:
     """Draw the walk between two materials, and below it what lies between them on the map.
 
@@ -90,13 +88,13 @@ def walk(
     for name, along in methods:
         images: list[Array] = []
         for value in t.tolist():
-            brdf = along(value)
-            images.append(cropped(thumbnails.of_material(brdf)))
+            with progress.listen(None):
+                brdf = along(value)
+                images.append(cropped(thumbnails.of_material(brdf)))
             if not rows and 0.0 < value < 1.0:
                 between[value] = diagnostics.diagnose(loaded, Place(on_line(first, last, value)), brdf)
-            if on_progress is not None:
-                done = len(rows) * steps + len(images)
-                on_progress(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
+            done = len(rows) * steps + len(images)
+            progress.report(done, len(methods) * steps, f"{name}, t = {value:.2g}".replace("\n", " "))
         rows.append((name, images))
     doubtful = [value in between and bool(between[value].diagnostics) for value in t.tolist()]
     title = figures.in_lines(f"From {start} to {end}", 14 * steps)

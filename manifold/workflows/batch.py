@@ -26,9 +26,8 @@ from manifold.fitting.fitted_brdf import FittedBRDF
 from manifold.io_rgl import read_bsdf
 from manifold.library.identity import alike, file_sha256, require_material_name
 from manifold.rendering import backend, thumbnails
-from manifold.system import atomic, reading
+from manifold.system import atomic, progress, reading
 from manifold.system.names import printable
-from manifold.system.stages import Progress, Stage, no_stage
 from manifold.system.workers import HERE, Workers
 
 _MOST = 1 << 30  # bytes of an index: a row has about two thousand
@@ -110,8 +109,7 @@ class Batch:
         made_of: Callable[[S], dict[str, Any]],
         *,
         workers: Workers = HERE,
-        prepare: Callable[[Progress | None], None] | None = None,
-        stage: Stage = no_stage,
+        prepare: Callable[[], None] | None = None,
     ) -> list[Outcome[S]]:
         """Make the files that an earlier run has not made of the same; one that fails does not stop the others.
 
@@ -121,7 +119,6 @@ class Batch:
             made_of: all that the file of a source depends on, plain values.
             workers: who makes them.
             prepare: called once in this process, if anything is to be made in it.
-            stage: opens the progress of a part of the work.
         Returns:
             An outcome per task, in their order.
         Raises:
@@ -133,9 +130,9 @@ class Batch:
         outcomes, keys = self._known(index, todo, made_of)
         missing = list(keys)
         if missing and prepare is not None and workers == HERE:
-            with stage("Reading materials") as step:
-                prepare(step)
-        with ExitStack() as at_end, stage("Writing files") as step:
+            with progress.shown("Reading materials"):
+                prepare()
+        with ExitStack() as at_end, progress.shown("Writing files"):
             at_end.callback(self._conclude, outcomes)  # also when it is interrupted
             begin = _begin if self.has_balls else None
             made = workers.run(partial(_make, make), [todo[k] for k in missing], begin)
@@ -154,8 +151,7 @@ class Batch:
                 else:
                     index.add(path, keys[k], content)
                     outcomes[k] = Outcome(name, path, source, content)
-                if step is not None:
-                    step(done, len(missing), name)
+                progress.report(done, len(missing), name)
         return [outcomes[k] for k in range(len(todo))]
 
     def _known(

@@ -23,9 +23,9 @@ from manifold.model.colours import ColourChoice
 from manifold.model.output_file import OutputOptions
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
-from manifold.records import Progress
 from manifold.rendering import backend, image_metrics, render
 from manifold.system import atomic
+from manifold.system.progress import Stages
 from manifold.workflows import prediction
 from manifold.workflows.batch import make_folder
 
@@ -166,13 +166,13 @@ def _path_text(path: Path | None) -> str | None:
 
 def example(
     name: str, tolerance: Tolerance = _TOLERANCE, settings: BudgetSettings = _SETTINGS,
-    output: Path | None = None, on_progress: Progress | None = None, picture: Path | None = None,
+    output: Path | None = None, picture: Path | None = None,
 ) -> Budget:  # fmt: skip
     """Budget one of the package's own scenes. Raises: as `example_scenes.write` and `budget_scene`."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         scene = example_scenes.write(name, folder)
-        return budget_scene(scene, tolerance, settings, output, on_progress, picture)
+        return budget_scene(scene, tolerance, settings, output, picture)
 
 
 @backend.variant_kept()
@@ -181,7 +181,6 @@ def budget_scene(
     tolerance: Tolerance = _TOLERANCE,
     settings: BudgetSettings = _SETTINGS,
     output: Path | None = None,
-    on_progress: Progress | None = None,
     picture: Path | None = None,
 ) -> Budget:
     """Find the cheapest representation of each measured material of a scene that keeps its picture.
@@ -191,7 +190,6 @@ def budget_scene(
         tolerance: how much the picture may differ, and what it may cost.
         settings: how the scene is analysed.
         output: folder for the chosen files and a scene that uses them; made if missing.
-        on_progress: called with (done, total, what).
         picture: also draw both renders, and what every representation costs.
     Raises:
         UsageError: see `SceneDocument`, `scene_survey.survey` and `search`; or bands are mixed, the output lies in a
@@ -203,10 +201,10 @@ def budget_scene(
         figures.require_writable(picture)
     if output is not None:
         require_outside_libraries(output, into=True)
-    step = on_progress or (lambda _done, _total, _what: None)
+    stages = Stages(dict.fromkeys(("reading", "analysing the scene", "representations", "rendering"), 1))
     with TemporaryDirectory() as temporary, backend.only_errors():
         folder = Path(temporary)
-        step(0, 4, "reading")
+        stages.begin("reading")
         files = {
             m.key: _measured_file(m, folder / f"predicted_{k}") for k, m in enumerate(document.materials)
         }
@@ -216,14 +214,14 @@ def budget_scene(
         if target is not None:
             _require_no_inputs(target, names.values(), [Path(document.origin), *files.values()])
             make_folder(target.parent, "the scene")
-        step(1, 4, "analysing the scene")
+        stages.begin("analysing the scene")
         survey = scene_survey.survey(document, files, is_rgb, settings.size)
-        step(2, 4, "representations")
+        stages.begin("representations")
         candidates = {
             key: representations.candidates(files[key], lighting, survey, folder / str(k))
             for k, (key, lighting) in enumerate(survey.lighting.items())
         }
-        step(3, 4, "rendering")
+        stages.begin("rendering")
         times = cache(lambda candidate: representations.milliseconds(candidate.bsdf, is_rgb))
         pictures = Pictures(document, files, survey, settings.samples, settings.seed)
         unseen = tuple(
@@ -255,7 +253,6 @@ def budget_scene(
             shown = [one.to_json() for one in chosen]
             delta_e = image_metrics.ciede2000_map(*both)
             figures.save(budget_figure(*both, delta_e, shown, tolerance.delta_e), picture)
-    step(4, 4, "done")
     return Budget(
         scene=document.origin,
         tolerance=tolerance,

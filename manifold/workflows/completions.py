@@ -28,9 +28,9 @@ from manifold.library.identity import alike
 from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
-from manifold.records import Array, Progress
+from manifold.records import Array
 from manifold.system import atomic
-from manifold.system.stages import Stages
+from manifold.system.progress import Stages
 from manifold.workflows.inputs import Sample, find_samples, safe_name
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 
@@ -108,7 +108,6 @@ def complete_readings(
     count: int = 0,
     instrument: str | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> Completed:
     """Complete readings of one sample through the materials of a library, and write the BRDF as an RGL file.
 
@@ -121,7 +120,6 @@ def complete_readings(
         count: how many further readings to suggest.
         instrument: whose directions to suggest.
         options: of the file.
-        on_progress: called with how much is done.
     Raises:
         BandMismatchError: bands of readings and library do not go together.
         UsageError: the output does not end in `.bsdf`, nothing was read, or there is no such instrument.
@@ -131,9 +129,10 @@ def complete_readings(
         directions_left(count, readings, instrument)
     require_bsdf_output(output)
     shares = {"reading materials": 4, "completing": 1, "expected error": 1, "writing": 1, "rendering": 2}
-    stages = Stages(on_progress, shares)
+    stages = Stages(shares)
     opened = Library(library)
-    atoms = _atoms_of(opened, stages.begin("reading materials"))
+    stages.begin("reading materials")
+    atoms = _atoms_of(opened)
     stages.begin("completing")
     made = complete(atoms, readings)
     stages.begin("expected error")
@@ -153,8 +152,8 @@ def complete_readings(
         from manifold.workflows import renders
         from manifold.workflows.sources import FileSource
 
-        step = stages.begin("rendering")
-        renders.render(FileSource(output), picture, RenderSettings(), on_progress=step)
+        stages.begin("rendering")
+        renders.render(FileSource(output), picture, RenderSettings())
     plausibility = written.plausibility
     notes = (
         *made.notes,
@@ -171,11 +170,11 @@ def complete_readings(
 _kept: dict[tuple[Path, str], LibraryAtoms] = {}  # of the library that was used last, for the next sample
 
 
-def _atoms_of(library: Library, on_progress: Progress | None) -> LibraryAtoms:
+def _atoms_of(library: Library) -> LibraryAtoms:
     key = library.path, library.content_hash
     if key not in _kept:
         _kept.clear()
-        _kept[key] = LibraryAtoms.of_library(library, on_progress)
+        _kept[key] = LibraryAtoms.of_library(library)
     return _kept[key]
 
 

@@ -21,8 +21,7 @@ from manifold.model.settings import Settings
 from manifold.plots import figures, plot_chart, plot_latents, plot_stability
 from manifold.rendering import backend
 from manifold.rendering.render import RenderSettings
-from manifold.system import atomic
-from manifold.system.stages import Stage, no_stage
+from manifold.system import atomic, progress
 from manifold.workflows import ball_pictures, budgets, demo_page, fits, pipeline, renders
 from manifold.workflows.budgets import BudgetSettings
 from manifold.workflows.explore import write_page
@@ -72,7 +71,7 @@ class DemoResult:
     left_out: str | None
 
 
-def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
+def run(folder: Path) -> DemoResult:
     """Files, library, model, a prediction, renders, a fit, the report, and a page (`index.html`) that shows them.
 
     A folder with an earlier demo is used again: its measured materials, library and fit are kept, all else is
@@ -84,16 +83,16 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     require_outside_libraries(folder, into=True)
     folder.mkdir(parents=True, exist_ok=True)
     files, library, model = folder / "corpus", folder / "library.zarr", folder / "model.h5"
-    with stage("Measuring the synthetic corpus") as step:
-        corpus.write(files, keep=True, on_progress=step)
-    with stage("Importing it into a library") as step:
-        imported = import_files(library, [files], on_progress=step)
+    with progress.shown("Measuring the synthetic corpus"):
+        corpus.write(files, keep=True)
+    with progress.shown("Importing it into a library"):
+        imported = import_files(library, [files])
         if imported.failed:
             raise LibraryError(f"{next(iter(imported.failed.values()))}; or delete {folder} and start again")
-    fitted = pipeline.embed(library, model, Settings(), stage=stage)[0]
-    with stage("Predicting a material between two") as step:
+    fitted = pipeline.embed(library, model, Settings())[0]
+    with progress.shown("Predicting a material between two"):
         path = folder / "predicted_spec.bsdf"
-        predicted = predict(fitted, _BETWEEN, path, on_progress=step)
+        predicted = predict(fitted, _BETWEEN, path)
     pictures = [folder / "slices.png", folder / "map.png"]
     golds: list[MaterialSource] = [
         LibrarySource(library, START),
@@ -102,30 +101,30 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     ]
     slices(sources(golds), pictures[0])
     has_mitsuba = backend.is_available()
-    with stage("Drawing the map") as step:
+    with progress.shown("Drawing the map"):
         if has_mitsuba and backend.choose().is_llvm:
-            ball_pictures.latent_map(model, pictures[1], marked=_BETWEEN, on_progress=step)
+            ball_pictures.latent_map(model, pictures[1], marked=_BETWEEN)
         else:  # balls would take minutes
             figures.save(plot_latents.latent_map(fitted, marked=fitted.place(_BETWEEN).latent), pictures[1])
     if has_mitsuba:
-        pictures += _with_mitsuba(folder, model, path, stage)
-    with stage("Charting speed against accuracy") as step:
+        pictures += _with_mitsuba(folder, model, path)
+    with progress.shown("Charting speed against accuracy"):
         pictures.append(folder / "chart.png")
         opened = fitted.library
-        charted = make_chart([opened.read(name) for name in opened.names], CHARTED, step, library=opened)
+        charted = make_chart([opened.read(name) for name in opened.names], CHARTED, library=opened)
         figures.save(plot_chart.chart(charted), pictures[-1])
-    with stage("Testing failure modes") as step:
+    with progress.shown("Testing failure modes"):
         pictures.append(folder / "stability.png")
         modes = select_modes(MODES, TRIED)
-        figures.save(plot_stability.panels(run_modes(modes, step), modes), pictures[-1])
-    with stage("Evaluating the model") as step:
-        made = make_report(fitted, "default", step)
+        figures.save(plot_stability.panels(run_modes(modes), modes), pictures[-1])
+    with progress.shown("Evaluating the model"):
+        made = make_report(fitted, "default")
     text, document = folder / "report.txt", folder / "report.json"
     atomic.write_text(text, format_report(made))
     atomic.write_text(document, json.dumps(made.to_json(), indent=2, allow_nan=False) + "\n")
-    with stage("Writing the page") as step:
+    with progress.shown("Writing the page"):
         explorer, index = folder / "explorer.html", folder / "index.html"
-        write_page(model, explorer, on_progress=step)
+        write_page(model, explorer)
         atomic.write_text(index, demo_page.page(folder, pictures, explorer, predicted, made))
     written = {
         "page": [index, explorer],
@@ -140,21 +139,21 @@ def run(folder: Path, stage: Stage = no_stage) -> DemoResult:
     return DemoResult(written, predicted, made, left_out)
 
 
-def _with_mitsuba(folder: Path, model: Path, predicted: Path, stage: Stage) -> list[Path]:
+def _with_mitsuba(folder: Path, model: Path, predicted: Path) -> list[Path]:
     """Renders, the walk, a fit, budgets; the pictures made."""
     pictures = [folder / "predicted.png"]
-    with stage("Rendering the prediction") as step:
-        renders.render(FileSource(predicted), pictures[0], RenderSettings(), on_progress=step)
+    with progress.shown("Rendering the prediction"):
+        renders.render(FileSource(predicted), pictures[0], RenderSettings())
     if backend.choose().is_llvm:
-        with stage("Drawing the walk") as step:
+        with progress.shown("Drawing the walk"):
             pictures.append(folder / "walk.png")
             ends = [LibrarySource(folder / "library.zarr", name) for name in (START, END)]
-            ball_pictures.walk(model, ends[0], ends[1], pictures[-1], on_progress=step)
-    with stage("Fitting game parameters to the prediction"):
+            ball_pictures.walk(model, ends[0], ends[1], pictures[-1])
+    with progress.shown("Fitting game parameters to the prediction"):
         fits.fit_file(predicted, folder / FIT, FitSettings())
         pictures.append(folder / "predicted.fit.png")
         picture_of_fit(folder / FIT, predicted, pictures[-1])
-    with stage("Budgeting three scenes"):
+    with progress.shown("Budgeting three scenes"):
         settings = BudgetSettings() if backend.choose().is_llvm else BudgetSettings(size=48, samples=32)
         for name in example_scenes.EXAMPLES:
             pictures.append(folder / f"budget_{name}.png")

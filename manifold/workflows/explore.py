@@ -15,12 +15,14 @@ from manifold.plots.explorer.actions import Context
 from manifold.plots.explorer.page import make_page
 from manifold.plots.explorer.server import ExplorerServer
 from manifold.plots.explorer.tables import tabulate, to_document
-from manifold.records import Progress
 from manifold.system import atomic
 
 
 def write_page(
-    model: Path, output: Path, *, library: Path | None = None, on_progress: Progress | None = None
+    model: Path,
+    output: Path,
+    *,
+    library: Path | None = None,
 ) -> int:
     """Write the page of a map of blends as one HTML file that asks for nothing; its size in bytes.
 
@@ -28,13 +30,12 @@ def write_page(
         model: path of a model.
         output: the file.
         library: where the model's library is now, if not where the model has it.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
         UsageError: the map is no map of blends, or the file cannot be written.
         ModelError, LibraryError: the model or its library cannot be read.
     """
     atomic.require_writable(output)
-    page = make_page(_document(_load(model, library), on_progress))
+    page = make_page(_document(_load(model, library)))
     atomic.write_text(output, page)
     return len(page.encode())
 
@@ -45,12 +46,11 @@ def server(
     library: Path | None = None,
     folder: Path = Path(),
     port: int = 0,
-    on_progress: Progress | None = None,
 ) -> ExplorerServer:
     """A server of the page that is listening on the loopback interface; `serve_until_interrupted` answers.
 
     Args:
-        model, library, on_progress: as of `write_page`.
+        model, library: as of `write_page`.
         folder: where the page's actions write.
         port: to listen on; 0 is any that is free.
     Raises:
@@ -64,7 +64,7 @@ def server(
         loaded.bands.is_rgb,
     )  # fmt: skip
     targets = [[target.name, target.title] for target in TARGETS.values()]
-    page = make_page(_document(loaded, on_progress) | {"served": {"targets": targets}})
+    page = make_page(_document(loaded) | {"served": {"targets": targets}})
     return ExplorerServer(page, context, port)
 
 
@@ -92,5 +92,5 @@ def _load(model: Path, library: Path | None) -> Manifold:
     return loaded
 
 
-def _document(model: Manifold, on_progress: Progress | None) -> dict[str, Any]:
-    return to_document(model, tabulate(model, on_progress))
+def _document(model: Manifold) -> dict[str, Any]:
+    return to_document(model, tabulate(model))

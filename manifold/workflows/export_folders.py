@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,6 @@ from manifold.fitting.exports.targets import Target
 from manifold.io_rgl import material_name
 from manifold.library import Library
 from manifold.library.identity import file_sha256
-from manifold.records import Progress
 from manifold.workflows.batch import Batch, Outcome, Task
 from manifold.workflows.exports import (
     Subject,
@@ -35,7 +33,6 @@ def export_all(
     source: Path,
     target: Target,
     folder: Path,
-    on_progress: Progress | None = None,
     *,
     is_mapped: bool = False,
     with_pictures: bool = False,
@@ -46,7 +43,6 @@ def export_all(
         source: the library or the folder; of the folder, at every depth.
         target: for all.
         folder: where to; made if missing. Its `exports.jsonl` names what is done.
-        on_progress: called after each material.
         is_mapped: as in `exports.export`.
         with_pictures: whether to draw each material beside the target's model, into NAME.png.
     Returns:
@@ -67,7 +63,7 @@ def export_all(
 
     make = partial(_export, target=target, is_mapped=is_mapped, with_pictures=with_pictures)
     todo = [Task(s.name, folder / f"{s.name}{target.suffix}", s) for s in subjects]
-    return Batch(folder, "exports").run(todo, make, made_of, stage=lambda _: nullcontext(on_progress))
+    return Batch(folder, "exports").run(todo, make, made_of)
 
 
 def _export(

@@ -25,9 +25,9 @@ from manifold.model.latents import PlaceLike
 from manifold.model.manifold import Manifold
 from manifold.plots import figures
 from manifold.plots.plot_slices import Source
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
 from manifold.system import atomic
-from manifold.system.stages import Stages
+from manifold.system.progress import Stages
 from manifold.workflows import fit_pictures
 from manifold.workflows.batch import Outcome
 from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource
@@ -52,9 +52,7 @@ class Subject:
     against: str
 
 
-def subject_of_source(
-    source: MaterialSource, against: Path | None = None, on_progress: Progress | None = None
-) -> Subject:
+def subject_of_source(source: MaterialSource, against: Path | None = None) -> Subject:
     """The material that a user names; arguments and errors as of `subject_of` and `subject_of_prediction`."""
     if isinstance(source, FileSource):
         return subject_of(source.path, against)
@@ -62,9 +60,7 @@ def subject_of_source(
         raise UsageError(f"{source}: a material is compared with itself, and a fit with {against}; name one")
     if isinstance(source, LibrarySource):
         return subject_in_library(Library(source.library), source.name)
-    return subject_of_prediction(
-        source.model, source.place, library=source.library, colour=source.colour, on_progress=on_progress
-    )
+    return subject_of_prediction(source.model, source.place, library=source.library, colour=source.colour)
 
 
 def subject_of(path: Path, against: Path | None = None) -> Subject:
@@ -93,17 +89,17 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
 
 def subject_of_prediction(
     model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
-    on_progress: Progress | None = None,
-) -> Subject:  # fmt: skip
+    ) -> Subject:  # fmt: skip
     """The material that a model predicts at a latent, fitted.
 
     Raises:
         UsageError, LatentError, ModelError: the model or the latent cannot be used.
     """
-    stages = Stages(on_progress, {"reading materials": 3, "fitting": 7})
+    stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = Manifold.load(model, library)
     place = loaded.place(latent)
-    loaded.prepare(stages.begin("reading materials"))
+    stages.begin("reading materials")
+    loaded.prepare()
     chosen = choose_colour(loaded, place, colour)
     brdf = loaded.predict(place, chosen.colours)
     name = latent if isinstance(latent, str) and latent in loaded.names else "predicted"
@@ -113,7 +109,8 @@ def subject_of_prediction(
         "latent": place.latent.tolist(),
         "colour": chosen.words,
     }
-    fit = fit_json.document(fit_bsdf(brdf, on_progress=stages.begin("fitting")), fit_json.Source(name))
+    stages.begin("fitting")
+    fit = fit_json.document(fit_bsdf(brdf), fit_json.Source(name))
     return Subject(name, source, fit, brdf, "prediction")
 
 

@@ -25,11 +25,11 @@ from manifold.library.store import Library
 from manifold.model import diagnostics
 from manifold.model.diagnostics import Prediction
 from manifold.model.manifold import Manifold
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
 from manifold.rendering import backend
 from manifold.system import atomic, reading
 from manifold.system.names import printable
-from manifold.system.stages import Stage, Stages, no_stage
+from manifold.system.progress import Stages
 from manifold.system.workers import HERE, Workers
 from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearance
 from manifold.workflows.fit_pictures import picture_of_fit
@@ -69,12 +69,11 @@ class FitSettings:
         target: BRDF | BsdfFile | FitSamples,
         source: Source,
         notes: Sequence[str] = (),
-        on_progress: Progress | None = None,
     ) -> dict[str, Any]:
         """The content of the JSON of a fit; its notes begin with those given."""
         found = fit_bsdf(
             target, self.family, method=self.method, metric=self.metric, noise=self.noise,
-            wide_colours=self.wide_colours, on_progress=on_progress,
+            wide_colours=self.wide_colours,
         )  # fmt: skip
         return fit_json.document(replace(found, notes=(*notes, *found.notes)), source)
 
@@ -141,7 +140,7 @@ def fits_in(folder: Path) -> Batch:
 
 def fit_all(
     sources: Sequence[Input], batch: Batch, settings: FitSettings, *, with_pictures: bool = False,
-    workers: Workers = HERE, stage: Stage = no_stage,
+    workers: Workers = HERE,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Fit many materials, one JSON each; up-to-date fits are kept.
 
@@ -151,7 +150,6 @@ def fit_all(
         settings: how.
         with_pictures: whether to draw each fit beside its material, where that is a whole BRDF, into NAME.fit.png.
         workers: who makes them.
-        stage: opens the progress of a part of the work.
     Returns:
         One outcome per source, in order; one that cannot be fitted does not stop the others.
     Raises:
@@ -162,12 +160,10 @@ def fit_all(
     how = settings.to_json() | {"pictures": with_pictures}
     todo = [Task(one.name, batch.folder / f"{one.name}{FIT}", one) for one in sources]
     make = partial(_fit_input, settings=settings, with_pictures=with_pictures)
-    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers, stage=stage)
+    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers)
 
 
-def fit_prediction(
-    place: PlaceSource, output: Path | None, settings: FitSettings, on_progress: Progress | None = None
-) -> Outcome[Prediction]:
+def fit_prediction(place: PlaceSource, output: Path | None, settings: FitSettings) -> Outcome[Prediction]:
     """Fit the material that a model predicts at a place; arguments as in `fit_file`.
 
     Raises:
@@ -175,9 +171,10 @@ def fit_prediction(
     """
     path = Path("predicted.fit.json") if output is None else output
     atomic.require_writable(path)
-    stages = Stages(on_progress, {"reading materials": 3, "fitting": 7})
+    stages = Stages({"reading materials": 3, "fitting": 7})
     loaded = Manifold.load(place.model, place.library)
-    loaded.prepare(stages.begin("reading materials"))
+    stages.begin("reading materials")
+    loaded.prepare()
     predicted = diagnostics.predict(loaded, place.place, place.colour)
     source = Source(
         name=path.name.removesuffix(".json").removesuffix(".fit"),
@@ -186,7 +183,8 @@ def fit_prediction(
         model_sha256=file_sha256(place.model),
         colour=predicted.colour,
     )
-    content = settings.fit(predicted.brdf, source, on_progress=stages.begin("fitting"))
+    stages.begin("fitting")
+    content = settings.fit(predicted.brdf, source)
     fit_json.write_document(path, content)
     return Outcome(source.name, path, predicted, content)
 

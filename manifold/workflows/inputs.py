@@ -14,10 +14,9 @@ from manifold.io_rgl import material_name
 from manifold.library.identity import alike, file_sha256
 from manifold.library.importing import find_files
 from manifold.library.store import Library
-from manifold.records import Progress
 from manifold.rendering.plugin.bsdf import load_model
+from manifold.system import progress
 from manifold.system.reading import begins_with
-from manifold.system.stages import with_progress
 from manifold.workflows.sources import FileSource, LibrarySource, MaterialSource, PlaceSource, matching
 
 FIT = ".fit.json"
@@ -139,7 +138,7 @@ def _samples_of(path: Path) -> list[Input]:
     return several if len(several) > 1 else [_of_file(path)]
 
 
-def find_samples(sources: Iterable[Path], on_progress: Progress | None = None) -> list[Sample]:
+def find_samples(sources: Iterable[Path]) -> list[Sample]:
     """The samples that instruments' files hold; readings of one by several instruments are put together.
 
     Files are of one sample where it has one name in them and instruments differ. Where one instrument has read a name
@@ -147,14 +146,13 @@ def find_samples(sources: Iterable[Path], on_progress: Progress | None = None) -
 
     Args:
         sources: files, patterns, and folders, which are searched for files of readings.
-        on_progress: called with (done, total, what) while files are read.
     Raises:
         UsageError: a source is missing, or a folder holds no readings.
     """
     groups: dict[str, list[_Part]] = {}
     given = [path for source in sources for path in matching(str(source))]
     paths = find_files(given, is_readings, "readings file")
-    for path in with_progress(paths, on_progress, str):
+    for path in progress.each(paths, str):
         try:
             records = registry.read_all(path)
         except ManifoldError:  # which whatever completes it is told again

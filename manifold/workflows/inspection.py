@@ -16,7 +16,7 @@ from manifold.errors import LibraryError, UsageError
 from manifold.formats import registry, tensor_file
 from manifold.io_rgl import read_bsdf
 from manifold.model.model_file import HDF5_MAGIC, MAGIC, read_model
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
 from manifold.rendering import backend
 from manifold.system.reading import begins_with
 from manifold.workflows.instrument_inspection import inspect_instrument_file
@@ -53,7 +53,10 @@ class Inspection:
 
 
 def inspect(
-    path: Path, *, library: Path | None = None, verify: bool = False, on_progress: Progress | None = None
+    path: Path,
+    *,
+    library: Path | None = None,
+    verify: bool = False,
 ) -> Inspection:
     """Inspect a file of a BRDF or an instrument, a library, a model or the JSON of a fit, recognised by content.
 
@@ -61,7 +64,6 @@ def inspect(
         path: what to look at.
         library: where a model's library is now, if not where the model remembers it.
         verify: read and hash a library again.
-        on_progress: called with (done, total, what).
     Raises:
         UsageError: there is nothing at this path, or verification is asked of something else than a library.
         FileFormatError, LibraryError, ModelError: it is damaged.
@@ -71,7 +73,7 @@ def inspect(
             f"{path}: no such path; name a file of a BRDF or an instrument, a library, a model, or a fit"
         )
     if path.is_dir():
-        return _inspect_library(path, verify, on_progress)
+        return _inspect_library(path, verify)
     if verify:
         raise UsageError(f"{path}: only libraries can be verified; this is a file")
     if path.suffix in (".h5", ".hdf5") or begins_with(path, MAGIC, HDF5_MAGIC):
@@ -87,12 +89,11 @@ def inspect(
 
 def inspect_source(
     source: MaterialSource, *, library: Path | None = None, verify: bool = False,
-    on_progress: Progress | None = None,
-) -> Inspection:  # fmt: skip
+    ) -> Inspection:  # fmt: skip
     """Inspect what a user names: a path, see `inspect`, or a material of a library or a prediction."""
     if isinstance(source, FileSource):
-        return inspect(source.path, library=library, verify=verify, on_progress=on_progress)
-    with source_file(source, on_progress) as path:
+        return inspect(source.path, library=library, verify=verify)
+    with source_file(source) as path:
         found = inspect(path, verify=verify)
     return replace(found, title=f"{source}: RGL material", document=found.document | {"path": str(source)})
 
@@ -185,7 +186,7 @@ def _words(value: float | list[float]) -> str:
     return ", ".join(f"{v:.4g}" for v in values)
 
 
-def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> Inspection:
+def _inspect_library(path: Path, verify: bool) -> Inspection:
     from manifold.library.identity import origins_in_words
     from manifold.library.store import Library
 
@@ -206,7 +207,7 @@ def _inspect_library(path: Path, verify: bool, on_progress: Progress | None) -> 
             f"largest errors {max(e.ball for e in errors):.2f} CIEDE2000 of the ball, "
             f"{max(e.cube_root for e in errors):.2%} cube-root error",
         ]
-    problems = library.verify(on_progress) if verify else []
+    problems = library.verify() if verify else []
     if verify:
         rows["verified"] = "all hashes match" if not problems else f"{len(problems)} damaged"
     table = [

@@ -17,7 +17,6 @@ from manifold.model.located import Reconstruction
 from manifold.model.output_file import OutputOptions
 from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings
-from manifold.system.stages import Stage, no_stage
 from manifold.system.workers import HERE, Workers
 from manifold.workflows import completions, conversion, reconstruction, renders
 from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearance
@@ -49,7 +48,7 @@ def completions_in(folder: Path) -> Batch:
 
 def complete_all(
     samples: Sequence[Sample], library: Path, batch: Batch, *, correction: Path | None = None, count: int = 0,
-    instrument: str | None = None, options: OutputOptions, workers: Workers = HERE, stage: Stage = no_stage,
+    instrument: str | None = None, options: OutputOptions, workers: Workers = HERE,
 ) -> list[Outcome[Sample]]:  # fmt: skip
     """Complete samples through a library, each into a `.bsdf` file; see `completions.complete_readings`.
 
@@ -60,7 +59,6 @@ def complete_all(
         correction: of colours, a file.
         count, instrument, options: as there.
         workers: who makes them.
-        stage: opens the progress of a part of the work.
     Raises: as `Batch.run`; `UsageError` also where the library cannot be used.
     """
     how = {
@@ -83,7 +81,7 @@ def complete_all(
         _complete, library=library, correction=correction, count=count, instrument=instrument, options=options
     )
     todo = [Task(one.name, batch.folder / f"{one.name}.bsdf", one) for one in samples]
-    return batch.run(todo, make, made_of, workers=workers, stage=stage)
+    return batch.run(todo, make, made_of, workers=workers)
 
 
 def _complete(
@@ -121,7 +119,7 @@ def locations_in(folder: Path) -> Batch:
 
 def locate_all(
     sources: Sequence[Input], model: Path, batch: Batch, *, library: Path | None = None, options: OutputOptions,
-    workers: Workers = HERE, stage: Stage = no_stage,
+    workers: Workers = HERE,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Find the latents of measured files, and write the predictions there; see `reconstruction.locate`."""
     how = {
@@ -130,9 +128,7 @@ def locate_all(
         **asdict(options),
     }
     make = partial(_locate, model=model, library=library, options=options)
-    return batch.run(
-        _tasks(sources, batch), make, lambda one: how | one.made_of(), workers=workers, stage=stage
-    )
+    return batch.run(_tasks(sources, batch), make, lambda one: how | one.made_of(), workers=workers)
 
 
 def _locate(
@@ -149,7 +145,7 @@ def reconstructions_in(folder: Path) -> Batch:
 
 def reconstruct_all(
     sources: Sequence[Input], library: Path, batch: Batch, *, without: Sequence[str] = (), numbers: int | None = None,
-    options: OutputOptions, workers: Workers = HERE, stage: Stage = no_stage,
+    options: OutputOptions, workers: Workers = HERE,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Reconstruct measured files from a library; see `reconstruction.reconstruct`."""
     how = {
@@ -159,9 +155,7 @@ def reconstruct_all(
         **asdict(options),
     }
     make = partial(_reconstruct, library=library, without=tuple(without), numbers=numbers, options=options)
-    return batch.run(
-        _tasks(sources, batch), make, lambda one: how | one.made_of(), workers=workers, stage=stage
-    )
+    return batch.run(_tasks(sources, batch), make, lambda one: how | one.made_of(), workers=workers)
 
 
 def _reconstruct(
@@ -197,7 +191,7 @@ def conversions_in(folder: Path) -> Batch:
 
 def convert_all(
     sources: Sequence[Input], to: str, batch: Batch, *, correction: Path | None = None, options: Options,
-    workers: Workers = HERE, stage: Stage = no_stage,
+    workers: Workers = HERE,
 ) -> list[Outcome[Input]]:  # fmt: skip
     """Convert files, or every sample of those with several, into one of `TARGETS`; see `conversion.convert`."""
     if to not in TARGETS:
@@ -208,7 +202,7 @@ def convert_all(
     suffix = next(iter(TARGETS[to].suffixes), f".{to}.txt")
     make = partial(_convert, to=to, correction=correction, options=options)
     todo = _tasks(sources, batch, suffix)
-    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers, stage=stage)
+    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers)
 
 
 def _convert(
@@ -230,13 +224,12 @@ def renders_in(folder: Path) -> Batch:
 
 def render_all(
     sources: Sequence[Input], settings: RenderSettings, batch: Batch, *, workers: Workers = HERE,
-    stage: Stage = no_stage,
-) -> list[Outcome[Input]]:  # fmt: skip
+    ) -> list[Outcome[Input]]:  # fmt: skip
     """Render the balls of materials; see `renders.render`."""
     how = renders.settings_key(settings)
     make = partial(_render, settings=settings)
     todo = _tasks(sources, batch, ".png")
-    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers, stage=stage)
+    return batch.run(todo, make, lambda one: how | one.made_of(), workers=workers)
 
 
 def _render(source: Input, path: Path, *, settings: RenderSettings) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.rendering import images
 from manifold.rendering.plugin.bsdf import load_model
 from manifold.rendering.render import RenderSettings, require_d65
-from manifold.system.stages import Stage, no_stage
 from manifold.system.workers import HERE, Workers
 from manifold.workflows import prediction, renders
 from manifold.workflows.batch import Batch, Outcome, Task
@@ -25,7 +24,7 @@ from manifold.workflows.sources import PlaceSource
 
 def predict_all(
     model: Path, table: PointTable, folder: Path, *, library: Path | None = None,
-    options: OutputOptions = DEFAULT_OPTIONS, workers: Workers = HERE, stage: Stage = no_stage,
+    options: OutputOptions = DEFAULT_OPTIONS, workers: Workers = HERE,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Write the `.bsdf` of every row into a folder; what an earlier run made of the same row is kept.
 
@@ -34,7 +33,6 @@ def predict_all(
         table: the rows.
         folder: where to; made if missing. Its `predictions.jsonl` says what each file was made of.
         workers: who makes them.
-        stage: opens the progress of a part of the work.
     Returns:
         One outcome per row; one that fails does not stop the others.
     Raises:
@@ -46,9 +44,7 @@ def predict_all(
     todo = [Task(p.name, _path(folder, p, ending), p) for p in table.points]
     make = partial(_predict, model=model, library=library, options=options)
     made_of = _made_of(model, loaded, how)
-    return Batch(folder, "predictions").run(
-        todo, make, made_of, workers=workers, prepare=loaded.prepare, stage=stage
-    )
+    return Batch(folder, "predictions").run(todo, make, made_of, workers=workers, prepare=loaded.prepare)
 
 
 def _predict(
@@ -60,12 +56,12 @@ def _predict(
 
 def render_all(
     model: Path, table: PointTable, folder: Path, settings: RenderSettings, *, library: Path | None = None,
-    direct: bool = False, workers: Workers = HERE, stage: Stage = no_stage,
+    direct: bool = False, workers: Workers = HERE,
 ) -> list[Outcome[Point]]:  # fmt: skip
     """Render the ball of every row into a folder; what an earlier run made of the same row is kept.
 
     Args:
-        model, table, library, workers, stage: as of `predict_all`.
+        model, table, library, workers: as of `predict_all`.
         folder: where to; made if missing. Its `renders.jsonl` says what each picture was made of.
         settings: of all pictures.
         direct: evaluate the measured materials while rendering.
@@ -78,9 +74,7 @@ def render_all(
     todo = [Task(p.name, _path(folder, p, ".png", images.SUFFIXES), p) for p in table.points]
     make = partial(_render, model=model, library=library, settings=settings, direct=direct)
     made_of = _made_of(model, loaded, how)
-    return Batch(folder, "renders").run(
-        todo, make, made_of, workers=workers, prepare=loaded.prepare, stage=stage
-    )
+    return Batch(folder, "renders").run(todo, make, made_of, workers=workers, prepare=loaded.prepare)
 
 
 def _render(

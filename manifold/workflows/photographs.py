@@ -34,10 +34,10 @@ from manifold.photo.pictures import Photograph, read_photograph
 from manifold.photo.pixels import Camera
 from manifold.photo.spectra import band_matrix, read_responses, srgb_responses
 from manifold.plots import figures, plot_photo
-from manifold.records import Array, Progress
+from manifold.records import Array
 from manifold.rendering import image_metrics
 from manifold.rendering.render import render_floating_ball
-from manifold.system.stages import Stages
+from manifold.system.progress import Stages
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MARGIN = 0.05  # around the ball in pictures of residuals
@@ -138,7 +138,6 @@ def complete_photographs(
     readings: Readings | None = None,
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> FromPhotographs:
     """Find the material of photographed balls, and readings of it, with a library as prior, and write it.
 
@@ -149,7 +148,6 @@ def complete_photographs(
         readings: of the same material, if there are any.
         picture: of photographs, predictions and differences; None draws none.
         options: of the output.
-        on_progress: called with how much is done.
     Raises:
         MissingFileError, FileFormatError: a picture cannot be read.
         BandMismatchError: readings or sensitivities do not go with the bands of the library.
@@ -158,7 +156,7 @@ def complete_photographs(
     """
     start = time.perf_counter()
     require_bsdf_output(output)
-    stages = _stages(picture, on_progress)
+    stages = _stages(picture)
     balls, material, notes = _found(request, Library(library), readings, stages)
     stages.begin("writing")
     description = (
@@ -190,7 +188,6 @@ def locate_photographs(
     library: Path | None = None,
     picture: Path | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> FromPhotographs:
     """Find the place of photographed balls on a fitted manifold; what is written is the prediction there.
 
@@ -201,7 +198,7 @@ def locate_photographs(
     start = time.perf_counter()
     if output is not None:
         require_bsdf_output(output)
-    stages = _stages(picture, on_progress)
+    stages = _stages(picture)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
     balls, material, notes = _found(request, loaded.library, None, stages)
     place = located.locate_brdf(loaded, ClippedBRDF(material.brdf))
@@ -227,7 +224,7 @@ def locate_photographs(
     )
 
 
-def _stages(picture: Path | None, on_progress: Progress | None) -> Stages:
+def _stages(picture: Path | None) -> Stages:
     if picture is not None:
         figures.require_writable(picture)
     shares = {
@@ -237,7 +234,7 @@ def _stages(picture: Path | None, on_progress: Progress | None) -> Stages:
         "writing": 2,
         "rendering": 3,
     }
-    return Stages(on_progress, shares)
+    return Stages(shares)
 
 
 def _found(
@@ -258,7 +255,8 @@ def _found(
                 "readings or the photographs alone, or convert the library"
             )
         readings = for_library(readings, library.bands)
-    atoms = PhotoAtoms(LibraryAtoms.of_library(library, stages.begin("reading materials")))
+    stages.begin("reading materials")
+    atoms = PhotoAtoms(LibraryAtoms.of_library(library))
     stages.begin("comparing pixels")
     material = find_material(
         atoms, [ball.sighting for ball in balls], library.bands,

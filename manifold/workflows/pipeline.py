@@ -17,9 +17,8 @@ from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.materials import names_without
 from manifold.model.settings import Settings
-from manifold.system import atomic
+from manifold.system import atomic, progress
 from manifold.system.names import counted
-from manifold.system.stages import Progress, Stage, no_stage, with_progress
 from manifold.system.workers import HERE, Workers
 
 if TYPE_CHECKING:
@@ -36,7 +35,6 @@ def embed(
     auto_mapping: bool = False,
     auto_latent_dim: bool = False,
     workers: Workers = HERE,
-    stage: Stage = no_stage,
 ) -> tuple[Manifold, list[Candidate]]:
     """Fit a manifold to a library, `without` some of its materials, and save it; `auto` as in `selection.choose`.
 
@@ -52,7 +50,7 @@ def embed(
             _embed_there, library, settings=settings, without=tuple(without), auto_mapping=auto_mapping,
             auto_latent_dim=auto_latent_dim,
         )  # fmt: skip
-        with stage("Embedding"):
+        with progress.shown("Embedding"):
             (done,) = workers.run(task, [model])
         if done.value is None:
             raise ManifoldError(done.failure)
@@ -64,15 +62,15 @@ def embed(
     if auto_mapping or auto_latent_dim:
         from manifold.experiments.evaluation import selection
 
-        with stage("Reading materials") as step:
-            read = with_progress(names, step, str)
+        with progress.shown("Reading materials"):
+            read = progress.each(names, str)
             materials = [MeasuredBRDF(fill_unmeasured(opened.read(name))) for name in read]
-        with stage("Leaving materials out") as step:
+        with progress.shown("Leaving materials out"):
             settings, candidates = selection.choose(
-                materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim, on_progress=step
+                materials, settings, mapping=auto_mapping, latent_dim=auto_latent_dim
             )
-    with stage("Embedding") as step:
-        fitted = Manifold.fit(opened, settings, step, names=names)
+    with progress.shown("Embedding"):
+        fitted = Manifold.fit(opened, settings, names=names)
     fitted.save(model)
     return fitted, candidates
 
@@ -91,7 +89,6 @@ def report(
     anchors: Sequence[str] = (),
     picture: Path | None = None,
     workers: Workers = HERE,
-    on_progress: Progress | None = None,
 ) -> Report:
     """Evaluate a model and other methods, see `make_report`; with `picture`, also draw the map of its latents."""
     from manifold.experiments.evaluation.report import make_report
@@ -108,7 +105,6 @@ def report(
     return make_report(
         loaded,
         grid,
-        on_progress,
         compare=compare,
         all_bands=all_bands,
         anchors=anchors,

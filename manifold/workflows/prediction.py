@@ -16,7 +16,7 @@ from manifold.model.latents import Place, PlaceLike
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import Array, Progress
+from manifold.records import Array
 from manifold.workflows.output_files import require_bsdf_output, write_checked
 from manifold.workflows.sources import MaterialSource, place_of
 
@@ -30,7 +30,6 @@ def predict(
     colour: ColourChoice = NEAREST,
     attributes: Attributes | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> Prediction:
     """Predict the material at a latent and write it as an RGL file.
 
@@ -42,7 +41,6 @@ def predict(
         colour: of a monochrome manifold, whose latent is the structure alone.
         attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
         options: of the file.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
         UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or its albedo
             would exceed 1.05 and `force` is not set.
@@ -54,13 +52,13 @@ def predict(
         model = Manifold.load(model, library)
     place = place_of(latent, model)
     if colour != NEAREST or model.space.needs_colours or place.path is not None:
-        model.prepare(on_progress)
+        model.prepare()
     if attributes is None:
         adjusted, chosen = None, choose_colour(model, place, colour)
     else:
         adjusted = adjust(model, place, attributes, colour)
         place, chosen = Place(adjusted.latent), ChosenColour(adjusted.colours, str(adjusted), 0.0)
-    brdf = model.predict(place, chosen.colours, on_progress).turned(place.rotation_rad)
+    brdf = model.predict(place, chosen.colours).turned(place.rotation_rad)
     start = time.perf_counter()
     clipped = ClippedBRDF(brdf)
     description = _describe(model, place.latent, chosen.words, options.physical)

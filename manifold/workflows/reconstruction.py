@@ -14,7 +14,7 @@ from manifold.model.located import Located, Reconstruction
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
 from manifold.model.prediction import ClippedBRDF
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
 from manifold.workflows.output_files import require_bsdf_output, write_output
 from manifold.workflows.sources import FileSource, MaterialSource, read_source
 
@@ -28,7 +28,6 @@ def locate(
     *,
     library: Path | str | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> Located:
     """Embed a measured file in a fitted manifold, see `manifold.model.located.locate`.
 
@@ -40,7 +39,6 @@ def locate(
         output: a `.bsdf` file for the prediction at the latent, in the colours found; None writes none.
         library: where the model's library is now, if not where the model remembers it.
         options: of the output.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.
@@ -50,7 +48,7 @@ def locate(
         require_bsdf_output(Path(output))
     file = _read(path)
     loaded = model if isinstance(model, Manifold) else Manifold.load(model, library)
-    loaded.prepare(on_progress)
+    loaded.prepare()
     found = located.locate(loaded, file)
     if output is None:
         return found
@@ -66,7 +64,6 @@ def reconstruct(
     without: Collection[str] = (),
     numbers: int | None = None,
     options: OutputOptions = DEFAULT_OPTIONS,
-    on_progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct a measured file from a library, see `manifold.model.located.reconstruct_file`, and write it.
 
@@ -79,7 +76,6 @@ def reconstruct(
         without: names of materials that take no part.
         numbers: that may describe the file; by default as many as it takes.
         options: of the output.
-        on_progress: called with (done, total, what) while materials are read.
     Raises:
         FileFormatError: the file is no RGL file.
         BandMismatchError: its bands are not the library's.
@@ -89,7 +85,7 @@ def reconstruct(
     output = Path(output)
     require_bsdf_output(output)
     file = _read(path)
-    found = located.reconstruct_file(Library(library), file, without, on_progress, numbers=numbers)
+    found = located.reconstruct_file(Library(library), file, without, numbers=numbers)
     how = f"from {found.materials} materials and analytic lobes"
     return _written(found, file.name, output, how, options)
 

@@ -18,12 +18,11 @@ from manifold.errors import UsageError
 from manifold.library.identity import hash_arrays
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import PlaceLike
-from manifold.records import Progress
 from manifold.rendering import backend, image_metrics, images, scenes
 from manifold.rendering.ball import BallMaterial, read_material
 from manifold.rendering.image_metrics import Summary
 from manifold.rendering.render import RenderSettings, require_d65
-from manifold.system.stages import Stages
+from manifold.system.progress import Stages
 from manifold.workflows.sources import FileSource, MaterialSource, PlaceSource, source_file
 
 if TYPE_CHECKING:
@@ -87,8 +86,7 @@ def settings_key(settings: RenderSettings) -> dict[str, Any]:
 
 def render(
     source: MaterialSource, output: Path, settings: RenderSettings, *, direct: bool = False,
-    on_progress: Progress | None = None,
-) -> Rendered:  # fmt: skip
+    ) -> Rendered:  # fmt: skip
     """Render the ball of a material into a picture.
 
     Args:
@@ -96,18 +94,18 @@ def render(
         output: the picture.
         settings: how.
         direct: evaluate the measured materials of a prediction while rendering.
-        on_progress: called with (done, total, what).
     Raises:
         UsageError: the picture cannot be written, an RGB material meets another light than D65, or `direct` without a
             place.
         FileFormatError: the file is neither.
     """
     images.require_image_path(output)
-    stages = Stages(on_progress, {"": 1, "rendering": 1})
-    with ball_material(source, direct=direct, on_progress=stages.begin("")) as (material, made):
-        step = stages.begin("rendering")
+    stages = Stages({"": 1, "rendering": 1})
+    stages.begin("")
+    with ball_material(source, direct=direct) as (material, made):
+        stages.begin("rendering")
         start = time.perf_counter()
-        picture = material.render(settings, step)
+        picture = material.render(settings)
         seconds = time.perf_counter() - start
     images.write_image(output, picture)
     return Rendered(output, material, settings, backend.choose(), seconds, made)
@@ -115,7 +113,9 @@ def render(
 
 @contextmanager
 def ball_material(
-    source: MaterialSource, *, direct: bool = False, on_progress: Progress | None = None
+    source: MaterialSource,
+    *,
+    direct: bool = False,
 ) -> Iterator[tuple[BallMaterial, Prediction | None]]:
     """A material to be rendered, and the prediction that it is; files written for it are there during the block.
 
@@ -125,21 +125,20 @@ def ball_material(
     if isinstance(source, PlaceSource):
         predicted = latent_material(
             source.model, source.place, library=source.library, colour=source.colour, direct=direct,
-            on_progress=on_progress,
         )  # fmt: skip
         with predicted as made:
             yield made
         return
     if direct:
         raise UsageError(f"{source}: direct renders are of places; a file holds its values")
-    with source_file(source, on_progress) as path:
+    with source_file(source) as path:
         yield read_material(path), None
 
 
 @contextmanager
 def latent_material(
     model: Path, latent: PlaceLike, *, library: Path | None = None, colour: ColourChoice = NEAREST,
-    direct: bool = False, on_progress: Progress | None = None,
+    direct: bool = False,
 ) -> Iterator[tuple[BallMaterial, Prediction]]:  # fmt: skip
     """The prediction at a latent: a `.bsdf` that is there during the block, or `direct` evaluation of the materials.
 
@@ -157,7 +156,6 @@ def latent_material(
             path = Path(folder) / "predicted.bsdf"
             made = prediction.predict(
                 load_model(model, library), latent, path, colour=colour, options=OutputOptions(force=True),
-                on_progress=on_progress,
             )  # fmt: skip
             file = read_material(path)
             yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made
@@ -206,7 +204,6 @@ class Comparison:
 
 def compare(
     a: MaterialSource, b: MaterialSource, output: Path, settings: RenderSettings,
-    on_progress: Progress | None = None,
 ) -> Comparison:  # fmt: skip
     """Compare two pictures, or two materials rendered alike.
 
@@ -231,12 +228,15 @@ def compare(
         first, second = (images.read_display(path) for path in pictures)
         names = (pictures[0].name, pictures[1].name)
     else:
-        stages = Stages(on_progress, {"": 1, "rendering": 2, "rendering the other": 2})
-        with ball_material(a, on_progress=stages.begin("")) as (one, _), ball_material(b) as (other, _):
+        stages = Stages({"": 1, "rendering": 2, "rendering the other": 2})
+        stages.begin("")
+        with ball_material(a) as (one, _), ball_material(b) as (other, _):
             if one.is_rgb or other.is_rgb:
                 require_d65(settings.illuminant)
-            first = images.tone_map(one.render(settings, stages.begin("rendering")))
-            second = images.tone_map(other.render(settings, stages.begin("rendering the other")))
+            stages.begin("rendering")
+            first = images.tone_map(one.render(settings))
+            stages.begin("rendering the other")
+            second = images.tone_map(other.render(settings))
         names = (one.name, other.name)
         ball = scenes.ball_interior(settings.size, RIM)
     maps = {

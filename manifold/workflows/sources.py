@@ -16,7 +16,7 @@ from manifold.errors import ManifoldError, MissingFileError, UnknownNameError
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
 from manifold.model.colours import NEAREST, ColourChoice
 from manifold.model.latents import Place, PlaceLike, parse_coordinates
-from manifold.records import BsdfFile, Progress
+from manifold.records import BsdfFile
 from manifold.system.names import names_like
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def matching(text: str) -> list[str]:
     return found or [text]
 
 
-def read_source(source: MaterialSource, on_progress: Progress | None = None) -> BsdfFile:
+def read_source(source: MaterialSource) -> BsdfFile:
     """The RGL file of a source, turned as it was measured; a prediction is measured by the virtual goniometer.
 
     Raises:
@@ -151,7 +151,7 @@ def read_source(source: MaterialSource, on_progress: Progress | None = None) -> 
         from manifold.library.store import Library
 
         return replace(Library(source.library).read(source.name), rotation_rad=0.0)
-    with source_file(source, on_progress) as path:
+    with source_file(source) as path:
         return read_bsdf(path)
 
 
@@ -173,7 +173,7 @@ def place_of(source: MaterialSource | PlaceLike, model: Manifold) -> Place:
 
 
 @contextmanager
-def source_file(source: MaterialSource, on_progress: Progress | None = None) -> Iterator[Path]:
+def source_file(source: MaterialSource) -> Iterator[Path]:
     """The path of a file that holds a source, which is temporary unless the source is a file.
 
     Raises:
@@ -192,7 +192,7 @@ def source_file(source: MaterialSource, on_progress: Progress | None = None) -> 
 
             predict(
                 source.model, source.place, path, library=source.library, colour=source.colour,
-                options=OutputOptions(force=True), on_progress=on_progress,
+                options=OutputOptions(force=True),
             )  # fmt: skip
         yield path
 

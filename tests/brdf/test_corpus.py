@@ -16,6 +16,7 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.records import Bands
+from manifold.system import progress
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from bench_goniometer import corpus_error
@@ -106,7 +107,8 @@ def test_writing_a_corpus_reports_progress_and_readable_files(tmp_path, monkeypa
     few = tuple(ISOTROPIC.values())[:2]
     monkeypatch.setattr(corpus, "isotropic_materials", lambda: few)
     seen = []
-    paths = corpus.write(tmp_path / "new", rgb=True, on_progress=lambda *step: seen.append(step))
+    with progress.listen(lambda *step: seen.append(step)):
+        paths = corpus.write(tmp_path / "new", rgb=True)
     assert [read_bsdf(path).name for path in paths] == [m.name for m in few]
     assert seen == [(1, 2, few[0].name), (2, 2, few[1].name)]
 

@@ -13,6 +13,7 @@ from manifold.errors import UsageError
 from manifold.experiments.readings.curve import Curve, measure_curves
 from manifold.library.store import Library
 from manifold.plots.plot_readings import readings_chart
+from manifold.system import progress
 
 
 def test_curves_of_readings_are_those_of_completions(atoms):
@@ -38,9 +39,10 @@ def test_interrupted_curves_are_continued_and_finished_ones_measured_again(atoms
         if done == 2:
             raise KeyboardInterrupt
 
-    def curves(on_progress=None, only=("nearest",)):
+    def curves(listener=None, only=("nearest",)):
         measured.clear()
-        return measure_curves(atoms, (1, 6), only, on_progress, Library.open(library))
+        with progress.listen(listener):
+            return measure_curves(atoms, (1, 6), only, Library.open(library))
 
     monkeypatch.setattr("manifold.experiments.readings.curve._errors_of", measure)
     everything = list(range(len(atoms.names)))

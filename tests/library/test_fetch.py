@@ -16,6 +16,7 @@ from helpers.sample_files import write_samples
 from manifold.errors import FetchError, UsageError
 from manifold.library.fetch import IncompleteFetchError, fetch
 from manifold.library.rgl_table import Entry, rgl_table
+from manifold.system import progress
 
 CONTENT = np.random.default_rng(7).integers(0, 256, 300_000, dtype=np.uint8).tobytes()
 HASH = hashlib.sha256(CONTENT).hexdigest()
@@ -105,7 +106,8 @@ def test_files_arrive_whole_and_are_not_downloaded_again(server: Server, tmp_pat
     server.behaviours = {"a": Behaviour(), "b": Behaviour()}
     steps: list[tuple[int, int, str]] = []
     options = {"base_url": server.url, "table": table("a", "b"), **QUICK}
-    result = fetch(None, tmp_path / "new", on_progress=lambda *step: steps.append(step), **options)
+    with progress.listen(lambda *step: steps.append(step)):
+        result = fetch(None, tmp_path / "new", **options)
     assert files(tmp_path / "new") == {"a_spec.bsdf", "b_spec.bsdf"}
     assert all(path.read_bytes() == CONTENT for path in result.downloaded)
     assert steps[-1] == (2 * len(CONTENT), 2 * len(CONTENT), "b_spec.bsdf")

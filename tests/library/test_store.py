@@ -31,6 +31,7 @@ from manifold.library.identity import is_material_name
 from manifold.library.importing import ImportResult, import_files
 from manifold.library.store import Library
 from manifold.records import Bands, BsdfFile
+from manifold.system import progress
 
 
 @pytest.fixture
@@ -313,7 +314,8 @@ def test_importing_again_skips_what_is_there(library: Library, folder: Path) -> 
     write_bsdf(folder / "new_spec.bsdf", sample_file("new", 9))
     before = {path: path.stat().st_mtime_ns for path in (library.path / "materials" / "m00").rglob("*")}
     seen: list[tuple[int, int, str]] = []
-    result = import_files(library.path, [folder], on_progress=lambda *a: seen.append(a))
+    with progress.listen(lambda *step: seen.append(step)):
+        result = import_files(library.path, [folder])
     assert result == ImportResult(("new",), ("m00", "m01", "m02"), (), {})
     assert before == {
         path: path.stat().st_mtime_ns for path in (library.path / "materials" / "m00").rglob("*")
@@ -625,7 +627,8 @@ def test_verify_finds_damage_and_names_the_material(
 ) -> None:
     damage(library.path / "materials" / "m01")
     seen: list[tuple[int, int, str]] = []
-    problems = library.verify(lambda *a: seen.append(a))
+    with progress.listen(lambda *step: seen.append(step)):
+        problems = library.verify()
     assert len(problems) == 1
     assert problems[0].startswith("m01: ")
     assert problems[0].endswith("materials/m01 and import its file again")

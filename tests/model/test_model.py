@@ -36,6 +36,7 @@ from manifold.model.manifold import LibraryChangedWarning, Manifold, Settings
 from manifold.model.model_file import read_model, write_model
 from manifold.model.settings import KINDS
 from manifold.records import Bands
+from manifold.system import progress
 
 
 @pytest.fixture(scope="module")
@@ -442,6 +443,7 @@ def test_a_layout_is_fitted_by_one_thread_of_blas(tmp_path):
     def step(*_):
         counts.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
 
-    with threadpool_limits(2, "blas"):
-        Manifold.fit(small_library(tmp_path), on_progress=step)
+    library = small_library(tmp_path)
+    with threadpool_limits(2, "blas"), progress.listen(step):
+        Manifold.fit(library)
     assert set(counts) == {1}

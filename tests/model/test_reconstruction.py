@@ -137,7 +137,7 @@ class CacheOf:
         self.names = range(len(materials))
         self._materials = materials
 
-    def in_bands(self, bands, on_progress, names):
+    def in_bands(self, bands, names):
         return [self._materials[k] for k in names]
 
 
@@ -170,7 +170,7 @@ class OthersThan:
         self._materials = {m.name: m for m in materials if m.name != name}
         self.names = tuple(self._materials)
 
-    def in_bands(self, bands, on_progress, names):
+    def in_bands(self, bands, names):
         return [self._materials[name].select_bands(bands) for name in names]
 
 

@@ -143,7 +143,7 @@ def test_a_folder_is_exported_once_and_resumed(folder, tmp_path):
 def test_a_library_is_exported(tmp_path, monkeypatch, folder):
     library = small_library(tmp_path)
     content = fit_json.read(folder / "copper_rgb.fit.json")
-    monkeypatch.setattr(exports, "fit_bsdf", lambda samples, on_progress=None: None)
+    monkeypatch.setattr(exports, "fit_bsdf", lambda samples: None)
     monkeypatch.setattr(exports.fit_json, "document", lambda result, source: content)
     result = run("export", library, "-o", tmp_path / "out", "--json", tmp_path / "r.json")
     assert result.exit_code == 0, result.output

@@ -16,6 +16,7 @@ from manifold.fitting.principled import fit_bsdf
 from manifold.library.store import Library
 from manifold.model.manifold import Manifold
 from manifold.model.settings import Settings
+from manifold.system import progress
 from manifold.workflows.inspection import inspect
 
 
@@ -101,7 +102,8 @@ def test_kinds_are_told_by_content_not_by_name(copy):
 def test_verification_names_what_is_damaged(copy):
     path = copy / "library.zarr"
     steps = []
-    assert inspect(path, verify=True, on_progress=lambda *step: steps.append(step)).problems == []
+    with progress.listen(lambda *step: steps.append(step)):
+        assert inspect(path, verify=True).problems == []
     assert [step[:2] for step in steps] == [(k + 1, len(NAMES)) for k in range(len(NAMES))]
     chunk = path / "materials" / NAMES[2] / "spectra" / "c.0.0.0.0.0"
     content = bytearray(chunk.read_bytes())

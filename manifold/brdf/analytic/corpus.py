@@ -22,8 +22,8 @@ from manifold.colour.conversion import file_to_srgb, luminance
 from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.io_rgl import rgl_wavelengths_nm, write_bsdf
-from manifold.records import Array, Bands, BsdfFile, Indices, Progress
-from manifold.system.stages import with_progress
+from manifold.records import Array, Bands, BsdfFile, Indices
+from manifold.system import progress
 
 _PIPELINE_VERSIONS = ((2, 0), (3, 0), (3, 1), (3, 2), (3, 3))
 # Noise from cell to cell, as a share of the value: 0.2 to 0.7 % in most real files, 1 % in coats, 2 to 4 % where
@@ -121,7 +121,6 @@ def write(
     anisotropic: bool = False,
     rgb: bool = False,
     keep: bool = False,
-    on_progress: Progress | None = None,
 ) -> list[Path]:
     """Write the corpus as `NAME_spec.bsdf` (or `NAME_rgb.bsdf`) files.
 
@@ -130,7 +129,6 @@ def write(
         seed, rgb: as in `measure`.
         anisotropic: add the 11 anisotropic materials, 110 MB each.
         keep: leave existing files as they are; files are complete under their final names.
-        on_progress: called with (done, total, name) after each material.
     Returns:
         The paths, in the order of the corpus.
     Raises:
@@ -138,9 +136,7 @@ def write(
     """
     materials = isotropic_materials() + (anisotropic_materials() if anisotropic else ())
     writers = {m.name: lambda path, m=m: write_bsdf(path, measure(m, seed=seed, rgb=rgb)) for m in materials}
-    return write_files(
-        folder, "_rgb.bsdf" if rgb else "_spec.bsdf", writers, keep=keep, on_progress=on_progress
-    )
+    return write_files(folder, "_rgb.bsdf" if rgb else "_spec.bsdf", writers, keep=keep)
 
 
 def write_files(
@@ -149,7 +145,6 @@ def write_files(
     writers: Mapping[str, Callable[[Path], None]],
     *,
     keep: bool = False,
-    on_progress: Progress | None = None,
 ) -> list[Path]:
     """Write a file for every name and what writes it, the ending behind the name; else as `write`."""
     folder = Path(folder)
@@ -158,7 +153,7 @@ def write_files(
     except OSError as error:
         raise UsageError(f"{folder}: cannot make this folder ({error.strerror}); name another one") from error
     paths = {name: folder / f"{name}{ending}" for name in writers}
-    for name in with_progress(writers, on_progress, str):
+    for name in progress.each(writers, str):
         if not (keep and paths[name].exists()):
             writers[name](paths[name])
     return list(paths.values())

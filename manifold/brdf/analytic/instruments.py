@@ -19,7 +19,7 @@ from manifold.directions import from_spherical
 from manifold.errors import UsageError
 from manifold.formats import ma_t12
 from manifold.formats.readings import MA_T12_NAMES, Readings, geometry_ma_t12
-from manifold.records import Array, Bands, Progress
+from manifold.records import Array, Bands
 from manifold.system import atomic
 
 MA_T12_BANDS = Bands(tuple(float(nm) for nm in range(400, 701, 10)))
@@ -137,7 +137,6 @@ def write(
     *,
     seed: int = 0,
     materials: Callable[[], tuple[Material, ...]] = isotropic_materials,
-    on_progress: Progress | None = None,
 ) -> list[Path]:
     """Readings of every isotropic material of the corpus, one file each.
 
@@ -146,7 +145,6 @@ def write(
         instrument: `ma-t12` (workbooks) or `mini-diff` (ASTM).
         seed: of the noise.
         materials: which.
-        on_progress: called with (done, total, name) after each file.
     Raises:
         UsageError: there is no such instrument, or the folder cannot be made.
     """
@@ -163,4 +161,4 @@ def write(
             write_mini_diff(path, brdf, material.name, rng)
 
     writers = {material.name: partial(write_one, material=material) for material in materials()}
-    return write_files(folder, suffix, writers, on_progress=on_progress)
+    return write_files(folder, suffix, writers)

@@ -15,7 +15,7 @@ from manifold.colour.reflectances import srgb_spectra
 from manifold.directions import from_spherical, to_rusinkiewicz
 from manifold.formats.neural_weights import NeuralWeights, read_neural_weights
 from manifold.io_rgl import write_bsdf
-from manifold.records import Array, Bands, BsdfFile, Progress
+from manifold.records import Array, Bands, BsdfFile
 
 RGB = Bands(None)
 _STEEPEST_DEG = 89.0  # beyond it the albedo at this incidence is taken
@@ -87,7 +87,10 @@ def read_neural_fits(path: Path | str, bands: Bands = RGB) -> dict[str, NeuralBR
 
 
 def write_neural(
-    source: Path | str, folder: Path | str, *, spectral: bool = False, on_progress: Progress | None = None
+    source: Path | str,
+    folder: Path | str,
+    *,
+    spectral: bool = False,
 ) -> list[Path]:
     """Write neural fits as RGL files, `NAME_rgb.bsdf` or `NAME_spec.bsdf`, made `plausible`.
 
@@ -95,7 +98,6 @@ def write_neural(
         source: an `.h5` file, a zip file, or a folder of them.
         folder: made if missing.
         spectral: up-sample colours to the 195 bands of the RGL database.
-        on_progress: called with (done, total, name) after each material.
     Returns:
         The paths, sorted by name.
     Raises:
@@ -104,7 +106,7 @@ def write_neural(
     """
     fits = read_neural_fits(source, rgl_bands() if spectral else RGB)
     writers = {name: lambda path, b=brdf: write_bsdf(path, _measure(b)) for name, brdf in fits.items()}
-    return write_files(folder, "_spec.bsdf" if spectral else "_rgb.bsdf", writers, on_progress=on_progress)
+    return write_files(folder, "_spec.bsdf" if spectral else "_rgb.bsdf", writers)
 
 
 def _measure(brdf: NeuralBRDF) -> BsdfFile:

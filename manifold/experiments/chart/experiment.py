@@ -22,7 +22,8 @@ from manifold.experiments.evaluation.methods import settings
 from manifold.experiments.results import KeptResults
 from manifold.library.store import Library
 from manifold.metrics import RusinkiewiczGrid
-from manifold.records import Array, BsdfFile, Progress
+from manifold.records import Array, BsdfFile
+from manifold.system import progress
 from manifold.system.names import counted, names_like
 from manifold.system.workers import HERE, Workers
 
@@ -101,7 +102,6 @@ def conclusion(made: Chart) -> str:
 def make_chart(
     files: Sequence[BsdfFile],
     only: Sequence[str] = (),
-    on_progress: Progress | None = None,
     grid: RusinkiewiczGrid | None = None,
     fitted: int = 3,
     neural: str | None = None,
@@ -113,7 +113,6 @@ def make_chart(
     Args:
         files: at least four, of the same bands.
         only: keys of settings; all by default.
-        on_progress: called with (done, total, title).
         grid: direction pairs of the errors; by default 45 x 23 x 12.
         fitted: how many materials the fits of `fits.METHODS` represent.
         neural: file, zip file or folder of published neural fits; also show those of these materials.
@@ -166,8 +165,7 @@ def make_chart(
         for row in measured.rows:
             rows[row.key] = row
             kept.put(_to_arrays(rows))
-            if on_progress is not None:
-                on_progress(len(rows), len(only or known), row.title)
+            progress.report(len(rows), len(only or known), row.title)
         reference_seconds, scaled = measured.reference_seconds, measured.scaled
     measured_rows = tuple(rows[key] for key in known if key in rows)
     kept.finish()

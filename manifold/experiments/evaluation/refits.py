@@ -20,7 +20,8 @@ from manifold.experiments.evaluation.tabulated import MAX_BANDS, Data
 from manifold.latent.gp_weights import IsolatedLatentsWarning
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.manifold import Manifold
-from manifold.records import Progress, evenly_spaced
+from manifold.records import evenly_spaced
+from manifold.system import progress
 from manifold.system.workers import Workers
 
 _PARTS = 8  # tasks of a method
@@ -34,18 +35,17 @@ class _Refits(NamedTuple):
     last: int
 
 
-def tabulate(model: Manifold, materials: Sequence[MeasuredBRDF], on_progress: Progress | None = None) -> Data:
+def tabulate(model: Manifold, materials: Sequence[MeasuredBRDF]) -> Data:
     """The data of all methods, in about 20 bands, among them the samples of monochrome models."""
     count = model.bands.count
     bands = np.union1d(evenly_spaced(count, MAX_BANDS), evenly_spaced(count, SAMPLE_BANDS))
     if model.space.sample_bands is not None:
         bands = np.union1d(bands, model.space.sample_bands)
-    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands, on_progress)
+    return Data.evaluate(materials, RusinkiewiczGrid.named("default"), bands)
 
 
 def refit_there(
     workers: Workers, methods: Sequence[Method], n_materials: int, model: Path, library: Path | None,
-    on_progress: Progress | None = None,
 ) -> dict[str, Encoded]:  # fmt: skip
     """Predictions of every material by methods that are fitted without it, by their keys.
 
@@ -55,7 +55,6 @@ def refit_there(
         n_materials: of the model.
         model: its file.
         library: if it was moved.
-        on_progress: called with (done, total, what).
     Raises:
         ManifoldError: a fit failed, or a worker was lost.
     """
@@ -67,8 +66,7 @@ def refit_there(
         if encoded is None:
             raise ManifoldError(failure)
         parts[tasks[k]] = encoded
-        if on_progress is not None:
-            on_progress(len(parts), len(tasks), tasks[k].method)
+        progress.report(len(parts), len(tasks), tasks[k].method)
     of_method = {m.key: [parts[task] for task in tasks if task.method == m.key] for m in methods}
     return {key: _joined(encoded) for key, encoded in of_method.items()}
 

@@ -38,7 +38,8 @@ from manifold.model import gram
 from manifold.model.combination import Values
 from manifold.model.left_out import CalibrationResult
 from manifold.model.manifold import Manifold
-from manifold.records import Array, Indices, Progress
+from manifold.records import Array, Indices
+from manifold.system import progress
 from manifold.system.workers import HERE, Workers
 
 LONGEST_REFITS = 1e5  # materials times squared samples of each refit: above, a report refits only when asked
@@ -141,7 +142,6 @@ class Report:
 def make_report(
     model: Manifold,
     grid_name: str = "default",
-    on_progress: Progress | None = None,
     *,
     compare: bool = False,
     all_bands: bool = False,
@@ -156,7 +156,6 @@ def make_report(
     Args:
         model: a fitted manifold.
         grid_name: `default`, or `hikichi` for the 1,458,000 pairs of Hikichi & Iwasaki.
-        on_progress: called with (done, total, what).
         compare: also run what takes long: models of other settings, and large ones that are fitted once per
             material.
         all_bands: measure errors in all bands, not in about 20 of them.
@@ -181,17 +180,17 @@ def make_report(
     others = [m for m in gplvm_methods() if m.key not in replaced]
     chosen = [m for m in own if compare or not is_long(m, len(model.names), model.bands.count)]
     chosen += [*(others if compare else []), *(anchor(name) for name in anchors)]
-    materials, load = wall_clock(lambda: model.materials.with_negative_values(on_progress))
-    data, tabulate = wall_clock(lambda: refits.tabulate(model, materials, on_progress))
+    materials, load = wall_clock(lambda: model.materials.with_negative_values())
+    data, tabulate = wall_clock(lambda: refits.tabulate(model, materials))
     refitted: dict[str, Encoded] = {}
     if file is not None and workers != HERE:
         long = [m for m in chosen if m.refits and m.fits_model]
         library = model.library.path
-        refitted = refits.refit_there(workers, long, len(model.names), file, library, on_progress)
-    encoded, encode = wall_clock(lambda: _encode(data, chosen, refitted, on_progress))
+        refitted = refits.refit_there(workers, long, len(model.names), file, library)
+    encoded, encode = wall_clock(lambda: _encode(data, chosen, refitted))
     bands = np.arange(model.bands.count) if all_bands else data.bands
     reuse = grid_name == "default" and not all_bands
-    blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid, on_progress)
+    blocks = data.blocks() if reuse else _measured_blocks(materials, bands, grid)
 
     def evaluate_all() -> tuple[MethodResult, ...]:
         predictions = [each.combinations for each in encoded]
@@ -232,16 +231,13 @@ def is_long(method: Method, n_materials: int, n_bands: int) -> bool:
     return n_materials * samples**2 > LONGEST_REFITS
 
 
-def _encode(
-    data: Data, methods: Sequence[Method], known: Mapping[str, Encoded], on_progress: Progress | None
-) -> list[Encoded]:
+def _encode(data: Data, methods: Sequence[Method], known: Mapping[str, Encoded]) -> list[Encoded]:
     """Predictions of every material by every method, as weights; those of some are known."""
     encoded = []
     for m, method in enumerate(methods):
 
         def step(done: int, before: int = m * data.n_materials, title: str = method.title) -> None:
-            if on_progress is not None:
-                on_progress(before + done, len(methods) * data.n_materials, title)
+            progress.report(before + done, len(methods) * data.n_materials, title)
 
         with warnings.catch_warnings():  # of fits to compare with, whose maps nobody uses
             warnings.simplefilter("ignore", IsolatedLatentsWarning)
@@ -250,7 +246,7 @@ def _encode(
 
 
 def _measured_blocks(
-    materials: Sequence[MeasuredBRDF], bands: Indices, grid: RusinkiewiczGrid, on_progress: Progress | None
+    materials: Sequence[MeasuredBRDF], bands: Indices, grid: RusinkiewiczGrid
 ) -> Iterator[Values]:
     """Measured values on a grid in some bands, block by block."""
     selected = [material.select_bands(bands.tolist()) for material in materials]
@@ -258,8 +254,7 @@ def _measured_blocks(
     total = -(-grid.n_pairs // size)
     for done, (wi, wo, f) in enumerate(gram.value_blocks(selected, grid, size), start=1):
         yield Values(f, wi, wo)
-        if on_progress is not None:
-            on_progress(done, total, "direction pairs")
+        progress.report(done, total, "direction pairs")
 
 
 def _result(

@@ -21,7 +21,8 @@ from manifold.experiments.evaluation.tabulated import Data
 from manifold.mapping import MAPPINGS
 from manifold.metrics import RusinkiewiczGrid
 from manifold.model.settings import Settings
-from manifold.records import Progress, evenly_spaced
+from manifold.records import evenly_spaced
+from manifold.system import progress
 from manifold.system.names import counted
 
 GRID = RusinkiewiczGrid(24, 12, 8)  # a fifth of the pairs of the default grid
@@ -66,7 +67,6 @@ def choose(
     *,
     mapping: bool,
     latent_dim: bool,
-    on_progress: Progress | None = None,
 ) -> tuple[Settings, list[Candidate]]:
     """Choose a mapping at the given number of dimensions, then the number of dimensions under that mapping.
 
@@ -74,7 +74,6 @@ def choose(
         materials: at least four, of the same bands.
         settings: what is not chosen; its `latent_dim` is where the choice of a mapping is made.
         mapping, latent_dim: what to choose.
-        on_progress: called with (done, total, what); the total is an upper bound.
     Returns:
         The settings chosen, and all candidates that were tried, in order.
     Raises:
@@ -93,9 +92,9 @@ def choose(
 
     def attempt(name: str, count: int) -> Candidate:
         if (name, count) not in tried:
-            tried[name, count] = trials.run(name, count)
-            if on_progress is not None:
-                on_progress(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
+            with progress.listen(None):
+                tried[name, count] = trials.run(name, count)
+            progress.report(len(tried), max(total, len(tried)), f"{name}, {count} dimensions")
         return tried[name, count]
 
     start = min(settings.latent_dim, most)

@@ -14,7 +14,8 @@ from manifold.mapping import Mapping
 from manifold.metrics import RusinkiewiczGrid, relative_error
 from manifold.model import gram
 from manifold.model.combination import Values
-from manifold.records import Array, Indices, Progress, evenly_spaced
+from manifold.records import Array, Indices, evenly_spaced
+from manifold.system import progress
 
 MAX_BANDS = 20  # bands that methods learn from, evenly spaced: about every tenth of 195
 _BLOCK_VALUES = 10_000_000  # measured values held at once, of all materials together
@@ -54,7 +55,6 @@ class Data(Values):
         materials: Sequence[MeasuredBRDF],
         grid: RusinkiewiczGrid,
         bands: Indices | None = None,
-        on_progress: Progress | None = None,
         *,
         stride: int = PAIR_STRIDE,
     ) -> Data:
@@ -64,7 +64,6 @@ class Data(Values):
             materials: N of them, of the same bands.
             grid: direction pairs.
             bands: which bands, increasing; by default at most MAX_BANDS, evenly spaced.
-            on_progress: called with (done, total, what).
             stride: see `Data`.
         """
         n_bands = materials[0].bands.count
@@ -74,8 +73,7 @@ class Data(Values):
         total = -(-grid.n_pairs // gram.BLOCK_PAIRS)
         for block in gram.value_blocks(selected, grid):
             blocks.append(block)
-            if on_progress is not None:
-                on_progress(len(blocks), total, "direction pairs")
+            progress.report(len(blocks), total, "direction pairs")
         wi, wo, f = zip(*blocks, strict=True)
         pairs = EncodingPairs.of_grid(grid.suited_to(all_isotropic(materials)), stride)
         return cls(

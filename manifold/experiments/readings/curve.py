@@ -18,7 +18,8 @@ from manifold.experiments.readings.methods import METHODS, ReadingMethod, Task
 from manifold.experiments.results import KeptResults, finite
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.library.store import Library
-from manifold.records import Array, Progress
+from manifold.records import Array
+from manifold.system import progress
 
 COUNTS = (1, 2, 5, 8, 10, 12, 16, 20, 50)
 _MA_T12 = "completion at an MA-T12"
@@ -60,7 +61,6 @@ def measure_curves(
     atoms: LibraryAtoms,
     counts: Sequence[int] = COUNTS,
     only: Sequence[str] = (),
-    on_progress: Progress | None = None,
     library: Library | None = None,
 ) -> list[Curve]:
     """Complete every material of a library from the others, from n readings, by every method.
@@ -73,7 +73,6 @@ def measure_curves(
         atoms: of the library.
         counts: n, increasing.
         only: keys of methods; all by default.
-        on_progress: called with (done, total, name).
         library: where materials that are done are kept until all are, so that an interrupted run is continued.
     Raises:
         UsageError: there is no such method.
@@ -91,8 +90,7 @@ def measure_curves(
     wi, wo = all_directions()
     at = atoms.at(wi, wo)
     for m in range(done, N):
-        if on_progress is not None:
-            on_progress(m, N, atoms.names[m])
+        progress.report(m, N, atoms.names[m])
         own = atoms.material_of == m
         task = Task(atoms.without(m), at[~own], at[own], wi, wo)
         for key, of_material in _errors_of(atoms, m, task, counts, methods).items():

@@ -17,7 +17,7 @@ from typing import Any
 
 from manifold.errors import ManifoldError, RendererError, UsageError
 from manifold.experiments.stability.testbed import TestBed
-from manifold.records import Progress
+from manifold.system import progress
 from manifold.system.names import names_like
 from manifold.system.workers import HERE, Workers
 
@@ -203,14 +203,11 @@ def select_modes(modes: Sequence[Mode], only: Sequence[str]) -> tuple[Mode, ...]
     return tuple(mode for mode in modes if not only or mode.key in only)
 
 
-def run_modes(
-    modes: Sequence[Mode], on_progress: Progress | None = None, workers: Workers = HERE
-) -> Stability:
+def run_modes(modes: Sequence[Mode], workers: Workers = HERE) -> Stability:
     """Run every method of every mode at every severity.
 
     Args:
         modes: what to try.
-        on_progress: called with (done, total, what) after each method.
         workers: who run methods; others than this process make test beds of their own.
     Raises:
         ManifoldError: a worker was lost.
@@ -221,8 +218,7 @@ def run_modes(
         run = partial(_run_method, bed=bed) if workers == HERE else _run_method
         for k, row, failure in workers.run(run, tasks):
             found[k] = str(failure) if row is None else row
-            if on_progress is not None:
-                on_progress(len(found), len(tasks), f"{tasks[k][0].key}: {tasks[k][1]}")
+            progress.report(len(found), len(tasks), f"{tasks[k][0].key}: {tasks[k][1]}")
     rows = tuple(row for _, row in sorted(found.items()) if isinstance(row, Row))
     skipped = {
         f"{tasks[k][0].key}: {tasks[k][1]}": why for k, why in sorted(found.items()) if isinstance(why, str)

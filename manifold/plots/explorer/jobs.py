@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from manifold.plots.explorer.actions import Action
-from manifold.system.stages import PROGRESS_VARIABLE
+from manifold.system.progress import PROGRESS_VARIABLE
 
 # -P: modules are not imported from the working folder, which holds files from elsewhere.
 MANIFOLD = (sys.executable, "-P", "-m", "manifold")

@@ -33,7 +33,7 @@ from manifold.plots.explorer.direction_grid import (
     tabulated_pairs,
 )
 from manifold.plots.explorer.uncertainty import error_field
-from manifold.records import Array, Bands, Indices, Progress, evenly_spaced
+from manifold.records import Array, Bands, Indices, evenly_spaced
 
 ILLUMINANTS = ("D65", "A", "F11")
 
@@ -69,7 +69,7 @@ class Tables:
     at_nodes: Indices
 
 
-def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
+def tabulate(model: Manifold) -> Tables:
     """Evaluate the materials of a map of blends, or its landmarks, on the pairs of a page.
 
     Raises:
@@ -81,7 +81,7 @@ def tabulate(model: Manifold, on_progress: Progress | None = None) -> Tables:
     pairs = tabulated_pairs(grid)
     nodes = _node_bands(model.bands)
     bands = np.union1d(nodes, space.bands)
-    materials = model.materials.in_bands(bands.tolist(), on_progress, _landmark_names(model))
+    materials = model.materials.in_bands(bands.tolist(), _landmark_names(model))
     roots = np.stack([_roots(material, pairs) for material in materials])  # [N, P, B']
     at_nodes, at_samples = np.searchsorted(bands, nodes), np.searchsorted(bands, space.bands)
     basis, inverse = _spectral_basis(roots, _band_weights(model.bands, nodes, at_nodes, len(bands)))

@@ -19,7 +19,6 @@ from manifold.model.manifold import Manifold
 from manifold.model.prediction import PredictedBRDF
 from manifold.plots.explorer.page import widget_module
 from manifold.plots.explorer.tables import tabulate, to_document
-from manifold.records import Progress
 
 
 class MapWidget(anywidget.AnyWidget):
@@ -38,7 +37,7 @@ class MapWidget(anywidget.AnyWidget):
     colour = traitlets.Dict().tag(sync=True)
     link = traitlets.Unicode("").tag(sync=True)
 
-    def __init__(self, model: Manifold, on_progress: Progress | None = None) -> None:
+    def __init__(self, model: Manifold) -> None:
         """Tabulate the materials of a map, in seconds.
 
         Raises:
@@ -47,7 +46,7 @@ class MapWidget(anywidget.AnyWidget):
         """
         self.model = model
         start = model.X.mean(axis=0)
-        super().__init__(data=to_document(model, tabulate(model, on_progress)), latent=start.tolist())
+        super().__init__(data=to_document(model, tabulate(model)), latent=start.tolist())
 
     @traitlets.validate("latent")
     def _check_latent(self, proposal: Any) -> list[float]:

@@ -12,23 +12,40 @@ import pytest
 from helpers.small_library import small_model
 
 from manifold.cli import terminal
-from manifold.system.stages import PROGRESS_VARIABLE, Stages, with_progress
+from manifold.system import progress
+from manifold.system.progress import PROGRESS_VARIABLE, Stages
 
 
 def test_shares_of_stages_add_up():
     heard = []
-    stages = Stages(lambda *step: heard.append(step), {"read": 3, "fit": 1})
-    for _ in with_progress("ab", stages.begin("read")):
-        pass
-    stages.begin("fit")(1, 1, "valley")
+    with progress.listen(lambda *step: heard.append(step)):
+        stages = Stages({"read": 3, "fit": 1})
+        stages.begin("read")
+        for _ in progress.each("ab"):
+            progress.report(1, 7, "what the loop knows better")
+        stages.begin("fit")
+        progress.report(1, 1, "valley")
     assert heard == [
         (0, 100, "read"), (38, 100, "read"), (75, 100, "read"), (75, 100, "fit"), (100, 100, "fit: valley"),
     ]  # fmt: skip
 
 
 def test_nobody_is_told_where_nobody_listens():
-    assert Stages(None, {"read": 1}).begin("read") is None
-    assert list(with_progress([1, 2], None)) == [1, 2]
+    Stages({"read": 1}).begin("read")
+    progress.report(1, 2, "nothing")
+    assert list(progress.each([1, 2])) == [1, 2]
+
+
+def test_a_loop_that_ends_early_or_fails_leaves_the_listener_as_it_was():
+    heard = []
+    with progress.listen(lambda *step: heard.append(step)):
+        for _ in progress.each("ab", "letters"):
+            break
+        progress.report(1, 2, "after a break")
+        with pytest.raises(ValueError, match="a"):
+            [int(letter) for letter in progress.each("ab", "letters")]
+        progress.report(2, 2, "after an error")
+    assert [what for _, _, what in heard] == ["after a break", "after an error"]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +77,7 @@ def test_commands_tell_what_they_are_at(tmp_path, command, stages):
 
 def test_numbers_that_are_no_descriptor_are_no_listener(monkeypatch, capsys):
     monkeypatch.setenv(PROGRESS_VARIABLE, "9" * 5000)
-    with terminal.progress("Working") as step:
+    with terminal.display("Working", in_bytes=False) as step:
         step(1, 2, "first half")
     assert not capsys.readouterr().err
 
@@ -68,7 +85,7 @@ def test_numbers_that_are_no_descriptor_are_no_listener(monkeypatch, capsys):
 def test_where_stderr_is_no_terminal_a_line_tells_now_and_then_that_a_command_works(monkeypatch, capsys):
     monkeypatch.setattr(terminal, "_QUICK_SECONDS", 0.0)
     monkeypatch.setattr(terminal, "_SILENT_SECONDS", 0.05)
-    with terminal.progress("Working") as step:
+    with terminal.display("Working", in_bytes=False) as step:
         time.sleep(0.3)  # without a step
         step(1, 2, "first half")
         time.sleep(0.3)
@@ -77,6 +94,6 @@ def test_where_stderr_is_no_terminal_a_line_tells_now_and_then_that_a_command_wo
     assert len(lines) > 2
     assert lines == sorted(lines)
     monkeypatch.setattr(terminal, "_SILENT_SECONDS", 1e3)
-    with terminal.progress("Working"):
+    with terminal.display("Working", in_bytes=False) as step:
         time.sleep(0.1)
     assert not capsys.readouterr().err

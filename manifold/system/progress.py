@@ -1,0 +1,128 @@
+"""Progress of long work: whoever shows it sets a context variable, and whatever works reports to it.
+
+Nothing passes a callback on. What reports inside `each` is silent: the outer loop knows how much there is to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from typing import Protocol, TypeVar
+
+Progress = Callable[[int, int, str], None]
+"""Called with how much is done, of how much in all, and the name of what was done last."""
+
+PROGRESS_VARIABLE = "MANIFOLD_PROGRESS"
+"""Names the file descriptor into which a program that runs a command wants its progress, as JSON lines."""
+
+T = TypeVar("T")
+
+_listener: ContextVar[Progress | None] = ContextVar("listener", default=None)
+
+
+class Display(Protocol):
+    """Opens a display of progress by its title."""
+
+    def __call__(self, title: str, *, in_bytes: bool) -> AbstractContextManager[Progress]:
+        """What is open while work is done, and is called with its progress."""
+
+
+_display: ContextVar[Display | None] = ContextVar("display", default=None)
+
+
+def display_with(display: Display) -> None:
+    """From now on, `shown` opens this: what a command line calls as it starts."""
+    _display.set(display)
+
+
+@contextmanager
+def listen(listener: Progress | None) -> Iterator[None]:
+    """Have progress reported to a function, or to none.
+
+    Args:
+        listener: called with (done, total, what).
+
+    >>> with listen(lambda done, total, what: print(f"{done} of {total}: {what}")):
+    ...     report(1, 2, "materials")
+    1 of 2: materials
+    """
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+
+
+@contextmanager
+def shown(title: str, *, in_bytes: bool = False) -> Iterator[None]:
+    """Show the progress of what is done inside, where there is a display and nobody listens already.
+
+    Args:
+        title: of the work.
+        in_bytes: whether numbers are bytes.
+    """
+    display = _display.get()
+    if display is None or _listener.get() is not None:
+        yield
+        return
+    with display(title, in_bytes=in_bytes) as listener, listen(listener):
+        yield
+
+
+def report(done: int, total: int, what: str = "") -> None:
+    """Tell whoever listens how much is done, of how much, and what was done last."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(done, total, what)
+
+
+def each(items: Iterable[T], what: str | Callable[[T], str] = "") -> Iterator[T]:
+    """The items in order, reporting after each how many are done.
+
+    Args:
+        items: what is iterated over; listed first, for their number.
+        what: the text of the report, or a function of the item that was done.
+    """
+    known, listener = list(items), _listener.get()
+    for done, item in enumerate(known, start=1):
+        _listener.set(None)
+        try:
+            yield item
+        finally:
+            _listener.set(listener)
+        report(done, len(known), what if isinstance(what, str) else what(item))
+
+
+class Stages:
+    """Overall progress, in hundredths, from the progress of single stages.
+
+    Args:
+        shares: of each stage in the time of the whole, in the order in which they follow each other; one called "" has
+            stages of its own.
+    """
+
+    def __init__(self, shares: Mapping[str, float]) -> None:
+        self._tell = _listener.get()
+        self._shares, self._reached = dict(shares), 0
+
+    def begin(self, stage: str) -> None:
+        """Say that a stage begins: what is reported from now on is its progress.
+
+        Raises:
+            KeyError: there is no such stage.
+        """
+        names = list(self._shares)
+        total = sum(self._shares.values())
+        before = sum(self._shares[name] for name in names[: names.index(stage)]) if stage in names else 0.0
+        share, tell = self._shares[stage], self._tell
+        if tell is None:
+            return
+
+        def within(done: int, of: int, what: str) -> None:
+            # A stage of several loops begins anew with each of them.
+            self._reached = max(self._reached, round(100 * (before + share * done / max(of, 1)) / total))
+            tell(self._reached, 100, ": ".join(filter(None, (stage, what))))
+
+        within(0, 1, "")
+        _listener.set(within)

@@ -64,8 +64,8 @@ PhysicalOption = Annotated[
     bool,
     typer.Option(
         "--physical",
-        help="Project the result: no negative values, albedo at most 1, reciprocal within 5 %; refines its "
-        "grids.",
+        help="Change impossible values alone: no negative ones, albedo at most 1, reciprocal within 5 %; may "
+        "refine grids.",
     ),
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Write it even if its albedo exceeds 1.05.")]

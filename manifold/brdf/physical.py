@@ -1,125 +1,212 @@
 """Projection of a file to a physical one: non-negative, reciprocal, albedo at most 1.
 
 What is rendered is what a file interpolates, not the BRDF that it was measured from. So the nodes are projected, and
-values between them are checked.
+values between them are checked. A value that is possible stays as it is, bit for bit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF
-from manifold.brdf.plausibility import largest_albedo, mirrored_quadrature, plausibility
+from manifold.brdf.plausibility import (
+    FILE_INCIDENCES_DEG,
+    incident_directions,
+    mirrored_quadrature,
+    plausibility,
+)
 from manifold.brdf.wrapped import WrappedBRDF
-from manifold.directions import from_spherical
-from manifold.records import Array, BsdfFile
+from manifold.directions import HORIZON
+from manifold.records import Array, BsdfFile, Mask
 
 RECIPROCITY_ERROR = 0.05
-"""The most that a physical file has."""
+"""The most that a physical file has, and the most by which possible values of exchanged directions differ."""
 
 _AIM = 0.9 * RECIPROCITY_ERROR  # also where bands are scaled by different factors afterwards
-_ALBEDO = 0.99  # at most: quadratures of sharp highlights at 85 degrees err by 1 %
-_ELEVATIONS_RAD = np.deg2rad(np.arange(0.0, 86.0, 5.0))  # of incidence, at which the scale is found
+_ALBEDO = 0.99  # to which what exceeds 1 is scaled: quadratures of sharp highlights at 85 degrees err by 1 %
 _BALANCES = 30  # rounds, after which no albedo of a test is above 0.991
+_DIMMINGS = 4  # of a file, before what is left above 1 between its incidences is taken from these alone
 _AVERAGES = 6  # of a file with its exchanged self, at most, before its grids are refined
 _GAIN = 0.97  # of the error: what another average has to gain
 # Factors of the numbers of incidences and of outgoing nodes.
-_REFINED = ((1.0, 1.0), (2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
+_REFINED = ((2.0, 1.0), (2.0, 1.5), (3.0, 2.0), (3.0, 3.0))
 
 
 class ReciprocalBRDF(WrappedBRDF):
-    """A BRDF and the one with directions exchanged, averaged by their cosines, negative values cut to zero.
+    """A BRDF whose values of exchanged directions differ by at most 5 % of their mean, negative ones cut to zero.
 
-    `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value counts by the cosine that it was
-    measured with. Files extrapolate to the horizon, where the other value, divided by a vanishing cosine, is huge.
+    The mean is `f = (f_cos(wi, wo) + f_cos(wo, wi)) / (cos(theta_i) + cos(theta_o))`: each value counts by the cosine
+    that it was measured with. Files extrapolate to the horizon, where the other value, divided by a vanishing cosine,
+    is huge. A value further from the mean is moved towards it; others stay.
     """
 
     def eval(self, wi: Array, wo: Array) -> Array:
-        """f in 1/sr, at least 0 and the same for exchanged directions, shape (..., B)."""
+        """f in 1/sr, at least 0, shape (..., B)."""
+        f_cos, cos_o = self.eval_cos(wi, wo), np.asarray(wo)[..., 2:]
+        return np.asarray(np.divide(f_cos, cos_o, out=np.zeros_like(f_cos), where=cos_o > 0.0))
+
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B)."""
         wi, wo = np.broadcast_arrays(wi, wo)
         is_above = ((wi[..., 2] > 0.0) & (wo[..., 2] > 0.0))[..., None]
-        both = np.maximum(self._brdf.eval_cos(wi, wo), 0.0) + np.maximum(self._brdf.eval_cos(wo, wi), 0.0)
-        cosines = (wi[..., 2] + wo[..., 2])[..., None]
-        return np.asarray(np.divide(both, cosines, out=np.zeros_like(both), where=is_above))
+        f_cos, exchanged = (np.maximum(self._brdf.eval_cos(*pair), 0.0) for pair in ((wi, wo), (wo, wi)))
+        share = np.divide(
+            wo[..., 2:], wi[..., 2:] + wo[..., 2:], out=np.zeros(is_above.shape), where=is_above
+        )
+        mean = share * (f_cos + exchanged)
+        half = 0.5 * RECIPROCITY_ERROR
+        return np.clip(f_cos, (1.0 - half) * mean, (1.0 + half) * mean)
 
 
 def physical_file(
-    brdf: BRDF, name: str, *, n_theta_i: int = 8, resolution: int = 32, keeps_hue: bool = False, **how: Any
+    file: BsdfFile, measure: Callable[[int, int], BsdfFile] | None = None, *, keeps_hue: bool = False
 ) -> BsdfFile:
-    """Measure a BRDF into a file that is physical itself, between its nodes too; arguments as of `goniometer.measure`.
+    """A file that is physical, between its nodes too; one that is already is returned as it is.
 
-    Both orders of directions are averaged, before and after measuring; while the file is not reciprocal within 5 %,
-    incidences are refined, then both grids, up to three times as many nodes per axis: what is not smooth there
-    keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are scaled down
-    there, with `keeps_hue` all bands alike.
+    Negative values become zero. A file that is not reciprocal within 5 % gets values of exchanged directions that are;
+    while it does not become so, incidences are refined, then both grids, up to three times as many nodes per axis: what
+    is not smooth there keeps a larger error. Then bands with an albedo above 1, at an incidence up to 85 degrees, are
+    scaled down there.
+
+    Args:
+        file: what would be written if it need not be physical.
+        measure: measures the same with other numbers of incidences and of nodes per axis; None does not refine.
+        keeps_hue: scale all bands alike.
     """
-    best, least = None, np.inf
-    for incidences, nodes in _REFINED:
-        file = goniometer.measure(
-            ReciprocalBRDF(brdf), name, compensate=False,
-            n_theta_i=round(incidences * n_theta_i), resolution=round(nodes * resolution), **how,
-        )  # fmt: skip
-        last = np.inf
-        for _ in range(1 + _AVERAGES):
-            measured = MeasuredBRDF(file)
-            error = plausibility(measured).reciprocity_error
-            if best is None or error < least:
-                best, least = file, error
-            if error <= _AIM or error > _GAIN * last:
-                break
-            last, file = error, goniometer.remeasure(ReciprocalBRDF(measured), file)
-        if least <= _AIM:
+    best, least = _reciprocal(file)
+    for incidences, nodes in _REFINED if measure is not None else ():
+        if least <= RECIPROCITY_ERROR:
             break
-    assert best is not None
+        assert measure is not None
+        count, resolution = round(incidences * len(file.theta_i_rad)), round(nodes * file.spectra.shape[-1])
+        made, error = _reciprocal(measure(count, resolution))
+        if error < least:
+            best, least = made, error
     return _limit_albedo(best, keeps_hue)
 
 
-class AlbedoScaledBRDF(ReciprocalBRDF):
-    """The same times s(theta_i) s(theta_o), with s just small enough that no albedo is above about 0.99."""
+def _reciprocal(file: BsdfFile) -> tuple[BsdfFile, float]:
+    """A file whose impossible values are averaged with their exchanged selves, and its reciprocity error."""
+    file = replace(file, spectra=np.maximum(file.spectra, 0.0))
+    measured = MeasuredBRDF(file)
+    error = plausibility(measured).reciprocity_error
+    if error <= RECIPROCITY_ERROR:
+        return file, error
+    movable: Mask | None = None
+    best, least = file, error
+    for _ in range(_AVERAGES):
+        file, changed = _changed(file, ReciprocalBRDF(measured), movable)
+        movable = changed if movable is None else movable
+        measured = MeasuredBRDF(file)
+        last, error = error, plausibility(measured).reciprocity_error
+        if error < least:
+            best, least = file, error
+        if error <= _AIM or error > _GAIN * last:
+            break
+    return best, least
 
-    def __init__(self, brdf: BRDF, keeps_hue: bool):
-        """Find s at elevations: s <- s sqrt(0.99 / albedo) where that is larger, as in symmetric Sinkhorn scaling.
+
+def _changed(file: BsdfFile, brdf: BRDF, movable: Mask | None = None) -> tuple[BsdfFile, Mask]:
+    """The file with the values of a BRDF made of it where these differ, and where that is, shape of `spectra`.
+
+    Args:
+        file: which holds what the BRDF changes.
+        brdf: evaluated at the nodes.
+        movable: of the values, those that may change; all if None.
+    """
+    changed = goniometer.remeasure(brdf, file).spectra
+    is_changed = changed != goniometer.remeasure(MeasuredBRDF(file), file).spectra
+    if movable is not None:
+        is_changed &= movable
+    spectra = np.where(is_changed, changed, file.spectra)
+    return goniometer.with_luminance(replace(file, spectra=spectra)), is_changed
+
+
+class AlbedoScaledBRDF(WrappedBRDF):
+    """A BRDF times s(theta_i) s(theta_o), with s below 1 only at elevations whose albedo exceeds 1."""
+
+    def __init__(self, brdf: BRDF, theta_rad: Array, albedo: Array, keeps_hue: bool):
+        """Find s at elevations: s <- s sqrt(0.99 / albedo) there, as in symmetric Sinkhorn scaling.
 
         Args:
             brdf: the BRDF to be scaled.
+            theta_rad: elevations (T,), increasing, between which s is interpolated.
+            albedo: of each (T, B).
             keeps_hue: by one s for all bands, not one each.
         Source: Sinkhorn & Knopp 1967, for sums that may not exceed a limit.
         """
         super().__init__(brdf)
-        wi = from_spherical(_ELEVATIONS_RAD, 0.0)
-        count = len(wi)
-        self._scale = np.ones((count, brdf.bands.count))  # [T, B]
-        light = np.empty((count, count, brdf.bands.count))  # from wi to the elevations of wo
-        for k, w in enumerate(wi):
-            wo, measure = mirrored_quadrature(w)
-            light[k] = _hats(wo).T @ (measure[:, None] * self.eval_cos(w, wo))
+        self._theta = np.minimum(theta_rad, HORIZON)
+        azimuths = incident_directions(np.rad2deg(self._theta), brdf.is_isotropic)
+        per_elevation = azimuths.reshape(len(self._theta), -1, 3)
+        light = np.zeros((*per_elevation.shape[:2], len(self._theta), brdf.bands.count))  # [T, A, T, B]
+        for at in np.ndindex(light.shape[:2]):
+            wo, measure = mirrored_quadrature(per_elevation[at])
+            light[at] = self._hats(wo).T @ (measure[:, None] * brdf.eval_cos(per_elevation[at], wo))
+        total = light.sum(axis=2).max(axis=1)
+        light *= np.divide(albedo, total, out=np.zeros_like(total), where=total > 0.0)[:, None, None]
+        if keeps_hue:
+            albedo = albedo.max(axis=1, keepdims=True)
+        limit = np.where(albedo > 1.0, _ALBEDO, np.inf)
+        scale = np.ones((len(self._theta), brdf.bands.count))
         for _ in range(_BALANCES):
-            albedo = self._scale * np.einsum("iob,ob->ib", light, self._scale)
+            left = scale * np.einsum("taob,ob->tab", light, scale).max(axis=1)
             if keeps_hue:
-                albedo = albedo.max(axis=1, keepdims=True)
-            self._scale *= np.sqrt(np.minimum(1.0, _ALBEDO / np.maximum(albedo, _ALBEDO)))
+                left = left.max(axis=1, keepdims=True)
+            scale *= np.sqrt(np.minimum(1.0, limit / np.maximum(left, 1e-9)))
+        self._loss = 1.0 - scale  # exactly 0 where nothing is scaled
+
+    def _hats(self, w: Array) -> Array:
+        """Weights (..., T) of the elevations between which directions lie; constant beyond the last."""
+        theta = np.arccos(np.clip(np.asarray(w)[..., 2], 0.0, 1.0))
+        return np.stack([np.interp(theta, self._theta, hat) for hat in np.eye(self._theta.size)], axis=-1)
+
+    def _scale(self, w: Array) -> Array:
+        return np.asarray(1.0 - self._hats(w) @ self._loss)
 
     def eval(self, wi: Array, wo: Array) -> Array:
         """f in 1/sr, shape (..., B)."""
-        return super().eval(wi, wo) * (_hats(wi) @ self._scale) * (_hats(wo) @ self._scale)
+        return self._brdf.eval(wi, wo) * self._scale(wi) * self._scale(wo)
 
-
-def _hats(w: Array) -> Array:
-    """Weights (..., T) of the elevations between which directions lie; constant beyond the last."""
-    theta = np.arccos(np.clip(np.asarray(w)[..., 2], 0.0, 1.0))
-    return np.stack([np.interp(theta, _ELEVATIONS_RAD, hat) for hat in np.eye(_ELEVATIONS_RAD.size)], axis=-1)
+    def eval_cos(self, wi: Array, wo: Array) -> Array:
+        """f * cos(theta_o) in 1/sr, shape (..., B)."""
+        return self._brdf.eval_cos(wi, wo) * self._scale(wi) * self._scale(wo)
 
 
 def _limit_albedo(file: BsdfFile, keeps_hue: bool) -> BsdfFile:
-    """The file, scaled down where its albedo exceeds 1; remaining excess between nodes is scaled uniformly."""
-    if largest_albedo(MeasuredBRDF(file)).max() > _ALBEDO:
-        file = goniometer.remeasure(AlbedoScaledBRDF(MeasuredBRDF(file), keeps_hue), file)
-    scale = np.minimum(1.0, _ALBEDO / np.maximum(largest_albedo(MeasuredBRDF(file)), _ALBEDO))
+    """The file, scaled down at the incidences where its albedo exceeds 1."""
+    for _ in range(_DIMMINGS):
+        excess = _excess_albedo(file)
+        if excess.max() <= 1.0:
+            return file
+        scaled = AlbedoScaledBRDF(MeasuredBRDF(file), file.theta_i_rad.astype(float), excess, keeps_hue)
+        file, _ = _changed(file, scaled)
+    excess = _excess_albedo(file)
     if keeps_hue:
-        scale[:] = scale.min()
-    spectra = file.spectra * scale.astype(np.float32)[:, None, None]
-    return goniometer.with_luminance(replace(file, spectra=spectra))
+        excess[:] = excess.max(axis=1, keepdims=True)
+    scale = np.where(excess > 1.0, _ALBEDO / np.maximum(excess, _ALBEDO), 1.0).astype(np.float32)
+    return goniometer.with_luminance(replace(file, spectra=file.spectra * scale[:, :, None, None]))
+
+
+def _excess_albedo(file: BsdfFile) -> Array:
+    """Albedo at the file's incidences (T, B), or the largest beside one where only what lies between exceeds 1."""
+    measured = MeasuredBRDF(file)
+    nodes_deg = np.rad2deg(np.minimum(file.theta_i_rad.astype(float), HORIZON))
+    at_nodes, between = (
+        measured.albedo(incident_directions(deg, file.is_isotropic))
+        .reshape(len(deg), -1, file.bands.count)
+        .max(axis=1)
+        for deg in (nodes_deg, np.array(FILE_INCIDENCES_DEG, dtype=float))
+    )
+    is_excess = between.max(axis=1) > 1.0
+    if not np.any(is_excess):
+        return np.minimum(at_nodes, 1.0)
+    if at_nodes.max() <= 1.0:
+        for deg, albedo in zip(np.array(FILE_INCIDENCES_DEG)[is_excess], between[is_excess], strict=True):
+            k = int(np.clip(np.searchsorted(nodes_deg, deg), 1, len(nodes_deg) - 1))
+            at_nodes[k - 1 : k + 1] = np.maximum(at_nodes[k - 1 : k + 1], albedo)
+    return np.asarray(at_nodes)

@@ -22,7 +22,8 @@ Evaluate = Callable[[Array, Array], Array]
 
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
-_FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
+FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
+"""At which the albedo of a file is measured."""
 
 AZIMUTHS_DEG = tuple(range(0, 360, 45))
 """Of incidence, for anisotropic BRDFs."""
@@ -64,8 +65,10 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
         is_isotropic: of all of them; others are evaluated at eight azimuths of incidence.
     """
     wo, _ = hemisphere_quadrature(12, 16)
-    wide = [(wi, wo, np.ones(len(wo))) for wi in _incident(_INCIDENCES_DEG, is_isotropic)]
-    narrow = [(wi, *mirrored_quadrature(wi)) for wi in _incident(_ALBEDO_INCIDENCES_DEG, is_isotropic)]
+    wide = [(wi, wo, np.ones(len(wo))) for wi in incident_directions(_INCIDENCES_DEG, is_isotropic)]
+    narrow = [
+        (wi, *mirrored_quadrature(wi)) for wi in incident_directions(_ALBEDO_INCIDENCES_DEG, is_isotropic)
+    ]
     wide_negative, wide_error, _ = _over_incidences(evaluate, wide)
     negative, error, albedo = _over_incidences(evaluate, narrow)
     valley = _highlight_valley(evaluate, is_isotropic)
@@ -83,7 +86,9 @@ def plausibility_of_file(file: BsdfFile) -> Plausibility:
 
 def largest_albedo(measured: MeasuredBRDF) -> Array:
     """Largest directional albedo of each band over incidences of 0, 5, ... 85 degrees, shape (B,)."""
-    return np.asarray(measured.albedo(_incident(_FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0))
+    return np.asarray(
+        measured.albedo(incident_directions(FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0)
+    )
 
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
@@ -94,8 +99,8 @@ def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
     return np.asarray(valleys.valley_depth(np.maximum(f, 0.0).reshape(len(f), *wo.shape[:2])).max(axis=1))
 
 
-def _incident(elevations_deg: Sequence[float], is_isotropic: bool) -> Array:
-    """Incident directions (K, 3)."""
+def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: bool) -> Array:
+    """Incident directions (K, 3); of anisotropic BRDFs at eight azimuths each, which vary first."""
     azimuths = (0,) if is_isotropic else AZIMUTHS_DEG
     return from_spherical(np.deg2rad(elevations_deg)[:, None], np.deg2rad(azimuths)).reshape(-1, 3)
 

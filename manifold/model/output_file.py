@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 from manifold.brdf import goniometer
-from manifold.brdf.measured import BRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.physical import physical_file
 from manifold.brdf.plausibility import Plausibility, plausibility_of_file
 from manifold.model import diagnostics
+from manifold.model.comparison import BRDFErrors, brdf_errors
 from manifold.records import BsdfFile
 
 
@@ -33,6 +36,22 @@ class OutputOptions:
 DEFAULT_OPTIONS = OutputOptions()
 
 
+class OutputFile(NamedTuple):
+    """A BRDF as a file.
+
+    Attributes:
+        file: what is written.
+        plausibility: of that.
+        projection: what making it physical has changed, and what is left, as sentences; none where it was not asked.
+        change: errors of it with respect to what would be written without; None where it was not asked.
+    """
+
+    file: BsdfFile
+    plausibility: Plausibility
+    projection: tuple[str, ...] = ()
+    change: BRDFErrors | None = None
+
+
 def output_file(
     brdf: BRDF,
     name: str,
@@ -40,12 +59,13 @@ def output_file(
     *,
     description: str = "",
     keeps_hue: bool = False,
-) -> tuple[BsdfFile, Plausibility]:
-    """Measure a BRDF without negative values into a file, and the plausibility of that file.
+) -> OutputFile:
+    """Measure a BRDF without negative values into a file.
 
     A file whose albedo exceeds 1.05 is measured again with twice as many incidences, which resolve sharp highlights
     near grazing, and returned so where its albedo then does not. A file with a valley beside its highlight is measured
-    again with a softer normal distribution; the better one of the two is returned.
+    again with a softer normal distribution; the better one of the two is returned. If it is to be physical, it is then
+    projected.
 
     Args:
         brdf: what is measured.
@@ -55,24 +75,40 @@ def output_file(
         keeps_hue: scale all bands alike where the albedo of one is too large.
     """
     measure = partial(
-        partial(physical_file, keeps_hue=keeps_hue) if options.physical else goniometer.measure,
+        goniometer.measure,
         brdf,
         name,
         description=description,
-        resolution=options.resolution,
-        n_theta_i=options.incidences,
         version=(1, 0) if brdf.bands.is_rgb else (3, 1),
     )
-    file = measure()
+    file, found, bend = _measured(measure, options)
+    if not options.physical:
+        return OutputFile(file, found)
+
+    def measured(n_theta_i: int, resolution: int) -> BsdfFile:
+        return measure(n_theta_i=n_theta_i, resolution=resolution, bend=bend)
+
+    projected = physical_file(file, measured, keeps_hue=keeps_hue)
+    after = plausibility_of_file(projected)
+    change = brdf_errors(MeasuredBRDF(file), MeasuredBRDF(projected))
+    return OutputFile(projected, after, diagnostics.of_projection(found, after, change), change)
+
+
+def _measured(
+    measure: Callable[..., BsdfFile], options: OutputOptions
+) -> tuple[BsdfFile, Plausibility, float | None]:
+    """The better one of the files, its plausibility, and the bend of its normal distribution."""
+    measure = partial(measure, resolution=options.resolution)
+    file = measure(n_theta_i=options.incidences)
     found = plausibility_of_file(file)
     if found.max_albedo > diagnostics.MOST_ALBEDO:
         finer = measure(n_theta_i=2 * options.incidences)
         resolved = plausibility_of_file(finer)
         if resolved.max_albedo <= diagnostics.MOST_ALBEDO:
-            return finer, resolved
+            return finer, resolved, None
     if found.highlight_valley > diagnostics.MOST_VALLEY:
-        soft = measure(bend=goniometer.SOFT_BEND)
+        soft = measure(n_theta_i=options.incidences, bend=goniometer.SOFT_BEND)
         softly = plausibility_of_file(soft)
         if softly.highlight_valley < found.highlight_valley:
-            return soft, softly
-    return file, found
+            return soft, softly, goniometer.SOFT_BEND
+    return file, found, None

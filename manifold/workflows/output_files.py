@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from manifold.brdf.measured import BRDF, MeasuredBRDF
+from manifold.brdf.measured import BRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.errors import UsageError
 from manifold.io_rgl import material_name, write_bsdf
 from manifold.model import diagnostics
-from manifold.model.comparison import brdf_errors
+from manifold.model.comparison import BRDFErrors
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions, output_file
+from manifold.records import BsdfFile
 from manifold.system import atomic
 
 
@@ -29,12 +30,15 @@ class WrittenFile:
 
     Attributes:
         plausibility: of the file.
-        projection: what making it physical has changed, and what is left, as sentences; none where it was not asked.
+        file: what was written; None where it was refused.
+        projection, change: see `OutputFile`.
         refusal: why it was not written, else None.
     """
 
     plausibility: Plausibility
+    file: BsdfFile | None = None
     projection: tuple[str, ...] = ()
+    change: BRDFErrors | None = None
     refusal: str | None = None
 
 
@@ -56,7 +60,9 @@ def write_output(
         remedy: what to do about a file whose albedo exceeds 1.05, besides forcing it.
     """
     name = material_name(output)
-    file, found = output_file(brdf, name, options, description=description, keeps_hue=keeps_hue)
+    file, found, projection, change = output_file(
+        brdf, name, options, description=description, keeps_hue=keeps_hue
+    )
     if found.max_albedo > diagnostics.MOST_ALBEDO and not options.force:
         return WrittenFile(
             found,
@@ -64,11 +70,7 @@ def write_output(
             f"degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it: options physical, force",
         )
     write_bsdf(output, file)
-    if not options.physical:
-        return WrittenFile(found)
-    plain, before = output_file(brdf, name, replace(options, physical=False))
-    change = brdf_errors(MeasuredBRDF(plain), MeasuredBRDF(file))
-    return WrittenFile(found, diagnostics.of_projection(before, found, change))
+    return WrittenFile(found, file, projection, change)
 
 
 def write_checked(

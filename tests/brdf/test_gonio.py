@@ -195,7 +195,7 @@ def test_a_soft_bend_keeps_valleys_from_beside_a_peak():
 
 def test_predictions_with_valleys_in_their_files_are_measured_again():
     truth = PeakOnPedestal(0.05, RGB)
-    file, found = output_file(truth, "peak")
+    file, found, *_ = output_file(truth, "peak")
     soft = goniometer.measure(truth, "peak", bend=goniometer.SOFT_BEND, version=(1, 0))
     np.testing.assert_array_equal(file.spectra, soft.spectra)
     assert found.highlight_valley == plausibility(MeasuredBRDF(soft)).highlight_valley
@@ -206,7 +206,7 @@ def test_a_sharp_highlight_that_few_incidences_do_not_resolve_gets_more():
     clear = Plastic(GGX.isotropic(0.015), np.array(1.58), np.full(3, 0.15), Bands(None))
     coarse = goniometer.measure(clear, "clear", version=(1, 0))
     assert plausibility_of_file(coarse).max_albedo > 1.2
-    file, found = output_file(clear, "clear")
+    file, found, *_ = output_file(clear, "clear")
     assert file.theta_i_rad.size == 16
     wi = from_spherical(np.deg2rad(np.arange(0.0, 86.0, 5.0)), np.zeros(18))
     assert found.max_albedo == pytest.approx(clear.albedo(wi).max(), rel=0.1)

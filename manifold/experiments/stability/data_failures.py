@@ -97,7 +97,7 @@ def _predicted(degrade: Degrade, t: float, bed: TestBed, severity: float) -> Mea
     model = _degraded(bed, degrade, severity)
     x = model.between(*_PAIR, t)
     clipped = ClippedBRDF(model.predict(x))
-    _, found = output_file(clipped, "predicted", OutputOptions(resolution=16, incidences=6))
+    found = output_file(clipped, "predicted", OutputOptions(resolution=16, incidences=6)).plausibility
     made = diagnose(model, Place(x), clipped, found=found, negative_share=clipped.clipped_share)
     undamaged = _of_whole_files(bed)
     whole = undamaged.predict(undamaged.between(*_PAIR, t))

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from manifold.directions import u_to_phi, u_to_theta
-from manifold.records import BsdfFile
+from manifold.brdf.measured import EvaluableBRDF
+from manifold.directions import from_spherical, u_to_phi, u_to_theta
+from manifold.records import Array, BsdfFile
 
 _LEAST_ANISOTROPY = 0.05  # of second moments; those of weaves, whose two threads cross, are below 0.01
 _DIGITS = 1  # of degrees
@@ -30,9 +31,24 @@ def rotation_of(file: BsdfFile) -> float | None:
         return None
     u, v = (np.linspace(0.0, 1.0, n) for n in file.ndf.shape[::-1])
     theta, phi = u_to_theta(u), u_to_phi(v)
-    # sin^2 of the elevation, over projected solid angles; both ends of the azimuths are one direction
-    weight = (file.ndf * (np.sin(theta) ** 3 * np.cos(theta) * u)).sum(axis=1)[:-1]
-    moment = np.sum(weight * np.exp(2j * phi[:-1])) / max(float(np.sum(weight)), np.finfo(float).tiny)
+    # both ends of the azimuths are one direction
+    return _widest((file.ndf * u)[:-1], theta, phi[:-1])
+
+
+def rotation_of_brdf(brdf: EvaluableBRDF) -> float | None:
+    """The same of any BRDF, by the normals that its retro-reflection tells: `4 cos^2 f(w, w)`, but for masking."""
+    if brdf.is_isotropic:
+        return None
+    theta, phi = np.deg2rad(np.arange(1.0, 80.0, 2.0)), np.deg2rad(np.arange(0.0, 360.0, 5.0))
+    w = from_spherical(*np.meshgrid(theta, phi))
+    return _widest(brdf.eval(w, w).mean(axis=-1) * np.cos(theta) ** 2, theta, phi)
+
+
+def _widest(density: Array, theta: Array, phi: Array) -> float | None:
+    """Azimuth along which normals of a density (P, T), over steps in theta, spread most."""
+    # sin^2 of the elevation, over projected solid angles
+    weight = (density * (np.sin(theta) ** 3 * np.cos(theta))).sum(axis=1)
+    moment = np.sum(weight * np.exp(2j * phi)) / max(float(np.sum(weight)), np.finfo(float).tiny)
     if np.abs(moment) < _LEAST_ANISOTROPY:
         return None
     degrees = np.round(np.rad2deg(0.5 * np.angle(moment)), _DIGITS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from manifold.brdf.measured import EvaluableBRDF
 from manifold.colour import ball_colours
 from manifold.colour.conversion import to_srgb
 from manifold.colour.narrow_bands import with_spectra
-from manifold.directions import require_directions
+from manifold.directions import require_directions, rotate_z
 from manifold.errors import ShapeError, UsageError
 from manifold.formats.readings import Readings
 from manifold.metrics import RusinkiewiczGrid
@@ -40,12 +41,12 @@ class Pixels:
     values: Array
 
     @classmethod
-    def of_brdf(cls, brdf: EvaluableBRDF) -> Pixels:
-        """The ball of a material; negative values of a prediction count as 0."""
+    def of_values(cls, f: Callable[[Array, Array], Array]) -> Pixels:
+        """The ball of a material by its BRDF at direction pairs; negative values of a prediction count as 0."""
         ball = ball_colours.ball(*_BALL, turned_deg=180.0)
         light = (ball.light / ball.wo[:, 2])[:, None]
         empty = cls(ball.wi, ball.wo, light, ball.starts, np.zeros(0))
-        f_cos = np.maximum(brdf.eval(ball.wi, ball.wo), 0.0) * ball.wo[:, 2:]
+        f_cos = np.maximum(f(ball.wi, ball.wo), 0.0) * ball.wo[:, 2:]
         return replace(empty, values=empty.of(f_cos))
 
     def of(self, f_cos: Array) -> Array:
@@ -176,12 +177,21 @@ def from_readings(readings: Readings) -> FitSamples:
     return FitSamples.from_arrays(read.wi, read.wo, f, bands=read.bands, weight=weight).subsample(MAX_PAIRS)
 
 
-def from_brdf(brdf: EvaluableBRDF) -> FitSamples:
-    """Samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0."""
+def from_brdf(brdf: EvaluableBRDF, rotation_rad: float = 0.0) -> FitSamples:
+    """Samples of a BRDF, dense around the mirror direction, and its ball; negative values count as 0.
+
+    Args:
+        brdf: the BRDF.
+        rotation_rad: azimuth by which it lies turned, which is undone.
+    """
+
+    def of(wi: Array, wo: Array) -> Array:
+        return brdf.eval(rotate_z(wi, rotation_rad), rotate_z(wo, rotation_rad))
+
     wi, wo, above = RusinkiewiczGrid().suited_to(brdf.is_isotropic).directions()
     keep = np.flatnonzero(above & (np.minimum(wi[:, 2], wo[:, 2]) >= _GRAZING_COS))
     if len(keep) > MAX_PAIRS:
         keep = np.sort(np.random.default_rng(0).permutation(keep)[:MAX_PAIRS])
     wi, wo = wi[keep], wo[keep]
-    samples = FitSamples.from_arrays(wi, wo, np.maximum(brdf.eval(wi, wo), 0.0), bands=brdf.bands)
-    return replace(samples, is_isotropic=brdf.is_isotropic, pixels=Pixels.of_brdf(brdf))
+    samples = FitSamples.from_arrays(wi, wo, np.maximum(of(wi, wo), 0.0), bands=brdf.bands)
+    return replace(samples, is_isotropic=brdf.is_isotropic, pixels=Pixels.of_values(of))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from manifold.directions import require_directions
+from manifold.directions import require_directions, rotate_z
 from manifold.fitting import fit_json
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import BsdfFamily
@@ -22,6 +22,7 @@ class FittedBRDF:
         """Take the content of a fit's JSON; see `fit_json.read`."""
         self._family = BsdfFamily.from_json(content["bsdf"])
         self._values = dict(content["values"])
+        self._rotation_rad = float(np.deg2rad(content.get("rotation_deg", 0.0)))
         self._bands = Bands(None)
         if content["spectra"] is not None:
             self._values |= content["spectra"]["values"]
@@ -29,11 +30,14 @@ class FittedBRDF:
 
     @classmethod
     def of(
-        cls, family: BsdfFamily, values: Mapping[str, Any], bands: Bands, spectra: Mapping[str, Any]
-    ) -> FittedBRDF:
-        """That of fitted values, with those per band in `spectra` unless it is empty."""
+        cls, family: BsdfFamily, values: Mapping[str, Any], bands: Bands, spectra: Mapping[str, Any],
+        rotation_deg: float = 0.0,
+    ) -> FittedBRDF:  # fmt: skip
+        """That of fitted values, with those per band in `spectra` unless it is empty, turned by an azimuth."""
         known = {"wavelengths_nm": bands.wavelengths_nm, "values": spectra} if spectra else None
-        return cls({"bsdf": family.to_json(), "values": values, "spectra": known})
+        return cls(
+            {"bsdf": family.to_json(), "values": values, "spectra": known, "rotation_deg": rotation_deg}
+        )
 
     @classmethod
     def read(cls, path: Path) -> FittedBRDF:
@@ -48,12 +52,13 @@ class FittedBRDF:
     @property
     def is_isotropic(self) -> bool:
         """Whether f is invariant under rotation of both directions about the normal."""
-        return not self._values.get("anisotropic")
+        known = {**self._family.fixed, **self._values}
+        return not known.get("anisotropic") and known.get("alpha_u") == known.get("alpha_v")
 
     def eval_cos(self, wi: Array, wo: Array) -> Array:
         """f * cos(theta_o) in 1/sr, shape (..., B), for unit vectors (..., 3) that broadcast."""
         wi, wo = np.broadcast_arrays(require_directions(wi, "wi"), require_directions(wo, "wo"))
-        flat_i, flat_o = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        flat_i, flat_o = (rotate_z(w.reshape(-1, 3), -self._rotation_rad) for w in (wi, wo))
         made = evaluator(self._family, flat_i, flat_o, self._bands.count)
         f_cos = np.asarray(made.values(made.layout.join(self._values))[0], dtype=np.float64)
         f_cos[(flat_i[:, 2] <= 0) | (flat_o[:, 2] <= 0)] = 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
-from manifold.brdf.orientation import aligned
+from manifold.brdf.orientation import rotation_of, rotation_of_brdf
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.errors import UsageError
 from manifold.fitting import (
@@ -83,6 +83,7 @@ class FitResult:
         n_pairs: number of samples.
         variant: Mitsuba's.
         seconds: of the fit, reading and sampling left out.
+        rotation_deg: azimuth by which the material's highlights lie turned from those of the BSDF, wide along x.
     """
 
     family: BsdfFamily
@@ -102,6 +103,7 @@ class FitResult:
     n_pairs: int = 0
     variant: str = ""
     seconds: float = 0.0
+    rotation_deg: float = 0.0
 
     def __repr__(self) -> str:
         residual = f"{self.metric} residual {self.residuals[self.metric]:.2%}"
@@ -127,9 +129,9 @@ def fit_bsdf(
     then found in every band with the shared ones fixed.
 
     Args:
-        target: a file (its unmeasured cells filled, an anisotropic sample turned to where its highlights are wide
-            along x, as `principled`'s are), any BRDF, or samples. Files and BRDFs are sampled on a grid, and
-            their ball is lit in two lights: one for the fit, one for its error alone.
+        target: a file (its unmeasured cells filled), any BRDF, or samples. Files and BRDFs are sampled on a grid,
+            anisotropic ones turned to where their highlights are wide along x, as `principled`'s are, and their
+            ball is lit in two lights: one for the fit, one for its error alone.
         family: the BSDF with its free parameters. If None, `default_principled`; and from method gauss-newton
             `diffuse()` where that fits better: no parameters make `principled` Lambertian.
         method: one of `METHODS`.
@@ -146,25 +148,31 @@ def fit_bsdf(
     options = _options(method, options)
     if not (np.isfinite(noise) and 0 < noise < 1):
         raise UsageError(f"noise {noise:g}, expected a share of the values between 0 and 1, such as 0.01")
-    turned: tuple[str, ...] = ()
+    rotation: float | None = None
     if isinstance(target, BsdfFile):
-        file = aligned(target)
-        if file.rotation_rad != target.rotation_rad:
-            degrees = np.rad2deg(file.rotation_rad - target.rotation_rad)
-            turned = (f"fitted to highlights wide along x: the sample's are turned by {degrees:.1f} degrees",)
-        target = MeasuredBRDF(fill_unmeasured(file))
+        if (rotation := rotation_of(target)) is not None:
+            rotation -= target.rotation_rad
+        target = MeasuredBRDF(fill_unmeasured(target))
+    elif not isinstance(target, FitSamples):
+        require_brdf(target, "what is fitted")
+        rotation = rotation_of_brdf(target)
     if isinstance(target, FitSamples):
         return _fit_or_diffuse(target, family, method, metric, noise, options, wide_colours)
-    require_brdf(target, "what is fitted")
-    samples = fit_samples.from_brdf(target)
+    samples = fit_samples.from_brdf(target, rotation or 0.0)
     found = _fit_or_diffuse(samples, family, method, metric, noise, options, wide_colours)
-    ball = BallDifference.between(
-        FittedBRDF.of(found.family, found.values, found.bands, found.spectra), target
-    )
-    notes = found.notes + turned
+    degrees = round(float(np.rad2deg(rotation or 0.0)) % 180.0, 1) % 180.0  # highlights have no ends
+    fitted = FittedBRDF.of(found.family, found.values, found.bands, found.spectra, degrees)
+    degrees = 0.0 if fitted.is_isotropic else degrees
+    ball = BallDifference.between(fitted, target)
+    notes = found.notes
+    if degrees:
+        notes += (
+            f"turned: highlights are wide along {degrees:.1f} degrees from x (rotation_deg), those of the BSDF along "
+            "x; in Mitsuba, turn the tangents by it",
+        )
     if ball.unseen_light > NOTICEABLE:
         notes += (f"visibly different: mean CIEDE2000 {ball.unseen_light:.1f} on the ball",)
-    return replace(found, ball=ball, notes=notes)
+    return replace(found, ball=ball, notes=notes, rotation_deg=degrees)
 
 
 def _fit_or_diffuse(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.brdf.orientation import aligned
@@ -84,7 +86,9 @@ def subject_of(path: Path, against: Path | None = None) -> Subject:
     if against is None:
         return Subject(name, source, content, None, "fit")
     file = read_bsdf(against)
-    return Subject(name, source, content, MeasuredBRDF(aligned(file)), f"{file.origin} file")
+    # as the fitted sample lay, which a library may have turned
+    material = MeasuredBRDF(aligned(file)).turned(np.deg2rad(content.get("rotation_deg", 0.0)))
+    return Subject(name, source, content, material, f"{file.origin} file")
 
 
 def subject_of_prediction(
@@ -117,7 +121,7 @@ def subject_of_prediction(
 def subject_of_file(file: BsdfFile, source: dict[str, Any]) -> Subject:
     """The material of a file, fitted, with plain values that say where it comes from."""
     fit = fit_json.document(fit_bsdf(file), fit_json.Source(file.name))
-    return Subject(file.name, source, fit, MeasuredBRDF(aligned(file)), f"{file.origin} file")
+    return Subject(file.name, source, fit, MeasuredBRDF(file), f"{file.origin} file")
 
 
 def subject_in_library(library: Library, name: str) -> Subject:
@@ -144,9 +148,13 @@ def export(
     """
     if picture is not None:
         figures.require_writable(picture)
-    principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"])
+    rotation_deg = subject.fit.get("rotation_deg", 0.0)
+    principled = Principled.from_fit(subject.fit["bsdf"], subject.fit["values"], rotation_deg)
     parameters, fitted = target.parameters(principled), FittedBRDF(subject.fit)
     material = fitted if subject.material is None else subject.material
+    is_flattened = principled.anisotropic > 0.0 and parameters == target.parameters(
+        replace(principled, anisotropic=0.0)
+    )
     if not is_mapped:
         parameters = fit_target(target, parameters, fit_samples.from_brdf(material))
     model = TargetBRDF(target, parameters)
@@ -168,4 +176,6 @@ def export(
     if made.ball.unseen_light > NOTICEABLE:
         better = "; a fit of the target's own model is more accurate" * is_mapped
         notes = (f"visibly different from the {subject.against}{better}", *notes)
+    if is_flattened:
+        notes = (f"anisotropic, but {target.name} has no anisotropy: the same at all azimuths", *notes)
     return Outcome(subject.name, path, subject, made.to_json(), notes=notes)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.orientation import aligned
 from manifold.brdf.picture import ball_image
@@ -44,7 +46,7 @@ def picture_of_fit(
     renders = render_material(file, settings), read_material(fit).render(settings)
     seen, fitted = (images.tone_map(render) for render in renders)
     sources = [
-        Source(file.origin, MeasuredBRDF(file)),
+        Source(file.origin, MeasuredBRDF(file).turned(np.deg2rad(content.get("rotation_deg", 0.0)))),
         Source(f"fitted: {content['bsdf']['type']}", FittedBRDF(content)),
     ]
     inside = scenes.ball_interior(settings.size, RIM)

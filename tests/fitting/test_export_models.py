@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from manifold.directions import from_spherical
+from manifold.directions import from_spherical, rotate_z
 from manifold.errors import UsageError
 from manifold.fitting.bsdf_evaluation import evaluator
 from manifold.fitting.bsdf_parameters import diffuse, principled
@@ -25,7 +27,7 @@ from manifold.fitting.exports.lobes import Pairs
 
 FULL = Principled(
     (0.8, 0.3, 0.05), metallic=0.3, roughness=0.4, specular=0.7, clearcoat=0.8, clearcoat_gloss=0.9, sheen=0.5,
-    spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6,
+    spec_tint=0.2, sheen_tint=0.3, anisotropic=0.6, rotation_rad=0.5,
 )  # fmt: skip
 
 
@@ -143,6 +145,18 @@ def test_an_anisotropic_lobe_with_joint_masking_is_the_isotropic_one_where_the_a
     np.testing.assert_allclose(
         lobes.specular_joint(pairs, 0.3, 0.3), lobes.specular_correlated(pairs, 0.3, 0.3), rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("name", [name for name in TARGETS if not name.startswith("usd")])
+@pytest.mark.parametrize("angle", [0.5, 2.5])
+def test_the_parameters_of_a_turned_sample_are_those_of_the_sample_turned(name, angle, rng):
+    target = TARGETS[name]
+    view, light = directions(rng, 200), directions(rng, 200)
+    turned = target.brdf(target.parameters(replace(FULL, rotation_rad=angle)), view, light)
+    along_x = target.parameters(replace(FULL, rotation_rad=0.0))
+    expected = target.brdf(along_x, rotate_z(view, -angle), rotate_z(light, -angle))
+    np.testing.assert_allclose(turned, expected, rtol=1e-9)
+    assert not np.allclose(turned, target.brdf(along_x, view, light), rtol=0.1)
 
 
 def test_the_diffuse_of_unity_is_burley_s_and_its_coat_is_sharp():

@@ -138,7 +138,8 @@ def test_the_json_names_its_source_and_how_it_was_made(satin, fitted):
     assert content["source"]["file"] == satin.name
     assert content["hyperparameters"]["noise"] == SETTINGS.noise
     assert content["minima"][0]["values"] == content["values"]
-    assert {*fit_check.schema()["required"], "ball", "sha256"} == set(content)  # which earlier fits lack
+    # the latter three are what earlier fits lack
+    assert {*fit_check.schema()["required"], "ball", "rotation_deg", "sha256"} == set(content)
     assert not list(fitted.parent.glob(".*"))
 
 

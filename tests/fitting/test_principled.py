@@ -222,7 +222,9 @@ def test_anisotropic_materials_are_fitted_with_anisotropic_free():
     assert any("let `anisotropic` be free" in note for note in fixed.notes)
     assert fixed.residuals["cube-root"] > 5.0 * found.residuals["cube-root"]
     turned = fit_bsdf(RoughConductor(GGX.anisotropic(0.1, 0.4), np.array(1.5), np.array(3.0), Bands(None)))
-    assert any("turn it by a quarter" in note for note in turned.notes)
+    assert turned.rotation_deg == 90.0
+    assert turned.values["anisotropic"] == pytest.approx(0.833, abs=0.02)
+    assert turned.ball.unseen_light < 1.0
 
 
 def test_an_anisotropic_file_is_fitted_where_its_highlights_are_wide_along_x():
@@ -230,7 +232,9 @@ def test_an_anisotropic_file_is_fitted_where_its_highlights_are_wide_along_x():
     metal = RoughConductor(normals, np.array(1.5), np.array(3.0), Bands(None))
     found = fit_bsdf(goniometer.measure(metal, "brushed", resolution=20, n_theta_i=8, n_phi_i=9))
     assert found.values["anisotropic"] == pytest.approx(0.667, abs=0.1)  # a coarse file
-    assert any("turned by 50." in note or "turned by 49." in note for note in found.notes)
+    assert found.rotation_deg == pytest.approx(50.0, abs=0.3)
+    assert found.ball.unseen_light < 1.5  # in the sample's own frame: 5 where it is not turned
+    assert any(f"wide along {found.rotation_deg:.1f} degrees" in note for note in found.notes)
 
 
 def test_colours_outside_rec_709_are_found_and_reported():

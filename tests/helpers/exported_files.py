@@ -48,8 +48,12 @@ def gltf_parameters(material):
 def materialx_parameters(path, target):
     """The parameters of a MaterialX document."""
     category, defaults = NODES[target]
-    made = dict(defaults)
-    for entry in ET.parse(path).getroot().find(category).findall("input"):
+    made, root = dict(defaults), ET.parse(path).getroot()
+    for entry in root.find(category).findall("input"):
+        if entry.get("nodename"):
+            (node,) = root.findall(f"rotate3d[@name='{entry.get('nodename')}']")
+            made[entry.get("name")] = -float(node.find("input[@name='amount']").get("value"))
+            continue
         values = [float(v) for v in entry.get("value").split(",")]
         made[entry.get("name")] = values if entry.get("type") == "color3" else values[0]
     return made

@@ -25,6 +25,7 @@ PARAMETERS = {
     "Specular IOR Level": Parameter(0.5),
     "Specular Tint": Parameter([1.0, 1.0, 1.0]),
     "Anisotropic": Parameter(0.0),
+    "Anisotropic Rotation": Parameter(0.0),
     "Coat Weight": Parameter(0.0, is_free=True),
     "Coat Roughness": Parameter(0.03, is_free=True, low=0.02),
     "Coat IOR": Parameter(1.5, low=1.0, high=2.0),
@@ -88,6 +89,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         "IOR": material.ior,
         "Specular IOR Level": 0.0 if material.is_diffuse else 0.5,
         "Anisotropic": material.anisotropic,
+        "Anisotropic Rotation": material.rotation_rad / (2.0 * np.pi),
     }
     if material.metallic == 0.0:  # for metals it is the edge's colour
         made["Specular Tint"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
@@ -112,7 +114,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: Blender's manual, Principled BSDF, and Cycles 5.0 (svm/closure.h, bsdf_microfacet.h): what is below a layer
     is scaled by one minus the layer's albedo, towards the viewer.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, 2.0 * np.pi * values["Anisotropic Rotation"])
     base, tint, m = np.asarray(values["Base Color"]), np.asarray(values["Specular Tint"]), values["Metallic"]
     aspect = float(np.sqrt(1.0 - 0.9 * values["Anisotropic"]))
     alpha_x, alpha_y = min(values["Roughness"] ** 2 / aspect, 1.0), values["Roughness"] ** 2 * aspect

@@ -30,6 +30,7 @@ PARAMETERS = {
     "sheenColorFactor": Parameter([0.0, 0.0, 0.0], is_free=True),
     "sheenRoughnessFactor": Parameter(0.0, is_free=True, low=SHEEN_ROUGHNESS),
     "anisotropyStrength": Parameter(0.0),
+    "anisotropyRotation": Parameter(0.0),
     "iridescenceFactor": Parameter(0.0),
     "iridescenceIor": Parameter(1.3, low=1.0, high=2.5),
     "iridescenceThicknessMaximum": Parameter(400.0, low=50.0, high=1200.0),
@@ -47,7 +48,7 @@ EXTENSIONS: dict[str, tuple[str, ...]] = {
     "KHR_materials_specular": ("specularFactor", "specularColorFactor"),
     "KHR_materials_clearcoat": ("clearcoatFactor", "clearcoatRoughnessFactor"),
     "KHR_materials_sheen": ("sheenColorFactor", "sheenRoughnessFactor"),
-    "KHR_materials_anisotropy": ("anisotropyStrength",),
+    "KHR_materials_anisotropy": ("anisotropyStrength", "anisotropyRotation"),
     "KHR_materials_iridescence": FILM,
 }
 
@@ -73,6 +74,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         made["sheenRoughnessFactor"] = SHEEN_ROUGHNESS
     if material.anisotropic > 0.0:
         made["anisotropyStrength"] = float(np.sqrt(min((alpha_x - alpha_y) / max(1.0 - alpha_y, 1e-6), 1.0)))
+        made["anisotropyRotation"] = material.rotation_rad
     return made
 
 
@@ -106,7 +108,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     film, which they leave open, as three.js and Khronos' renderer have it: at the angle of the viewer with the normal;
     the diffuse is what it is without, as in three.js.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, values["anisotropyRotation"])
     base = np.asarray(values["baseColorFactor"])
     alpha = values["roughnessFactor"] ** 2
     along = alpha + (1.0 - alpha) * values["anisotropyStrength"] ** 2

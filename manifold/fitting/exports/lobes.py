@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from manifold.brdf.analytic.fresnel import fresnel_dielectric
-from manifold.directions import normalize
+from manifold.directions import normalize, rotate_z
 from manifold.records import Array
 
 _NODES, _SAMPLES = (
@@ -40,8 +40,10 @@ class Pairs:
     cos_d: Array
 
     @classmethod
-    def of(cls, view: Array, light: Array) -> Pairs:
-        """Pairs of directions, at least a little above the horizon."""
+    def of(cls, view: Array, light: Array, rotation_rad: float = 0.0) -> Pairs:
+        """Pairs of directions, at least a little above the horizon, as a surface turned by an azimuth sees them."""
+        if rotation_rad:
+            view, light = rotate_z(view, -rotation_rad), rotate_z(light, -rotation_rad)
         half = normalize(view + light)
         least = 1e-6
         return cls(

@@ -16,6 +16,10 @@ NODES: dict[str, tuple[str, Mapping[str, Any]]] = {
 }
 """Category and defaults of the shader node of each target."""
 
+TURN = ("tangent", "normal", "rotate3d")
+"""Nodes that turn the tangent of OpenPBR, which has no parameter for its anisotropy's direction: `in` and `axis` of
+the third are the first two."""
+
 
 def identifier(name: str) -> str:
     """A name that MaterialX, its shaders and USD accept: GLSL ES has no two underscores in a row."""
@@ -31,7 +35,15 @@ def mtlx(export: Export) -> bytes:
     root = ET.Element("materialx", version="1.39", colorspace="lin_rec709", doc=export.sentence())
     shader = ET.SubElement(root, category, name=f"{name}_shader", type="surfaceshader")
     for key, value in export.parameters.items():
-        if value != defaults[key]:
+        if value != defaults[key] and key == "geometry_tangent":
+            nodes = [ET.SubElement(root, kind, name=f"{name}_{kind}", type="vector3") for kind in TURN]
+            for node in nodes[:2]:
+                ET.SubElement(node, "input", name="space", type="string", value="world")
+            for entry, node in zip(("in", "axis"), nodes, strict=False):
+                ET.SubElement(nodes[2], "input", name=entry, type="vector3", nodename=node.get("name", ""))
+            ET.SubElement(nodes[2], "input", name="amount", type="float", value=_number(-value))  # clockwise
+            ET.SubElement(shader, "input", name=key, type="vector3", nodename=nodes[2].get("name", ""))
+        elif value != defaults[key]:
             is_colour = isinstance(value, list)
             text = ", ".join(map(_number, value)) if is_colour else _number(value)
             ET.SubElement(shader, "input", name=key, type="color3" if is_colour else "float", value=text)

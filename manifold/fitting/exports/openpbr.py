@@ -27,6 +27,7 @@ PARAMETERS = {
     "specular_roughness": Parameter(0.3, is_free=True, low=0.02),
     "specular_ior": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_roughness_anisotropy": Parameter(0.0, low=0.02),
+    "geometry_tangent": Parameter(0.0),
     "coat_weight": Parameter(0.0, is_free=True),
     "coat_roughness": Parameter(0.0, is_free=True, low=0.02),
     "coat_ior": Parameter(1.6, low=1.0, high=2.0),
@@ -38,7 +39,7 @@ PARAMETERS = {
     "thin_film_thickness": Parameter(0.5, low=0.05, high=1.2),  # in micrometres
     "thin_film_ior": Parameter(1.4, low=1.0, high=2.5),
 }
-"""Every parameter that exports may set."""
+"""Every parameter that exports may set; of the tangent, the degrees by which nodes in front of it turn it."""
 
 DEFAULTS = defaults(PARAMETERS)
 
@@ -62,6 +63,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         alpha_x, alpha_y = material.alphas
         ratio = alpha_y / alpha_x
         made["specular_roughness_anisotropy"] = 1.0 - ratio
+        made["geometry_tangent"] = float(np.rad2deg(material.rotation_rad))
         made["specular_roughness"] = float(min(np.sqrt(alpha_x / np.sqrt(2.0 / (1.0 + ratio**2))), 1.0))
     if material.coat_weight > 0.0:
         made |= material.coat(*COAT[:2])
@@ -96,7 +98,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: OpenPBR 1.1; layers as MaterialX 1.39 implements them: what is below is scaled by one minus the layer's
     directional albedo seen by the viewer.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, np.deg2rad(values["geometry_tangent"]))
     base = np.asarray(values["base_color"]) * values["base_weight"]
     weight = values["coat_weight"]
     alpha_x, alpha_y = _alphas(

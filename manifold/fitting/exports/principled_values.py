@@ -24,6 +24,8 @@ class Principled:
         metallic, roughness, specular, clearcoat, clearcoat_gloss, sheen, spec_tint, sheen_tint, flatness,
             anisotropic: 0 to 1, as in Mitsuba's documentation.
         is_diffuse: nothing but a Lambertian base.
+        rotation_rad: azimuth along which anisotropic highlights are wide, from 0 to pi, counterclockwise seen from
+            outside; 0, along x, as Mitsuba's are.
     """
 
     base_color: tuple[float, float, float]
@@ -38,14 +40,18 @@ class Principled:
     flatness: float = 0.0
     anisotropic: float = 0.0
     is_diffuse: bool = False
+    rotation_rad: float = 0.0
 
     @classmethod
-    def from_fit(cls, bsdf: Mapping[str, Any], values: Mapping[str, Any]) -> Principled:
+    def from_fit(
+        cls, bsdf: Mapping[str, Any], values: Mapping[str, Any], rotation_deg: float = 0.0
+    ) -> Principled:
         """The values of a fit, base colours clipped to 0 to 1.
 
         Args:
             bsdf: description of the fitted family, as `BsdfFamily.to_json` gives it.
             values: by name.
+            rotation_deg: of the fit; without meaning where nothing is anisotropic.
         Raises:
             UsageError: the fit is neither of `principled` nor of `diffuse`, or transmits light.
         """
@@ -61,6 +67,8 @@ class Principled:
         }
         if "specular" not in known and "eta" in known:
             numbers["specular"] = float(ior_to_f0(float(known["eta"])) / 0.08)
+        if numbers.get("anisotropic"):
+            numbers["rotation_rad"] = float(np.deg2rad(rotation_deg % 180.0))
         return cls(base_color=_colour(known.get("base_color", 0.5)), **numbers)
 
     @property

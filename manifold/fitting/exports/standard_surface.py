@@ -27,6 +27,7 @@ PARAMETERS = {
     "specular_roughness": Parameter(0.2, is_free=True, low=0.02),
     "specular_IOR": Parameter(1.5, is_free=True, low=1.0, high=2.0),
     "specular_anisotropy": Parameter(0.0),
+    "specular_rotation": Parameter(0.0),
     "coat": Parameter(0.0, is_free=True),
     "coat_roughness": Parameter(0.1, is_free=True, low=0.02),
     "coat_IOR": Parameter(1.5, low=1.0, high=2.0),
@@ -58,6 +59,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         made["specular_color"] = np.clip(material.specular_tint, 0.0, 1.0).tolist()
     if material.anisotropic > 0.0:  # the same aspect: alpha / sqrt(1 - a), alpha * sqrt(1 - a)
         made["specular_anisotropy"] = 0.9 * material.anisotropic
+        made["specular_rotation"] = -material.rotation_rad % np.pi / (2.0 * np.pi)  # turns, clockwise
     return made | material.coat(*COAT) | material.scaled_sheen(*SHEEN, SHEEN_SCALE, SHEEN_ROUGHNESS)
 
 
@@ -69,7 +71,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         view, light: unit vectors (P, 3).
     Source: Georgiev et al. 2019; layers as MaterialX 1.39 implements them.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, -2.0 * np.pi * values["specular_rotation"])
     base = np.asarray(values["base_color"]) * values["base"]
     alpha = values["specular_roughness"] ** 2
     aspect = float(np.sqrt(1.0 - min(values["specular_anisotropy"], 0.98)))

@@ -19,6 +19,7 @@ PARAMETERS = {
     "_Metallic": Parameter(0.0, is_free=True),
     "_Smoothness": Parameter(0.5, is_free=True, high=0.98),
     "_Anisotropy": Parameter(0.0),
+    "_TangentMap": Parameter(0.0),
     "_CoatMask": Parameter(0.0, is_free=True),
 }
 """Every property that exports may set."""
@@ -32,6 +33,7 @@ CONVENTIONS: dict[str, str] = {
     "_Metallic": "0 to 1",
     "_Smoothness": "0 to 1; perceptual roughness is 1 minus it, GGX alpha the square of that",
     "_Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of roughness",
+    "_TangentMap": "degrees, counterclockwise seen from outside, by which a map turns the tangent",
     "_CoatMask": "0 to 1; the coat has index 1.5 and a fixed smoothness",
 }
 
@@ -48,6 +50,7 @@ def parameters(material: Principled) -> dict[str, Any]:
         "_Metallic": material.metallic,
         "_Smoothness": 1.0 - float(np.sqrt(_widened(roughness**2, 1.0 / _narrowing(coat)))),
         "_Anisotropy": anisotropy,
+        "_TangentMap": float(np.rad2deg(material.rotation_rad)),
         "_CoatMask": coat,
     }
 
@@ -61,7 +64,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
     Source: Lit.hlsl, CommonMaterial.hlsl and BSDF.hlsl of HDRP 14: Burley's diffuse term over 1.03571, GGX, Schlick;
     light scattered between facets as Turquin 2019 has it.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, np.deg2rad(values["_TangentMap"]))
     base, m, coat = decode_srgb(np.asarray(values["_BaseColor"])), values["_Metallic"], values["_CoatMask"]
     f0 = _F0 + m * (base - _F0)
     f90 = min(16.5 * float(f0.sum()), 1.0)  # nothing below 2 % is a surface: shadowing

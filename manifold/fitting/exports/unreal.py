@@ -19,6 +19,7 @@ PARAMETERS = {
     "Specular": Parameter(0.5, is_free=True),
     "Roughness": Parameter(0.5, is_free=True, low=0.02),
     "Anisotropy": Parameter(0.0),
+    "Tangent": Parameter(0.0),
     "ClearCoat": Parameter(0.0, is_free=True),
     "ClearCoatRoughness": Parameter(0.1, is_free=True, low=0.02),
 }
@@ -34,6 +35,7 @@ CONVENTIONS: dict[str, str] = {
     "Specular": "0 to 1; reflectance at normal incidence is 0.08 times it",
     "Roughness": "0 to 1; GGX alpha is its square",
     "Anisotropy": "-1 to 1; alpha along the tangent (1 + a), across (1 - a) times the square of Roughness",
+    "Tangent": "degrees, counterclockwise seen from outside, by which that input turns the tangent",
     "ClearCoat": "0 to 1, shading model Clear Coat, index 1.5",
     "ClearCoatRoughness": "0 to 1; GGX alpha is its square",
 }
@@ -56,6 +58,7 @@ def parameters(material: Principled) -> dict[str, Any]:
             "Specular": 0.0 if material.is_diffuse else material.specular,
             "Roughness": roughness,
             "Anisotropy": anisotropy,
+            "Tangent": float(np.rad2deg(material.rotation_rad)),
         }
     )
 
@@ -68,7 +71,7 @@ def brdf(values: Mapping[str, Any], view: Array, light: Array) -> Array:
         view, light: unit vectors (P, 3).
     Source: Karis 2013 (Lambert, GGX, Schlick); the coat attenuates what is below by its Fresnel term, both ways.
     """
-    pairs = Pairs.of(view, light)
+    pairs = Pairs.of(view, light, np.deg2rad(values["Tangent"]))
     base, m = np.asarray(values["BaseColor"]), values["Metallic"]
     alpha, a = values["Roughness"] ** 2, values["Anisotropy"]
     f0 = (1.0 - m) * 0.08 * values["Specular"] + m * base

@@ -8,7 +8,7 @@ from typing import Any
 
 from manifold.fitting.exports import meshes, openpbr, preview_surface
 from manifold.fitting.exports.document import Export
-from manifold.fitting.exports.materialx import identifier
+from manifold.fitting.exports.materialx import TURN, identifier
 from manifold.fitting.exports.meshes import Mesh
 
 OPENPBR_ID = "ND_open_pbr_surface_surfaceshader"
@@ -27,13 +27,16 @@ def usda(export: Export, openpbr_parameters: Mapping[str, Any] | None = None) ->
     path = f"/World/Materials/{name}"
     if openpbr_parameters is not None:
         output = f"            token outputs:mtlx:surface.connect = <{path}/OpenPBR.outputs:out>\n"
+        values = dict(openpbr_parameters)
+        turned = _turned_tangent(path, values.pop("geometry_tangent"))
+        tangent = f"                float3 inputs:geometry_tangent.connect = <{path}/rotate3d.outputs:out>\n"
         second = f"""
             def Shader "OpenPBR"
             {{
                 uniform token info:id = "{OPENPBR_ID}"
-{_inputs(openpbr_parameters, openpbr.DEFAULTS)}                token outputs:out
+{_inputs(values, openpbr.DEFAULTS)}{tangent if turned else ""}                token outputs:out
             }}
-"""
+{turned}"""
     return f"""#usda 1.0
 (
     defaultPrim = "World"
@@ -61,6 +64,26 @@ def Xform "World"
 {_mesh(meshes.ball(), path, (0.0, 1.0, 0.0))}
 {_mesh(meshes.plane(), path, (0.0, 0.0, -2.5))}}}
 """
+
+
+def _turned_tangent(path: str, degrees: float) -> str:
+    """Nodes of MaterialX that turn the tangent; none for 0."""
+    if not degrees:
+        return ""
+    world = '                string inputs:space = "world"\n'
+    turn = f"                float inputs:amount = {-degrees:.9g}\n"  # clockwise
+    for name, node in zip(("in", "axis"), TURN, strict=False):
+        turn += f"                float3 inputs:{name}.connect = <{path}/{node}.outputs:out>\n"
+    return "".join(
+        f"""
+            def Shader "{kind}"
+            {{
+                uniform token info:id = "ND_{kind}_vector3"
+{inputs}                float3 outputs:out
+            }}
+"""
+        for kind, inputs in zip(TURN, (world, world, turn), strict=True)
+    )
 
 
 def _inputs(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:

@@ -1,13 +1,15 @@
 """CxF3 files (ISO 17972-1): reflectance spectra of objects at multi-angle geometries.
 
-A geometry is the spectrum's own name, or a `BRDFAngle` (illumination angle, aspecular angle, optional azimuth) or a
-`SingleAngle` of its colour specification. 1.0 is the perfect diffuser. Nothing but these elements is read: vendors add
-elements and attributes that the schema has elsewhere, or not at all.
+Spectra are `ReflectanceSpectrum` or `CustomSpectrum`. A geometry is the spectrum's own name, or a `BRDFAngle`
+(illumination angle, aspecular angle, optional azimuth) or a `SingleAngle` of its colour specification. 1.0 is the
+perfect diffuser. Nothing but these elements is read: vendors add elements and attributes that the schema has elsewhere,
+or not at all.
 """
 
 from __future__ import annotations
 
 import codecs
+import re
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,13 +24,16 @@ from manifold.formats.error_context import ErrorContext
 from manifold.formats.geometry_names import geometry_directions
 from manifold.formats.readings import Readings, aspecular_pair, mean_of_repeats
 from manifold.formats.text import decode, read_bytes
-from manifold.formats.values import TAKEN_AS_PERCENT, looks_like_percent
+from manifold.formats.values import looks_like_percent
 from manifold.records import Array
 
 _REMEDY = "export CxF3 with multi-angle reflectance again"
 _LARGEST = 12_000_000  # bytes
 _MOST_VALUES = 20_000_000  # of a sample: spectra times all their wavelengths
 _USUAL_STEP_NM = "10"
+_MOST_REFLECTANCE = 3.0  # of the schema; near the mirror direction metallic paints reflect more
+_SPECTRA = ("ReflectanceSpectrum", "CustomSpectrum")
+_Spectrum = tuple[Array, Array, Array, Array]  # wi, wo, wavelengths and values
 
 
 def sniff(head: bytes) -> bool:
@@ -52,15 +57,21 @@ def read(path: Path) -> list[Readings]:
         if (measurement := item.find("{*}MeasurementSpec")) is not None
     }
     objects = root.iterfind("{*}Resources/{*}ObjectCollection/{*}Object")
-    found = [_object(item, specifications, context, path.stem) for item in objects]
-    samples = _by_name([one for one in found if one is not None], context)
+    samples = _by_name(
+        [o for item in objects for o in _object(item, specifications, context, path.stem)], context
+    )
     if not samples:
         raise context.error(
-            "no reflectance at directional geometries, expected ReflectanceSpectrum with BRDFAngle or SingleAngle, or "
-            "named by its geometry (45as15, 45/0)"
+            "no reflectance at directional geometries, expected ReflectanceSpectrum or CustomSpectrum with BRDFAngle "
+            "or SingleAngle, or named by its geometry (45as15, 45/0)"
         )
-    if any(looks_like_percent(one.wi, one.wo, one.values) for one in samples):
-        samples = [replace(s, values=s.values / 100.0).with_note(TAKEN_AS_PERCENT) for s in samples]
+    for one in samples:
+        if looks_like_percent(one.wi, one.wo, one.values, _MOST_REFLECTANCE):
+            raise context.error(
+                f"object '{one.name[:40]}': reflectance of up to {np.nanmax(one.values):.4g}, expected 1.0 for the "
+                "perfect diffuser",
+                remedy="divide per cent by 100",
+            )
     return [replace(one, values=one.values / np.pi) for one in samples]
 
 
@@ -116,44 +127,95 @@ def _joined(parts: list[Readings], context: ErrorContext) -> Readings:
 
 def _object(
     item: Element, specifications: Mapping[str, Element], context: ErrorContext, default: str
-) -> Readings | None:
-    """Reflectance factors of one object as the file has them, or None where it has none at a geometry."""
+) -> list[Readings]:
+    """Reflectance factors of one object as the file has them: one record, or one per measuring condition, or none."""
     name = item.get("Name") or default
-    pairs, values, wavelengths = [], [], []
-    instrument, turns = "spectrophotometer (CxF3)", Counter[str]()
+    parts: dict[str, list[_Spectrum]] = {}  # by specification
+    turns = Counter[str]()
     left_out = 0
-    for index, spectrum in enumerate(item.iterfind("{*}ColorValues/{*}ReflectanceSpectrum"), start=1):
+    spectra = [s for s in item.iterfind("{*}ColorValues/*") if s.tag.rpartition("}")[2] in _SPECTRA]
+    for index, element in enumerate(spectra, start=1):
         where = f"object '{name[:40]}', spectrum {index}"
-        key = spectrum.get("ColorSpecification", "")
-        measurement = specifications.get(key, spectrum)  # a spectrum has no such children
-        pair = _geometry(spectrum, measurement, turns[key], context, where)
-        turns[key] += geometry_directions(spectrum.get("Name", "")) is None
-        if pair is None:
+        key = element.get("ColorSpecification", "")
+        measurement = specifications.get(key, element)  # a spectrum has no such children
+        pair = _geometry(element, measurement, turns[key], context, where)
+        turns[key] += geometry_directions(element.get("Name", "")) is None
+        if pair is None or re.search(
+            "Transmittance|Emissive", measurement.findtext("{*}MeasurementType", "")
+        ):
             left_out += 1
             continue
-        pairs.append(pair)
-        values.append(
-            np.array([context.number(c.rstrip(",;"), where) for c in (spectrum.text or "").split()])
-        )
-        wavelengths.append(_wavelengths(spectrum, values[-1].size, measurement, context, where))
-        device = [measurement.findtext(f"{{*}}Device/{{*}}{key}") for key in ("Manufacturer", "Model")]
-        instrument = " ".join(filter(None, device)) or instrument
-    if not pairs:
-        return None
-    bands, table = _common_bands(wavelengths, values, context)
-    wi, wo = (np.array(w) for w in zip(*pairs, strict=True))
-    wi, wo, table, scatter, repeats = mean_of_repeats(wi, wo, table)
+        parts.setdefault(key, []).append((*pair, *_values(element, measurement, context, where)))
     notes = [f"{left_out} spectra without a directional geometry are left out"] if left_out else []
-    notes += repeats
     texture: dict[str, Any] = {
         tags.get("Name") or f"tags {k}": {
             str(tag.get("Name")): tag.get("Value") for tag in tags.iterfind("{*}Tag")
         }
         for k, tags in enumerate(item.iterfind("{*}TagCollection"))
     }
-    return Readings(
-        name, instrument, wi, wo, bands, table, notes=tuple(notes), texture=texture, scatter=scatter
+    conditions = _conditions(parts, specifications)
+    if len(conditions) > 1:
+        notes.append(f"measured under {', '.join(conditions)}: each is a sample of its own")
+    return [
+        _measurement(
+            f"{name} ({condition})" if len(conditions) > 1 else name,
+            [spectrum for key in keys for spectrum in parts[key]],
+            next(filter(None, (_device(specifications[key]) for key in keys if key in specifications)), None),
+            notes, texture, context,
+        )
+        for condition, keys in conditions.items()
+    ]  # fmt: skip
+
+
+def _conditions(
+    parts: Mapping[str, list[_Spectrum]], specifications: Mapping[str, Element]
+) -> dict[str, list[str]]:
+    """Specifications by the condition they are measured under: M1 beside M2 are not averaged.
+
+    Specifications of different geometries are one condition. Where several have one geometry, their lamp and filter
+    tell conditions apart, or, where these are not given or the same, the specifications themselves.
+    """
+    at = {
+        key: {tuple(np.round(np.hstack([wi, wo]), 6)) for wi, wo, *_ in spectra}
+        for key, spectra in parts.items()
+    }
+    if sum(map(len, at.values())) == len(set().union(*at.values())):
+        return {"": list(parts)} if parts else {}
+    by_lamp: dict[str, list[str]] = {}
+    for key in parts:
+        measurement = specifications.get(key)
+        words = [
+            None if measurement is None else measurement.findtext(f"{{*}}Device/{{*}}{tag}")
+            for tag in ("DeviceIllumination", "DeviceFilter")
+        ]
+        by_lamp.setdefault(", ".join(filter(None, words)), []).append(key)
+    is_apart = all(
+        sum(len(at[key]) for key in keys) == len(set().union(*(at[key] for key in keys)))
+        for keys in by_lamp.values()
     )
+    return by_lamp if is_apart and "" not in by_lamp else {key: [key] for key in parts}
+
+
+def _device(measurement: Element) -> str:
+    words = (measurement.findtext(f"{{*}}Device/{{*}}{key}") for key in ("Manufacturer", "Model"))
+    return " ".join(filter(None, words))
+
+
+def _measurement(
+    name: str,
+    spectra: list[_Spectrum],
+    instrument: str | None,
+    notes: list[str],
+    texture: dict[str, Any],
+    context: ErrorContext,
+) -> Readings:
+    wi, wo = (np.array([spectrum[k] for spectrum in spectra]) for k in (0, 1))
+    bands, table = _common_bands([s[2] for s in spectra], [s[3] for s in spectra], context)
+    wi, wo, table, scatter, repeats = mean_of_repeats(wi, wo, table)
+    return Readings(
+        name, instrument or "spectrophotometer (CxF3)", wi, wo, bands, table, notes=(*notes, *repeats),
+        texture=texture, scatter=scatter,
+    )  # fmt: skip
 
 
 def _geometry(
@@ -185,6 +247,23 @@ def _geometry(
         return None
     # 45/0: the aspecular angle from the mirror direction to the other leg, on the normal's side.
     return aspecular_pair(abs(lit), abs(lit) - abs(seen))
+
+
+def _values(
+    spectrum: Element, measurement: Element, context: ErrorContext, where: str
+) -> tuple[Array, Array]:
+    """Wavelengths (B,), increasing, and values (B,)."""
+    points = spectrum.findall("{*}SpectralPoint")
+    if points:
+        cells = [
+            [context.number(p.get("WL", ""), where), context.number(p.text or "", where)] for p in points
+        ]
+        nm, values = np.array(sorted(cells)).T
+        if nm[0] <= 0.0 or np.any(np.diff(nm) <= 0.0):
+            raise context.error("a wavelength of 0, or twice the same, expected different ones in nm", where)
+        return nm, values
+    values = np.array([context.number(c.rstrip(",;"), where) for c in (spectrum.text or "").split()])
+    return _wavelengths(spectrum, values.size, measurement, context, where), values
 
 
 def _wavelengths(

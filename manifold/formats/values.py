@@ -85,11 +85,11 @@ def bands_of(
     return found[order], values[:, order]
 
 
-def looks_like_percent(wi: Array, wo: Array, values: Array) -> bool:
+def looks_like_percent(wi: Array, wo: Array, values: Array, most_factor: float = _PERCENT_FROM) -> bool:
     """Whether values are too large for reflectance factors, away from the mirror direction or anywhere."""
     mirror = np.einsum("pi,pi->p", wi * [-1.0, -1.0, 1.0], wo)
     off = np.nan_to_num(values[mirror < np.cos(np.deg2rad(40.0))])
-    return bool(np.max(off, initial=0.0) > _PERCENT_FROM or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
+    return bool(np.max(off, initial=0.0) > most_factor or np.max(np.nan_to_num(values)) > _PERCENT_ANYWHERE)
 
 
 def xyz_to_linear_srgb(xyz: Array) -> Array:

@@ -78,11 +78,12 @@ def scaled(text: str, scale: float) -> str:
     return re.sub(r"\d\.\d{6,}(e-\d+)?", lambda m: f"{scale * float(m[0]):.12f}", text)
 
 
-def test_black_is_in_percent_where_white_of_the_same_cxf_file_is(cxf, tmp_path):
+def test_a_cxf_file_in_percent_is_refused_though_its_black_could_be_a_factor(cxf, tmp_path):
     before, one, behind = objects_of(cxf)
     named = [scaled(one, 100.0 * SCALES[name]).replace('Name="smooth"', f'Name="{name}"') for name in SCALES]
     (tmp_path / "both.cxf").write_text(before + "".join(named) + behind)
-    assert_both(tmp_path / "both.cxf")
+    with pytest.raises(FileFormatError, match=r"object 'white': .*divide per cent by 100"):
+        registry.read_all(tmp_path / "both.cxf")
 
 
 def test_a_spectrum_named_by_a_geometry_has_it_whatever_its_turn(cxf, tmp_path):

@@ -16,7 +16,7 @@ from manifold.brdf.analytic.ggx import GGX
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, MINI_DIFF_BANDS, ma_t12_readings
 from manifold.brdf.analytic.microfacet import Plastic
 from manifold.directions import from_spherical
-from manifold.errors import FileFormatError
+from manifold.errors import FileFormatError, UsageError
 from manifold.formats import astm, csv_table, lighttools, registry, utia
 from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
@@ -138,7 +138,17 @@ def test_utia_files_that_are_not_energy_conserving_say_so(files, tmp_path):
 
 
 CXF_SPELLINGS = {
-    "percent": (r"\d\.\d{6,}", lambda m: f"{100 * float(m[0]):.9f}"),
+    "custom spectra": (
+        r"<ns0:ReflectanceSpectrum [^>]*(ColorSpecification=\S*\")[^>]*>([^<]*)</ns0:ReflectanceSpectrum>",
+        lambda m: (
+            f"<ns0:CustomSpectrum {m[1]}>"
+            + "".join(
+                f'<ns0:SpectralPoint WL="{400 + 10 * k}">{value}</ns0:SpectralPoint>'
+                for k, value in reversed(list(enumerate(m[2].split())))
+            )
+            + "</ns0:CustomSpectrum>"
+        ),
+    ),
     "commas": (r"(?<=\d) (?=\d)", ", "),
     "wavelengths with a point": (r'StartWL="400"( Increment="10")?', 'StartWL="400.0" Increment="10.0"'),
     "words of a vendor": (
@@ -186,6 +196,52 @@ def test_cxf_spectra_may_be_named_by_their_geometries(files, tmp_path):
         registry.read_readings(path)
     path.write_text(re.sub(r'ColorSpecification="M0_(\w+(-\d+)?)"', r'\g<0> Name="\1"', text))
     np.testing.assert_allclose(registry.read_readings(path).values, SPECTRO.values, rtol=1e-6)
+
+
+def cxf_at_45_0(spectra: dict[str, float], device="") -> str:
+    """One object at 45/0, a flat spectrum for each colour specification."""
+    body = "".join(
+        f'<ReflectanceSpectrum StartWL="400" ColorSpecification="{key}">{" ".join([str(value)] * 4)}'
+        "</ReflectanceSpectrum>"
+        for key, value in spectra.items()
+    )
+    specifications = "".join(
+        f'<ColorSpecification Id="{key}"><MeasurementSpec><GeometryChoice><SingleAngle>'
+        "<IlluminationAngle>45</IlluminationAngle><MeasurementAngle>0</MeasurementAngle></SingleAngle>"
+        f"</GeometryChoice>{device.format(key)}</MeasurementSpec></ColorSpecification>"
+        for key in spectra
+    )
+    return (
+        '<CxF xmlns="http://colorexchangeformat.com/CxF3-core"><Resources><ObjectCollection><Object Name="paper">'
+        f"<ColorValues>{body}</ColorValues></Object></ObjectCollection><ColorSpecificationCollection>{specifications}"
+        "</ColorSpecificationCollection></Resources></CxF>"
+    )
+
+
+def test_cxf_reflectance_is_never_taken_as_percent(tmp_path):
+    """CxF3 has 1.0 for the perfect diffuser; fluorescent colours reflect more."""
+    path = tmp_path / "orange.cxf"
+    path.write_text(cxf_at_45_0({"A": 2.1}))
+    np.testing.assert_allclose(np.pi * registry.read_readings(path).values, 2.1)
+    path.write_text(cxf_at_45_0({"A": 85.0}))
+    with pytest.raises(
+        FileFormatError, match=r"'paper': reflectance of up to 85, expected 1\.0 .* divide per cent"
+    ):
+        registry.read_all(path)
+
+
+@pytest.mark.parametrize("device", ["", "<Device><DeviceIllumination>{}_lamp</DeviceIllumination></Device>"])
+def test_cxf_measuring_conditions_are_samples_not_averaged(device, tmp_path):
+    path = tmp_path / "paper.cxf"
+    path.write_text(cxf_at_45_0({"M1": 1.1, "M2": 0.9}, device))
+    first, second = registry.read_all(path)
+    assert [one.name for one in (first, second)] == (
+        ["paper (M1_lamp)", "paper (M2_lamp)"] if device else ["paper (M1)", "paper (M2)"]
+    )
+    np.testing.assert_allclose(np.pi * first.values, 1.1)
+    np.testing.assert_allclose(np.pi * second.values, 0.9)
+    with pytest.raises(UsageError, match="name one of them"):
+        registry.read_readings(path)
 
 
 def test_cxf_increments_that_contradict_the_last_wavelength_are_refused(files, tmp_path):

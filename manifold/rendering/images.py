@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manifold.colour.conversion import encode_srgb
-from manifold.errors import FileFormatError, MissingFileError, UsageError
+from manifold.colour.pictures import Picture, read_picture
+from manifold.errors import FileFormatError, UsageError
 from manifold.records import Array
 from manifold.rendering import backend
 from manifold.system import atomic
 
 SUFFIXES = (".exr", ".png")
-_DISPLAY_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 _KNEE = 0.7
 
 
@@ -72,54 +72,27 @@ def _write(path: Path, values: NDArray[np.float32] | NDArray[np.uint8]) -> None:
         mi.Bitmap(np.ascontiguousarray(values)).write(str(partial))
 
 
-def read_channels(path: Path) -> Array:
-    """The channels of a linear picture as they are, float32, shape (H, W, C), infinities and NaN included.
-
-    Raises:
-        FileFormatError: Mitsuba cannot read it as a picture.
-    """
-    mi = backend.mitsuba_of_any_variant()
-    try:
-        bitmap = mi.Bitmap(str(path))
-        return np.atleast_3d(np.array(bitmap.convert(component_format=mi.Struct.Type.Float32)))
-    except Exception as error:  # Mitsuba raises bare RuntimeErrors
-        raise FileFormatError(f"{path}: not a readable picture ({_reason(error)}); save it again") from error
-
-
 def read_image(path: Path) -> Array:
     """A picture as linear sRGB, float64, shape (H, W, 3); display pictures are decoded.
 
     Raises:
-        UsageError: there is no such file.
-        FileFormatError: Mitsuba cannot read it as a picture.
+        MissingFileError: there is no such file.
+        FileFormatError: it is no picture, or of a kind that is not supported; see `colour.pictures.read_picture`.
     """
-    if not path.is_file():
-        raise MissingFileError(f"{path}: no such file; name a picture (.exr, .hdr, .pfm, .png, .jpg)")
-    mi = backend.mitsuba_of_any_variant()
-    try:
-        bitmap = mi.Bitmap(str(path))
-        plain = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
-    except Exception as error:  # Mitsuba raises bare RuntimeErrors
-        raise FileFormatError(
-            f"{path}: not a readable picture ({_reason(error)}); expected .exr, .hdr, .pfm, .png or .jpg"
-        ) from error
-    linear = np.array(plain, dtype=np.float64)
-    if linear.ndim != 3 or not np.all(np.isfinite(linear)):
-        raise FileFormatError(f"{path}: pixels that are not finite; render it again")
-    return linear
+    return _finite(read_picture(path)).astype(np.float64)
 
 
 def read_display(path: Path) -> Array:
     """A picture as display values in [0, 1], shape (H, W, 3): as it is stored, or tone-mapped where it is linear.
 
-    Raises:
-        UsageError: there is no such file.
-        FileFormatError: Mitsuba cannot read it as a picture.
+    Raises: as `read_image`.
     """
-    linear = read_image(path)
-    return encode_srgb(linear) if path.suffix.lower() in _DISPLAY_SUFFIXES else tone_map(linear)
+    picture = read_picture(path)
+    linear = _finite(picture)
+    return encode_srgb(linear) if picture.is_encoded else tone_map(linear)
 
 
-def _reason(error: Exception) -> str:
-    """The last sentence of one of Mitsuba's messages."""
-    return " ".join(str(error).split("\n")[0].split())[-120:]
+def _finite(picture: Picture) -> Array:
+    if not np.isfinite(picture.values).all():
+        raise FileFormatError(f"{picture.path}: pixels that are not finite; render it again")
+    return picture.values

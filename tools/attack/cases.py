@@ -75,10 +75,14 @@ def prepare(base: Path) -> None:
     (base / "light.txt").write_text(
         "# nm power\n" + "".join(f"{nm} {nm / 500:.3f}\n" for nm in range(400, 701, 20))
     )
+    from PIL import Image
+
     from manifold.rendering import images
 
     for suffix in (".png", ".exr"):
         images.write_image(base / f"picture{suffix}", np.linspace(0, 1, 300).reshape(10, 10, 3))
+    for suffix in (".jpg", ".tif", ".bmp"):
+        Image.open(base / "picture.png").save(base / f"picture{suffix}")
 
 
 def files(base: Path, folder: Path, rng: random.Random) -> Case:
@@ -203,7 +207,9 @@ def fits(base: Path, folder: Path, rng: random.Random) -> Case:
 
 def texts(base: Path, folder: Path, rng: random.Random) -> Case:
     """Spectra and pictures of which something is changed."""
-    name = rng.choice(("light.txt", "picture.png", "picture.exr"))
+    name = rng.choice(
+        ("light.txt", *(f"picture{suffix}" for suffix in (".png", ".exr", ".jpg", ".tif", ".bmp")))
+    )
     (folder / name).write_bytes(of_bytes((base / name).read_bytes(), rng))
 
     def task() -> None:

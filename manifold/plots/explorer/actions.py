@@ -18,10 +18,10 @@ from typing import Any
 from jsonschema import Draft202012Validator
 
 from manifold.colour.environments import ENVIRONMENTS
+from manifold.colour.pictures import SUFFIXES
 from manifold.errors import UsageError
 from manifold.fitting.exports import TARGETS
 from manifold.model.latents import parse_path
-from manifold.photo.pictures import SUFFIXES
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 _ENDINGS = {"predict": ".bsdf", "render": ".png", "fit": ".fit.json", "export": ""}

@@ -1,0 +1,202 @@
+"""Pictures as files hold them: what is read is right, and what is not is refused by name."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+
+import numpy as np
+import OpenImageIO
+import pytest
+import tifffile
+from PIL import Image, ImageCms
+
+from manifold.colour.conversion import decode_srgb
+from manifold.colour.pictures import read_picture
+from manifold.errors import FileFormatError
+
+
+@pytest.fixture
+def codes(rng):
+    return rng.integers(10, 250, (24, 32, 3), dtype=np.uint8)
+
+
+def write_exr(path, values, channels=("R", "G", "B"), **attributes):
+    spec = OpenImageIO.ImageSpec(values.shape[1], values.shape[0], values.shape[2], "float")
+    spec.channelnames = channels
+    for name, value in attributes.items():
+        spec.attribute(name, "float[8]", value)
+    output = OpenImageIO.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(values)
+    output.close()
+
+
+def with_chunk(codes, kind, data):
+    """A PNG with one more chunk behind its header."""
+    stream = io.BytesIO()
+    Image.fromarray(codes).save(stream, "PNG")
+    chunk = struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    return stream.getvalue()[:33] + chunk + stream.getvalue()[33:]
+
+
+@pytest.mark.parametrize("ending", ["png", "tif"])
+def test_sixteen_bits_of_grey_are_read_in_sixteen_bits(tmp_path, rng, ending):
+    grey = rng.integers(0, 65535, (24, 32), dtype=np.uint16)
+    path = tmp_path / f"grey.{ending}"
+    if ending == "png":
+        Image.fromarray(grey).save(path)
+    else:
+        tifffile.imwrite(path, grey)
+    expected = decode_srgb(grey / 65535.0) if ending == "png" else grey / 65535.0
+    read = read_picture(path)
+    np.testing.assert_allclose(read.values, np.repeat(expected[..., None], 3, 2), atol=1e-6)
+    assert read.is_grey
+
+
+def test_sixteen_bits_of_colour_are_read_in_sixteen_bits(tmp_path, rng):
+    values = rng.integers(0, 65535, (24, 32, 3), dtype=np.uint16)
+    write = OpenImageIO.ImageOutput.create("a.png")
+    assert write.open(str(tmp_path / "a.png"), OpenImageIO.ImageSpec(32, 24, 3, "uint16"))
+    assert write.write_image(values)
+    write.close()
+    np.testing.assert_allclose(
+        read_picture(tmp_path / "a.png").values, decode_srgb(values / 65535.0), atol=1e-6
+    )
+
+
+def test_all_eight_orientations_are_set_upright(tmp_path, codes):
+    """Row 0 and column 0 of the file are, in turn: top left, top right, bottom right, bottom left, left top, right
+    top, right bottom, left bottom (TIFF 6.0, Orientation)."""
+    stored = {
+        1: codes, 2: codes[:, ::-1], 3: codes[::-1, ::-1], 4: codes[::-1], 5: codes.swapaxes(0, 1),
+        6: np.rot90(codes), 7: codes[::-1, ::-1].swapaxes(0, 1), 8: np.rot90(codes, -1),
+    }  # fmt: skip
+    for orientation, pixels in stored.items():
+        tifffile.imwrite(
+            tmp_path / "a.tif", pixels, photometric="rgb", extratags=[(274, "H", 1, orientation, True)]
+        )
+        np.testing.assert_allclose(read_picture(tmp_path / "a.tif").values, codes / 255.0, atol=1e-6)
+
+
+def test_depth_is_neither_colour_nor_opacity(tmp_path, rng):
+    values = rng.random((24, 32, 4)).astype(np.float32) + 3.0
+    write_exr(tmp_path / "a.exr", values, ("R", "G", "B", "Z"))
+    read = read_picture(tmp_path / "a.exr")
+    np.testing.assert_array_equal(read.values, values[..., :3])
+    assert read.is_opaque.all()
+
+
+def test_a_profile_decides_what_a_file_is_encoded_in(tmp_path, codes):
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    for name in ("a.png", "a.tif"):
+        Image.fromarray(codes).save(tmp_path / name, icc_profile=srgb)
+        read = read_picture(tmp_path / name)
+        np.testing.assert_allclose(read.values, decode_srgb(codes / 255.0), atol=1e-6)
+        assert read.is_encoded
+    start = srgb.index(b"para")  # the tone curve: a parametric one of gamma 1, and one of gamma 3
+    for gamma, is_read in ((1.0, True), (3.0, False)):
+        curve = b"para" + bytes(4) + struct.pack(">HHi", 0, 0, round(gamma * 65536))
+        Image.fromarray(codes).save(
+            tmp_path / "b.png", icc_profile=srgb[:start] + curve + srgb[start + len(curve) :]
+        )
+        if is_read:
+            np.testing.assert_allclose(read_picture(tmp_path / "b.png").values, codes / 255.0, atol=1e-6)
+        else:
+            with pytest.raises(FileFormatError, match="expected sRGB"):
+                read_picture(tmp_path / "b.png")
+
+
+def test_a_png_of_gamma_1_is_linear(tmp_path, codes):
+    (tmp_path / "a.png").write_bytes(with_chunk(codes, b"gAMA", struct.pack(">I", 100000)))
+    np.testing.assert_allclose(read_picture(tmp_path / "a.png").values, codes / 255.0, atol=1e-6)
+
+
+def test_exposures_of_radiance_files_are_divided_out(tmp_path):
+    pixels = bytes([128, 64, 32, 129]) * 64
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=2.0\n\n-Y 8 +X 8\n"
+    (tmp_path / "a.hdr").write_bytes(header + pixels)
+    np.testing.assert_allclose(read_picture(tmp_path / "a.hdr").values[0, 0], [0.5, 0.25, 0.125])
+
+
+def pages(path, codes, **options):
+    """A thumbnail, and the picture."""
+    with tifffile.TiffWriter(path) as stream:
+        stream.write(codes[::4, ::4], photometric="rgb", **options)
+        stream.write(codes, photometric="rgb")
+
+
+@pytest.mark.parametrize(
+    ("words", "write"),
+    [
+        ("white is 0", lambda p, c: tifffile.imwrite(p, c[..., 0], photometric="miniswhite")),
+        (r"CMYK \(5\)", lambda p, c: tifffile.imwrite(p, np.dstack([c, c[..., :1]]), photometric="separated")),
+        (r"found CMYK,", lambda p, c: Image.fromarray(c).convert("CMYK").save(p, "JPEG")),
+        ("YCbCr", lambda p, c: tifffile.imwrite(p, c, photometric="ycbcr")),
+        ("CIELAB", lambda p, c: tifffile.imwrite(p, c, photometric="cielab")),
+        ("palette", lambda p, c: Image.fromarray(c).quantize(8).save(p, "TIFF")),
+        ("a thumbnail of 8 x 6", lambda p, c: pages(p, c, subfiletype=1, subifds=1)),
+        ("several pictures", lambda p, c: pages(p, c)),
+        ("channels X, Y, Z", lambda p, c: write_exr(p.with_suffix(".exr"), c / np.float32(255), ("X", "Y", "Z"))),
+        (
+            "primaries",
+            lambda p, c: write_exr(
+                p.with_suffix(".exr"), c / np.float32(255),
+                chromaticities=(0.71, 0.29, 0.17, 0.8, 0.13, 0.05, 0.3127, 0.329),
+            ),
+        ),
+        ("rec2020", lambda p, c: p.write_bytes(with_chunk(c, b"cICP", bytes([9, 16, 0, 1])))),
+        ("begins with b'%!PS", lambda p, c: p.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")),
+        ("not a readable picture", lambda p, c: p.write_bytes(b"PF\n65536 65536\n-1.0\n" + bytes(99))),
+        ("not a readable picture", lambda p, c: p.write_bytes(b"PF\n-5 5\n-1.0\n" + bytes(99))),
+    ],
+)  # fmt: skip
+def test_kinds_that_are_not_read_are_refused_by_name(tmp_path, codes, words, write):
+    write(tmp_path / "a.tif", codes)
+    (path,) = tmp_path.iterdir()
+    with pytest.raises(FileFormatError, match=words):
+        read_picture(path)
+
+
+def tagged(values, data):
+    """A little-endian TIFF of one directory; tags are (type, values) by number, the data lies behind it."""
+    size, body, tail = 8 + 2 + 12 * len(values) + 4, b"", b""
+    for number, (kind, numbers) in sorted(values.items()):
+        packed = struct.pack("<" + {3: "H", 4: "I"}[kind] * len(numbers), *numbers)
+        if len(packed) > 4:
+            packed, tail = struct.pack("<I", size + len(tail)), tail + packed
+        body += struct.pack("<HHI", number, kind, len(numbers)) + packed.ljust(4, b"\0")
+    place = size + len(tail)
+    body = body.replace(struct.pack("<I", 0xDA7A), struct.pack("<I", place))
+    return b"II*\0" + struct.pack("<IH", 8, len(values)) + body + bytes(4) + tail + data
+
+
+@pytest.mark.parametrize(("width", "tile", "bits"), [(64, 16384, 8), (30000, 64, 8), (9000, 64, 64)])
+def test_sizes_are_checked_before_anything_is_decoded(tmp_path, width, tile, bits):
+    data = bytes(4_000_000)  # smaller files that claim so much are no pictures to OpenImageIO
+    sample_format = 3 if bits == 64 else 1
+    tags = {
+        256: (4, [width]), 257: (4, [width]), 258: (3, [bits] * 3), 259: (3, [8]), 262: (3, [2]), 277: (3, [3]),
+        322: (4, [tile]), 323: (4, [tile]), 324: (4, [0xDA7A]), 325: (4, [len(data)]), 339: (3, [sample_format] * 3),
+    }  # fmt: skip
+    (tmp_path / "a.tif").write_bytes(tagged(tags, data))
+    with pytest.raises(FileFormatError, match=f"found {width} x {width} pixels"):
+        read_picture(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "BMP"])
+def test_a_file_that_ends_early_is_refused(tmp_path, codes, kind):
+    Image.fromarray(codes).save(tmp_path / "a", kind)
+    content = (tmp_path / "a").read_bytes()
+    (tmp_path / "a").write_bytes(content[: len(content) * 2 // 3])
+    with pytest.raises(FileFormatError, match="not a readable picture"):
+        read_picture(tmp_path / "a")
+
+
+def test_a_damaged_name_in_a_header_is_refused(tmp_path, codes):
+    write_exr(tmp_path / "a.exr", codes / np.float32(255))
+    content = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(content.replace(b"chlist", b"ch\xffist", 1))
+    with pytest.raises(FileFormatError, match="a damaged header"):
+        read_picture(tmp_path / "a.exr")

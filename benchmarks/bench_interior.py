@@ -103,9 +103,7 @@ class Interior:
     def written(self, folder: Path, *, physical: bool) -> Written:
         """What is measured on the file of a prediction at a random place."""
         x, path = self.draw(), folder / "x.bsdf"
-        found = predict(
-            self._model, x, path, options=OutputOptions(physical=physical, force=True)
-        ).plausibility
+        found = predict(self._model, x, path, options=OutputOptions(physical=physical)).plausibility
         brdf = ClippedBRDF(self._model.predict(x, choose_colour(self._model, x, NEAREST).colours))
         albedo = brdf.albedo(from_spherical(np.deg2rad(FILE_INCIDENCES_DEG), 0.0)).max()
         ball = self.apart(brdf, MeasuredBRDF(read_bsdf(path)))

@@ -33,7 +33,6 @@ from manifold.colour.illuminants import Illuminant
 from manifold.completion.gloss import gloss_units
 from manifold.directions import from_spherical
 from manifold.model.manifold import Manifold
-from manifold.model.output_file import OutputOptions
 from manifold.records import Array
 from manifold.rendering import backend, images
 from manifold.rendering.render import RenderSettings, colorimetric_film, render_scene, rgb_film
@@ -121,7 +120,7 @@ def compare_balls(
     is_whole = shown[..., 3] == 1.0
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "predicted.bsdf"
-        prediction.predict(model, x, file, options=OutputOptions(force=True))
+        prediction.predict(model, x, file)
         measured = {"type": "measured", "filename": str(file)}
         renders = [mitsuba_ball(measured, is_rgb, samples, seed) for seed in (0, 1)]
     pictures = [decode_srgb(shown[..., :3]), 0.5 * (renders[0] + renders[1])]

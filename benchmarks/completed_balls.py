@@ -21,7 +21,6 @@ from manifold.completion.gloss import gloss_units
 from manifold.formats.readings import Readings, geometry_ma_t12
 from manifold.io_rgl import write_bsdf
 from manifold.library.store import Library
-from manifold.model.output_file import OutputOptions
 from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array
 from manifold.rendering import images
@@ -75,7 +74,7 @@ def main() -> None:
                 if found is None:
                     write_bsdf(file, library.read(name))
                 else:
-                    write_checked(file, ClippedBRDF(found.brdf), OutputOptions(force=True))
+                    write_checked(file, ClippedBRDF(found.brdf))
                 renders.render(FileSource(file), picture, settings)
                 balls.append(images.read_image(picture))
             columns.append(np.vstack(balls))

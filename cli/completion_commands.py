@@ -98,7 +98,6 @@ def complete(
     ] = 0,
     instrument: InstrumentOption = None,
     physical: options.PhysicalOption = False,
-    force: options.ForceOption = False,
     resolution: options.ResolutionOption = 32,
     incidences: options.IncidencesOption = 8,
     processes: WorkersOption = None,
@@ -114,7 +113,7 @@ def complete(
     from manifold.workflows import completions, inputs
 
     results = terminal.Results(json)
-    written = OutputOptions(physical, force, resolution, incidences)
+    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     if readings and lab is not None:
         raise UsageError(
             f"found --lab {lab} and readings {readings[0]}, expected one of them; a colour has commas, such as 50,20,10"
@@ -135,7 +134,7 @@ def complete(
             seen = photographs.complete_photographs(
                 request, library, target, readings=measured,
                 picture=checked(target.with_suffix(".png"), "picture") if picture else None,
-                options=OutputOptions(physical, force, resolution, incidences),
+                options=OutputOptions(physical, terminal.is_strict(), resolution, incidences),
             )  # fmt: skip
         photo_options.show_photographs(results, f"Completed {target}", seen)
         return

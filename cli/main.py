@@ -44,7 +44,8 @@ def _options(
     strict: bool = typer.Option(
         False,
         "--strict",
-        help="Treat warnings as errors. Diagnostics of predictions are results, not warnings.",
+        help="Treat warnings as errors, and write no file whose albedo exceeds 1.05. Other diagnostics of predictions "
+        "are results, not warnings.",
     ),
 ) -> None:
     """Options of every command; the last two are taken out of the arguments by `run`, wherever they stand."""
@@ -71,7 +72,7 @@ def run(arguments: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for terminals that cannot show all that files say
-    terminal.begin()
+    terminal.begin(strict)
     display_with(terminal.display)
     terminal.end_with_listener()
     if strict:

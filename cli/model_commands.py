@@ -264,7 +264,6 @@ def predict(
     chroma: Annotated[str | None, typer.Option(help="Chroma, likewise.", metavar="C|+C|-C")] = None,
     hue: Annotated[str | None, typer.Option(help="Hue in degrees, likewise.", metavar="H|+H|-H")] = None,
     physical: options.PhysicalOption = False,
-    force: options.ForceOption = False,
     output: Annotated[
         Path | None,
         options.output_option(
@@ -294,7 +293,7 @@ def predict(
         ColourChoice(like, reflectance, srgb),
         Attributes.parse(gloss or (), lightness, chroma, hue),
     )
-    written = OutputOptions(physical, force, resolution, incidences)
+    written = OutputOptions(physical, terminal.is_strict(), resolution, incidences)
     if None not in (place, latent):
         raise UsageError(
             f"found two places, {place} and --latent {latent}, expected one; coordinates have commas and no "
@@ -384,7 +383,6 @@ def locate(
         ),
     ] = None,
     physical: options.PhysicalOption = False,
-    force: options.ForceOption = False,
     processes: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -410,7 +408,7 @@ def locate(
         with progress.shown("Comparing pixels"):
             seen = photographs.locate_photographs(
                 model, request, output, library=library, picture=picture,
-                options=OutputOptions(physical, force),
+                options=OutputOptions(physical, terminal.is_strict()),
             )  # fmt: skip
         place = seen.located
         assert place is not None
@@ -424,7 +422,7 @@ def locate(
         return
     if not materials:
         raise UsageError("found no material; name one, or give --photo PICTURE and --light PICTURE")
-    written = OutputOptions(physical, force)
+    written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
         from manifold.workflows import many_files
@@ -471,7 +469,6 @@ def reconstruct(
         ),
     ] = None,
     physical: options.PhysicalOption = False,
-    force: options.ForceOption = False,
     processes: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: options.JsonOption = None,
@@ -486,7 +483,7 @@ def reconstruct(
     from manifold.workflows import reconstruction
 
     results = terminal.Results(json)
-    written = OutputOptions(physical, force)
+    written = OutputOptions(physical, terminal.is_strict())
     sources = options.several_materials(materials, model, library)
     if (several := inputs_of(sources, output)) is not None:
         from manifold.workflows import many_files

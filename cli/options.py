@@ -68,7 +68,6 @@ PhysicalOption = Annotated[
         "refine grids.",
     ),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Write it even if its albedo exceeds 1.05.")]
 ResolutionOption = Annotated[
     int, typer.Option(help="Outgoing directions: a grid of N x N.", metavar="N", min=4, max=512)
 ]

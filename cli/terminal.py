@@ -32,6 +32,7 @@ from manifold.system.names import first_few, printable
 from manifold.system.progress import PROGRESS_VARIABLE
 from manifold.system.progress import Progress as Listener
 
+_is_strict = False
 warned: list[str] = []
 """Warnings of this package since the command began, which its JSON repeats."""
 
@@ -42,11 +43,21 @@ _last_line = time.monotonic()
 _WIDTH = 80  # columns that sentences and lists are broken to; a line with a single long word may be longer
 
 
-def begin() -> None:
-    """Start the clock of silence, and forget the warnings of an earlier command in this process."""
-    global _last_line
+def begin(strict: bool) -> None:
+    """Start the clock of silence, and forget the warnings of an earlier command in this process.
+
+    Args:
+        strict: whether warnings are errors.
+    """
+    global _last_line, _is_strict
+    _is_strict = strict
     _last_line = time.monotonic()
     warned.clear()
+
+
+def is_strict() -> bool:
+    """Whether warnings are errors in the command that runs."""
+    return _is_strict
 
 
 @contextmanager

@@ -42,6 +42,7 @@ class Plausibility:
             0, 5, ... 85 degrees.
         highlight_valley: depth of the deepest in-plane minimum within 20 degrees of the mirror direction, at incidences
             of 30, 45 and 60 degrees, as a share of the lower of the highest values on its two sides; the mean of bands.
+        albedo_incidence_deg: elevation at which the albedo is largest.
 
     Anisotropic BRDFs are evaluated at eight azimuths of incidence, isotropic ones at one.
     """
@@ -50,6 +51,7 @@ class Plausibility:
     reciprocity_error: float
     max_albedo: float
     highlight_valley: float
+    albedo_incidence_deg: float = 0.0
 
 
 def plausibility(brdf: BRDF) -> Plausibility:
@@ -72,23 +74,30 @@ def plausibilities(evaluate: Evaluate, is_isotropic: bool = True) -> list[Plausi
     wide_negative, wide_error, _ = _over_incidences(evaluate, wide)
     negative, error, albedo = _over_incidences(evaluate, narrow)
     valley = _highlight_valley(evaluate, is_isotropic)
+    at = np.repeat(_ALBEDO_INCIDENCES_DEG, len(narrow) // len(_ALBEDO_INCIDENCES_DEG))[albedo.argmax(axis=0)]
     rows = zip(
-        np.maximum(wide_negative, negative), np.maximum(wide_error, error), albedo, valley, strict=True
-    )
-    return [Plausibility(float(n), float(r), float(a), float(v)) for n, r, a, v in rows]
+        np.maximum(wide_negative, negative), np.maximum(wide_error, error), albedo.max(axis=0), valley, at,
+        strict=True,
+    )  # fmt: skip
+    return [Plausibility(*map(float, row)) for row in rows]
 
 
 def plausibility_of_file(file: BsdfFile) -> Plausibility:
     """Measure what a renderer interpolates in a file: its albedo at incidences from 0 to 85 degrees."""
     measured = MeasuredBRDF(file)
-    return replace(plausibility(measured), max_albedo=float(largest_albedo(measured).max()))
-
-
-def largest_albedo(measured: MeasuredBRDF) -> Array:
-    """Largest directional albedo of each band over incidences of 0, 5, ... 85 degrees, shape (B,)."""
-    return np.asarray(
-        measured.albedo(incident_directions(FILE_INCIDENCES_DEG, measured.is_isotropic)).max(axis=0)
+    albedo = albedo_at(measured, FILE_INCIDENCES_DEG)
+    at = int(albedo.argmax())
+    return replace(
+        plausibility(measured),
+        max_albedo=float(albedo[at]),
+        albedo_incidence_deg=float(FILE_INCIDENCES_DEG[at]),
     )
+
+
+def albedo_at(brdf: BRDF, elevations_deg: Sequence[float]) -> Array:
+    """Largest directional albedo over bands, and azimuths of anisotropic BRDFs, at K elevations: shape (K,)."""
+    wi = incident_directions(elevations_deg, brdf.is_isotropic)
+    return np.asarray(brdf.albedo(wi).reshape(len(elevations_deg), -1).max(axis=1))
 
 
 def _highlight_valley(evaluate: Evaluate, is_isotropic: bool) -> Array:
@@ -108,7 +117,7 @@ def incident_directions(elevations_deg: Sequence[float] | Array, is_isotropic: b
 def _over_incidences(
     evaluate: Evaluate, quadratures: Iterable[tuple[Array, Array, Array]]
 ) -> tuple[Array, Array, Array]:
-    """Share of negative values, reciprocity error and largest albedo of M BRDFs, shape (M,) each.
+    """Share of negative values and reciprocity error of M BRDFs (M,), and their albedo at K incidences (K, M).
 
     Args:
         evaluate: as of `plausibilities`.
@@ -125,7 +134,7 @@ def _over_incidences(
         albedo.append(np.einsum("mpb,p->mb", f, measure * wo[:, 2]).max(axis=1))
     norm, distance = (np.sqrt(np.sum(a, axis=0)) for a in (squared, difference))
     error = np.divide(distance, norm, out=np.zeros_like(norm), where=norm > 0)
-    return np.mean(negative, axis=0), error, np.max(albedo, axis=0)
+    return np.mean(negative, axis=0), error, np.array(albedo)
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:

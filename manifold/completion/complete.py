@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.brdf.measured import BRDF
 from manifold.completion.atoms import LibraryAtoms, ball_coordinates, grid_coordinates
 from manifold.completion.band_mixtures import Hypotheses, band_mixtures
-from manifold.completion.gloss import GlossReadings, gloss_units
+from manifold.completion.gloss import GlossReadings, gloss_differences, gloss_units
 from manifold.completion.mixtures import ReadingRoots, posterior
 from manifold.completion.reading_bands import beyond, for_library, in_all_bands
 from manifold.completion.residual import AdjustedBRDF, ResidualFactors, coordinates, residual_factors
@@ -64,6 +65,7 @@ class Completion:
         residual: factors near the readings, in the bands of the library.
         predicted: f at the readings, in 1/sr, shape (P, B_r).
         gloss_misfits: relative error of cube roots at the readings of gloss, by angle in degrees.
+        written: the file's BRDF, of which these errors are; None where they are of the completion itself.
     """
 
     atoms: LibraryAtoms
@@ -74,6 +76,22 @@ class Completion:
     residual: ResidualFactors
     predicted: Array
     gloss_misfits: Mapping[float, float]
+    written: BRDF | None = None
+
+    def as_written(self, brdf: BRDF) -> Completion:
+        """The same with the errors of a file that it was written to."""
+        f, read, nm = (
+            brdf.eval(self.readings.wi, self.readings.wo),
+            self.readings.gloss,
+            self.readings.wavelengths_nm,
+        )
+        if nm is not None:
+            f = np.array([np.interp(nm, np.array(brdf.bands.wavelengths_nm), row) for row in f])
+        made = gloss_units(brdf, read)
+        off = gloss_differences(np.array(list(made.values())), np.array(list(read.values())))
+        return replace(
+            self, predicted=f, written=brdf, gloss_misfits=dict(zip(read, off.tolist(), strict=True))
+        )
 
     def __repr__(self) -> str:
         like = ", ".join(f"{weight:.2f} {name}" for name, weight in self.made_of)
@@ -136,7 +154,7 @@ class Completion:
     @cached_property
     def gloss(self) -> dict[float, float]:
         """Gloss units of the completion, at the angles in degrees at which gloss was read."""
-        return gloss_units(self.brdf, self.readings.gloss)
+        return gloss_units(self.written or self.brdf, self.readings.gloss)
 
     @cached_property
     def misfits(self) -> Array:

@@ -94,6 +94,13 @@ def gloss_units(brdf: EvaluableBRDF, angles_deg: Iterable[float] = GLOSS_ANGLES_
     return units
 
 
+def gloss_differences(made: Array, read: Array) -> Array:
+    """Relative differences of cube roots between units of gloss and what was read within a unit, shape (G,)."""
+    nearest = np.clip(made, np.maximum(read - 1.0, 0.0), read + 1.0)
+    root, near = np.cbrt(made), np.cbrt(nearest)
+    return np.asarray(np.abs(root - near) / np.maximum(np.maximum(root, near), np.finfo(float).tiny))
+
+
 @dataclass(frozen=True, eq=False)
 class GlossReadings:
     """G readings of gloss beside those of a material: means over apertures around mirror directions.
@@ -128,11 +135,7 @@ class GlossReadings:
 
     def differences(self, roots: Array) -> Array:
         """Relative differences of cube roots in bands, shape (B, G), from what was read within a gloss unit: (G,)."""
-        made, read = self._luminous(roots), self.roots**3
-        nearest = np.cbrt(np.clip(made**3, np.maximum(read - self.unit, 0.0), read + self.unit))
-        return np.asarray(
-            np.abs(made - nearest) / np.maximum(np.maximum(made, nearest), np.finfo(float).tiny)
-        )
+        return gloss_differences(self._luminous(roots) ** 3 / self.unit, self.roots**3 / self.unit)
 
     def scaled(self, roots: Array) -> Array:
         """Cube roots in bands, shape (B, G), scaled to have the luminance that was read."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from manifold import __version__
 from manifold.brdf.measured import BRDF
 from manifold.brdf.physical import RECIPROCITY_ERROR
-from manifold.brdf.plausibility import Plausibility, plausibility
+from manifold.brdf.plausibility import Plausibility, albedo_at, plausibility
 from manifold.latent.expected_error import COARSE_BELOW
 from manifold.model.colours import NEAREST, UNCHOSEN, ChosenColour, ColourChoice, choose_colour
 from manifold.model.comparison import BRDFErrors
@@ -131,7 +131,7 @@ def diagnose(
         why += f", expected error {expected.ball:.0f} CIEDE2000 of the ball"
     measured = found if negative_share is None else replace(found, negative_share=negative_share)
     if model.space.training_index(place.latent, colours) is not None:
-        sentences = of_measured(measured)
+        sentences = of_measured(measured, brdf)
     else:
         sentences = of_prediction(is_extrapolation, measured, chosen.residual, why)
     return Prediction(
@@ -171,7 +171,11 @@ def in_words(expected: ExpectedErrors | None, materials: int) -> list[str]:
 
 
 def of_prediction(
-    is_extrapolation: bool, found: Plausibility, residual: float = 0.0, why: str = "far from all materials"
+    is_extrapolation: bool,
+    found: Plausibility,
+    residual: float = 0.0,
+    why: str = "far from all materials",
+    measured: BRDF | None = None,
 ) -> tuple[str, ...]:
     """Of a prediction.
 
@@ -180,6 +184,7 @@ def of_prediction(
         found: measurements on it.
         residual: largest difference over bands between the requested reflectance and the one reached.
         why: the reason why the data do not support it.
+        measured: the material that it is meant to be; None where there is none.
     """
     diagnostics = []
     if is_extrapolation:
@@ -189,9 +194,11 @@ def of_prediction(
             f"{100.0 * found.negative_share:.2g} % of the values were negative; the data do not support this point"
         )
     if found.max_albedo > MOST_ALBEDO:
-        diagnostics.append(
-            f"not energy-conserving: directional albedo {found.max_albedo:.2f}; a physical file scales it to 1"
-        )
+        at = found.albedo_incidence_deg
+        words = f"not energy-conserving: albedo {found.max_albedo:.2f} at {at:.0f} degrees"
+        if measured is not None:
+            words += f"; the measured file has {albedo_at(measured, (at,))[0]:.2f}"
+        diagnostics.append(f"{words}; a physical file has at most 1")
     if found.reciprocity_error > MOST_NON_RECIPROCAL:
         diagnostics.append(
             f"not reciprocal: f(wi, wo) and f(wo, wi) differ by {100.0 * found.reciprocity_error:.0f} %; "
@@ -209,10 +216,15 @@ def of_prediction(
     return tuple(diagnostics)
 
 
-def of_measured(found: Plausibility) -> tuple[str, ...]:
-    """Of a measured material at its own place."""
+def of_measured(found: Plausibility, measured: BRDF | None = None) -> tuple[str, ...]:
+    """Of a measured material at its own place.
+
+    Args:
+        found: measurements on it, or on the file that it was written to.
+        measured: the material itself.
+    """
     sound = replace(found, negative_share=0.0, highlight_valley=0.0)
-    diagnostics = list(of_prediction(False, sound))
+    diagnostics = list(of_prediction(False, sound, measured=measured))
     negative, valley = 100.0 * found.negative_share, 100.0 * found.highlight_valley
     if found.negative_share > MOST_NEGATIVE:
         diagnostics.append(

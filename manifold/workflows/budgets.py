@@ -20,7 +20,6 @@ from manifold.experiments.budget.search import Difference, Tolerance
 from manifold.io_rgl import material_name, read_bsdf
 from manifold.library.location import require_outside_libraries
 from manifold.model.colours import ColourChoice
-from manifold.model.output_file import OutputOptions
 from manifold.plots import figures
 from manifold.plots.plot_budget import budget_figure
 from manifold.rendering import backend, image_metrics, render
@@ -293,7 +292,6 @@ def _measured_file(material: SceneMaterial, folder: Path) -> Path:
         path,
         library=library,
         colour=colour,
-        options=OutputOptions(force=True),
     )
     return path
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.correction import ColourCorrection, read_correction, write_correction
 from manifold.completion.atoms import LibraryAtoms
@@ -155,6 +156,12 @@ def complete_readings(
         stages.begin("rendering")
         renders.render(FileSource(output), picture, RenderSettings())
     plausibility = written.plausibility
+    if written.file is not None and written.change is not None:
+        made = made.as_written(MeasuredBRDF(written.file))
+    expected = calibration.expected(made)
+    if written.change is not None:
+        changed = written.change._asdict()
+        expected = {kind: float(np.hypot(error, changed[kind])) for kind, error in expected.items()}
     notes = (
         *made.notes,
         *calibration.notes(made),
@@ -162,7 +169,7 @@ def complete_readings(
         *written.projection,
     )
     return Completed(
-        output, picture, made, correction, calibration.expected(made), plausibility, suggested, notes,
+        output, picture, made, correction, expected, plausibility, suggested, notes,
         time.perf_counter() - start,
     )  # fmt: skip
 

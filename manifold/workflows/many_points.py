@@ -39,7 +39,7 @@ def predict_all(
         UsageError, ModelError, LibraryError: the model or the folder cannot be used.
     """
     loaded = load_model(model, library)
-    how = {"physical": options.physical, "resolution": options.resolution, "incidences": options.incidences}
+    how = asdict(options)
     ending = "_rgb.bsdf" if loaded.bands.is_rgb else "_spec.bsdf"
     todo = [Task(p.name, _path(folder, p, ending), p) for p in table.points]
     make = partial(_predict, model=model, library=library, options=options)

@@ -51,23 +51,24 @@ def write_output(
     remedy: str = "make it physical",
     keeps_hue: bool = False,
 ) -> WrittenFile:
-    """Measure a BRDF with the virtual goniometer, and write the file unless its albedo is above 1.05.
+    """Measure a BRDF with the virtual goniometer, and write the file; a strict one only if its albedo is at most 1.05.
 
     Args:
         output: the file; its name becomes the material's.
         brdf: what is measured, without negative values.
         options, description, keeps_hue: see `output_file`.
-        remedy: what to do about a file whose albedo exceeds 1.05, besides forcing it.
+        remedy: what to do about a file whose albedo exceeds 1.05, besides taking it as it is.
     """
     name = material_name(output)
     file, found, projection, change = output_file(
         brdf, name, options, description=description, keeps_hue=keeps_hue
     )
-    if found.max_albedo > diagnostics.MOST_ALBEDO and not options.force:
+    if found.max_albedo > diagnostics.MOST_ALBEDO and options.strict:
         return WrittenFile(
             found,
-            refusal=f"{output}: would have a directional albedo of {found.max_albedo:.2f} at an incidence up to 85 "
-            f"degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or force it: options physical, force",
+            refusal=f"{output}: would have an albedo of {found.max_albedo:.2f} at "
+            f"{found.albedo_incidence_deg:.0f} degrees, expected at most {diagnostics.MOST_ALBEDO}; {remedy}, or write "
+            "it with a warning: options physical, strict",
         )
     write_bsdf(output, file)
     return WrittenFile(found, file, projection, change)
@@ -79,7 +80,7 @@ def write_checked(
     """The same, with a refusal as an error.
 
     Raises:
-        UsageError: its albedo would exceed 1.05, and `force` is not set.
+        UsageError: its albedo would exceed 1.05, and `strict` is set.
     """
     written = write_output(output, brdf, options, **how)
     if written.refusal is not None:

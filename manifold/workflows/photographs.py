@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -151,8 +151,8 @@ def complete_photographs(
     Raises:
         MissingFileError, FileFormatError: a picture cannot be read.
         BandMismatchError: readings or sensitivities do not go with the bands of the library.
-        UsageError: no ball is found, most of it is clipped, the output cannot be written, or its albedo would exceed
-            1.05 and `force` is not set.
+        UsageError: no ball is found, most of it is clipped, the output cannot be written, or `strict` is set and
+            its albedo would exceed 1.05.
     """
     start = time.perf_counter()
     require_bsdf_output(output)
@@ -172,6 +172,8 @@ def complete_photographs(
         keeps_hue=True,
     )
     notes += (*diagnostics.of_prediction(False, written.plausibility), *written.projection)
+    if written.projection:
+        notes += ("the residual and expected error are those of the material before it was made physical",)
     if picture is not None:
         stages.begin("rendering")
         draw_residuals(balls, output, material, picture)
@@ -211,7 +213,7 @@ def locate_photographs(
             written = write_checked(
                 shown,
                 ClippedBRDF(place.brdf),
-                options if output is not None else replace(options, force=True),
+                options if output is not None else DEFAULT_OPTIONS,
                 description=f"Photographed, at latent ({', '.join(place.coordinates)}), by manifold {__version__}",
             )
             plausibility = written.plausibility

@@ -42,8 +42,8 @@ def predict(
         attributes: gloss and colour that the material should have instead of its own; see `attributes.adjust`.
         options: of the file.
     Raises:
-        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or its albedo
-            would exceed 1.05 and `force` is not set.
+        UsageError: the name of the output does not end in `.bsdf`, the file cannot be written, or `strict` is set
+            and its albedo would exceed 1.05.
         LatentError: the latent does not have Q finite coordinates.
     """
     output = Path(output)
@@ -66,6 +66,10 @@ def predict(
     written = write_checked(output, clipped, options, description=description, remedy=remedy)
     seconds = time.perf_counter() - start
     made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
+    if made.expected is not None and written.change is not None:
+        expected, change = made.expected, written.change
+        ball, cube_root = np.hypot(expected.ball, change.ball), np.hypot(expected.cube_root, change.cube_root)
+        made = replace(made, expected=replace(expected, ball=ball, cube_root=cube_root))
     turned = f"turned by {np.rad2deg(place.rotation_rad):.1f} degrees, as the sample lay"
     made = replace(
         made, diagnostics=made.diagnostics + written.projection + (turned,) * bool(place.rotation_rad)

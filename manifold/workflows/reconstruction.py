@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.library.store import Library
 from manifold.model import diagnostics, located
+from manifold.model.comparison import brdf_errors
 from manifold.model.located import Located, Reconstruction
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import DEFAULT_OPTIONS, OutputOptions
@@ -31,7 +34,8 @@ def locate(
 ) -> Located:
     """Embed a measured file in a fitted manifold, see `manifold.model.located.locate`.
 
-    An output whose albedo would exceed 1.05 is not written unless `force` is set; `refusal` says so.
+    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
+    output that was projected are those of the file.
 
     Args:
         model: a fitted manifold, or the path of one.
@@ -53,7 +57,7 @@ def locate(
     if output is None:
         return found
     how = f"at latent ({', '.join(found.coordinates)})"
-    return _written(found, file.name, Path(output), how, options)
+    return _written(found, file, Path(output), how, options)
 
 
 def reconstruct(
@@ -67,7 +71,8 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a measured file from a library, see `manifold.model.located.reconstruct_file`, and write it.
 
-    An output whose albedo would exceed 1.05 is not written unless `force` is set; `refusal` says so.
+    An output whose albedo would exceed 1.05 is not written if `strict` is set; `refusal` says so. The errors of an
+    output that was projected are those of the file.
 
     Args:
         library: of measured materials in the same bands.
@@ -87,24 +92,27 @@ def reconstruct(
     file = _read(path)
     found = located.reconstruct_file(Library(library), file, without, numbers=numbers)
     how = f"from {found.materials} materials and analytic lobes"
-    return _written(found, file.name, output, how, options)
+    return _written(found, file, output, how, options)
 
 
 def _read(material: Path | str | MaterialSource) -> BsdfFile:
     return read_source(FileSource(Path(material)) if isinstance(material, str | Path) else material)
 
 
-def _written(found: _R, name: str, output: Path, how: str, options: OutputOptions) -> _R:
+def _written(found: _R, source: BsdfFile, output: Path, how: str, options: OutputOptions) -> _R:
     """A reconstruction of a material that is written, or refused, with the plausibility of its file."""
     written = write_output(
         output,
         ClippedBRDF(found.brdf),
         options,
-        description=f"Reconstruction of {name} {how} by manifold {__version__}",
+        description=f"Reconstruction of {source.name} {how} by manifold {__version__}",
     )
+    measured = MeasuredBRDF(fill_unmeasured(source))
+    if written.change is not None and written.file is not None:
+        found = replace(found, errors=brdf_errors(measured, MeasuredBRDF(written.file)))
     sentences = (
         *found.diagnostics,
-        *diagnostics.of_prediction(False, written.plausibility),
+        *diagnostics.of_prediction(False, written.plausibility, measured=measured),
         *written.projection,
     )
     return replace(found, plausibility=written.plausibility, diagnostics=sentences, refusal=written.refusal)

@@ -146,7 +146,6 @@ def latent_material(
         UsageError: `direct` without LLVM; and what `prediction.predict` raises.
     """
     from manifold.model import diagnostics
-    from manifold.model.output_file import OutputOptions
     from manifold.rendering.plugin.bsdf import load_model
     from manifold.workflows import prediction
 
@@ -155,7 +154,7 @@ def latent_material(
         with TemporaryDirectory() as folder:
             path = Path(folder) / "predicted.bsdf"
             made = prediction.predict(
-                load_model(model, library), latent, path, colour=colour, options=OutputOptions(force=True),
+                load_model(model, library), latent, path, colour=colour,
             )  # fmt: skip
             file = read_material(path)
             yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made

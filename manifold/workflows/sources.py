@@ -187,12 +187,10 @@ def source_file(source: MaterialSource) -> Iterator[Path]:
         if isinstance(source, LibrarySource):
             write_bsdf(path, read_source(source))
         else:
-            from manifold.model.output_file import OutputOptions
             from manifold.workflows.prediction import predict
 
             predict(
                 source.model, source.place, path, library=source.library, colour=source.colour,
-                options=OutputOptions(force=True),
             )  # fmt: skip
         yield path
 

@@ -142,21 +142,29 @@ def test_a_physical_prediction_is_a_physical_file(kind, tmp_path, rng):
     assert made.plausibility.max_albedo == pytest.approx(albedo, abs=0.02)  # other incidences
 
 
-def test_what_returns_more_light_than_it_gets_is_not_written(tmp_path, monkeypatch):
+def test_what_returns_more_light_than_it_gets_is_written_with_a_warning_or_refused_if_strict(
+    tmp_path, monkeypatch
+):
     model = Manifold.fit(Library.open(small_library(tmp_path)), Settings(), calibrate=False)
     x = model.X.mean(axis=0)
     brighter = replace(model.combination(x, None), weights=2.0 * model.space.weights(x, None))
     monkeypatch.setattr(Manifold, "combination", lambda *_: brighter)
     output = tmp_path / "bright.bsdf"
     with pytest.raises(
-        UsageError, match=r"bright\.bsdf: would have a directional albedo of .* at most 1\.05; .* force it"
+        UsageError,
+        match=r"bright\.bsdf: would have an albedo of .* at .* degrees, expected at most 1\.05; .* strict",
     ):
-        predict(model, x, output)
+        predict(model, x, output, options=OutputOptions(strict=True))
     assert not output.exists()
-    forced = predict(model, x, output, options=OutputOptions(force=True))
+    plain = predict(model, x, output)
     assert output.exists()
-    assert any("not energy-conserving" in sentence for sentence in forced.diagnostics)
-    assert predict(model, x, output, options=OutputOptions(physical=True)).plausibility.max_albedo <= 1.0
+    at, albedo = plain.plausibility.albedo_incidence_deg, plain.plausibility.max_albedo
+    written = MeasuredBRDF(read_bsdf(output)).albedo(from_spherical(np.deg2rad(at), 0.0)).max()
+    assert written == pytest.approx(albedo, rel=1e-5)  # the same quadrature
+    words = f"not energy-conserving: albedo {albedo:.2f} at {at:.0f} degrees"
+    assert any(sentence.startswith(words) for sentence in plain.diagnostics)
+    physical = predict(model, x, output, options=OutputOptions(physical=True))
+    assert physical.plausibility.max_albedo <= 1.0
 
 
 class Rim(Lambert):

@@ -20,7 +20,7 @@ def test_a_sound_result_has_no_diagnostics():
     [
         ((True, SOUND), "not supported by the data"),
         ((False, Plausibility(0.2, 0.0, 0.9, 0.0)), "20 % of the values were negative"),
-        ((False, Plausibility(0.0, 0.0, 3.0, 0.0)), "directional albedo 3.00"),
+        ((False, Plausibility(0.0, 0.0, 3.0, 0.0)), "albedo 3.00 at 0 degrees"),
         ((False, Plausibility(0.0, 0.6, 0.9, 0.0)), "differ by 60 %"),
         (
             (False, Plausibility(0.0, 0.0, 0.9, 0.3)),

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 from helpers.small_library import NAMES, small_model
 
+from manifold.brdf import physical
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.unmeasured import fill_unmeasured
+from manifold.completion.gloss import gloss_units
 from manifold.errors import MissingFileError, UnknownNameError
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics
+from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
+from manifold.model.output_file import OutputOptions
 from manifold.plots import plot_latents
+from manifold.workflows import completions, reconstruction
 from manifold.workflows.sources import (
     FileSource,
     LibrarySource,
@@ -161,9 +169,10 @@ def test_what_cannot_be_followed_is_refused(run, folder, arguments, words):
 @pytest.mark.parametrize("command", ["locate", "reconstruct"])
 def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatch, command):
     monkeypatch.setattr(diagnostics, "MOST_ALBEDO", 0.01)
-    status, out, err = run(command, FILE, "-o", "bright.bsdf", "--json", "found.json", cwd=folder)
+    strict = ("--strict", "-o", "bright.bsdf", "--json", "found.json")
+    status, out, err = run(command, FILE, *strict, cwd=folder)
     assert (status, (folder / "bright.bsdf").exists()) == (1, False)
-    assert "bright.bsdf: would have a directional albedo of" in " ".join(err.split())
+    assert "bright.bsdf: would have an albedo of" in " ".join(err.split())
     assert "reconstruction error" in out
     assert "written to" not in out
     found = json.loads((folder / "found.json").read_text())
@@ -171,6 +180,10 @@ def test_a_refused_output_loses_neither_place_nor_errors(run, folder, monkeypatc
     assert found["refusal"] in " ".join(err.split())
     assert found["ball"] >= 0.0
     assert command == "reconstruct" or len(found["latent"]) == 2
+    status, out, err = run(command, FILE, "-o", "bright.bsdf", cwd=folder)
+    assert (status, err, (folder / "bright.bsdf").exists()) == (0, "", True)
+    assert re.search(r"albedo (\S+) at \d+ degrees; the measured file has \d", " ".join(out.split()))
+    (folder / "bright.bsdf").unlink()
 
 
 @pytest.mark.parametrize("command", [("predict", "0.1,0.2"), ("locate", FILE), ("reconstruct", FILE)])
@@ -178,6 +191,22 @@ def test_a_projected_file_says_what_the_projection_changed(run, folder, command)
     status, out, err = run(*command, "--physical", "-o", "physical.bsdf", cwd=folder)
     assert (status, err) == (0, "")
     assert "made physical: largest albedo" in " ".join(out.split())
+
+
+def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkeypatch):
+    monkeypatch.setattr(physical, "RECIPROCITY_ERROR", 0.001)  # so that the projection changes something
+    options, library = OutputOptions(physical=True), folder / "library.zarr"
+    path = folder / "projected.bsdf"
+    made = reconstruction.reconstruct(library, folder / FILE, path, without=[NAME], options=options)
+    measured = MeasuredBRDF(fill_unmeasured(read_bsdf(folder / FILE)))
+    assert made.errors == brdf_errors(measured, MeasuredBRDF(read_bsdf(path)))
+    assert made.errors != brdf_errors(measured, made.brdf)
+    readings = completions.readings_of_lab("50,20,10", {60.0: 40.0}, library)
+    completed = completions.complete_readings(readings, library, path, options=options)
+    written, found = MeasuredBRDF(read_bsdf(path)), completed.completion
+    np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
+    assert found.gloss == gloss_units(written, [60.0])
+    assert completed.residual == pytest.approx(float(np.sqrt(np.mean(found.misfits**2))))
 
 
 def test_files_that_were_not_measured_are_not_called_measured(run, folder):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,6 +24,13 @@ SRGB_TO_XYZ = frozen(
 )
 """From linear sRGB to XYZ, by the primaries and white of IEC 61966-2-1, which rounds it."""
 _RGB_WEIGHTS = frozen(SRGB_TO_XYZ.T.copy())
+
+VISIBLE_NM = (380.0, 780.0)
+"""Where bands have a colour, in nm."""
+
+
+class InvisibleBandsWarning(UserWarning):
+    """Colours are asked of bands in the infrared or the ultraviolet alone, which have none."""
 
 
 def to_xyz(values: Array, bands: Bands, illuminant: str = "D65") -> Array:
@@ -73,7 +81,21 @@ def to_srgb(values: Array, bands: Bands, illuminant: str = "D65", *, adapt: bool
     weights = xyz_weights(bands, illuminant)
     if bands.is_rgb:
         return values.copy()
+    warn_if_invisible(bands)
     return values @ xyz_to_srgb(weights, weights.sum(axis=0) if adapt else None)
+
+
+@lru_cache(maxsize=64)
+def warn_if_invisible(bands: Bands) -> None:
+    """Warn, once, where no band is visible: their red, green and blue are the grey of what lies beyond."""
+    low, high = VISIBLE_NM
+    if not any(low <= nm <= high for nm in bands.wavelengths_nm or VISIBLE_NM):
+        warnings.warn(
+            f"{bands}: no colour, expected bands between {low:g} and {high:g} nm; red, green and blue continue the "
+            "nearest bands",
+            InvisibleBandsWarning,
+            stacklevel=4,
+        )
 
 
 def file_to_srgb(file: BsdfFile) -> BsdfFile:

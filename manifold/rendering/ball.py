@@ -10,6 +10,7 @@ from typing import Any
 from manifold.brdf import goniometer
 from manifold.brdf.measured import BRDF, MeasuredBRDF, require_brdf
 from manifold.colour import studio
+from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import MissingFileError, UsageError
 from manifold.io_rgl import material_name, read_bsdf, write_bsdf
@@ -61,6 +62,7 @@ def read_material(path: Path) -> BallMaterial:
         raise UsageError(
             f"{path}: outgoing grid of {rows} x {columns}, expected a square one; Mitsuba reads no other"
         )
+    warn_if_invisible(file.bands)
     bsdf = {"type": "measured", "filename": str(path)}
     return BallMaterial(material_name(path), bsdf, file.bands.is_rgb, f"{file.origin} file")
 

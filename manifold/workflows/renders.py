@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from manifold import __version__
+from manifold.colour.conversion import warn_if_invisible
 from manifold.colour.reflectances import ReflectanceSpectrum
 from manifold.errors import UsageError
 from manifold.library.identity import hash_arrays
@@ -168,6 +169,7 @@ def latent_material(
         raise UsageError(
             "direct renders have the colours of latents, not those between two; render a predicted file"
         )
+    warn_if_invisible(loaded.bands)
     predicted = diagnostics.predict(loaded, latent, colour)
     coordinates = ",".join(repr(float(v)) for v in predicted.latent)
     bsdf = {"type": "manifold", "model": str(model), "latent": coordinates}

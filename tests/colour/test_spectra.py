@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
 
 from manifold.colour.conversion import (
     SRGB_TO_XYZ,
+    InvisibleBandsWarning,
     decode_srgb,
     encode_srgb,
     luminance,
@@ -171,3 +173,16 @@ def test_colour_is_imported_lazily_and_quietly(tmp_path):
         )
         assert done.stdout == ""
         assert done.stderr == ""
+
+
+@pytest.mark.parametrize("nm", [(850.5, 940.5, 1050.5), (250.5, 300.5, 350.5), (350.5, 900.5), (905.5,)])
+def test_bands_beyond_the_visible_are_said_to_have_no_colour(nm):
+    with pytest.warns(InvisibleBandsWarning, match=f"{nm[0]:.1f}.*: no colour"):
+        to_srgb(np.ones(len(nm)), Bands(nm))
+
+
+@pytest.mark.parametrize("nm", [None, (340.0, 500.0, 900.0), (550.0,)])
+def test_one_visible_band_is_a_colour(nm):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        to_srgb(np.ones(Bands(nm).count), Bands(nm))

@@ -21,7 +21,7 @@ from manifold.brdf.analytic.ggx import GGX
 from manifold.brdf.analytic.microfacet import RoughConductor
 from manifold.cli.main import run as run_here
 from manifold.colour import studio
-from manifold.colour.conversion import decode_srgb, sensor_responses, srgb_to_xyz
+from manifold.colour.conversion import InvisibleBandsWarning, decode_srgb, sensor_responses, srgb_to_xyz
 from manifold.colour.difference import delta_e_2000
 from manifold.colour.illuminants import Illuminant
 from manifold.errors import FileFormatError, ShapeError, UsageError
@@ -327,3 +327,11 @@ def test_a_turned_file_is_rendered_aligned():
     )
     change = [np.abs(found - plain).mean() for found in (half_turn, quarter)]
     assert change[0] < 0.3 * change[1]
+
+
+def test_a_file_of_the_infrared_is_read_for_rendering_with_a_warning(tmp_path):
+    bands = Bands((910.5, 940.5, 1050.5))
+    metal = RoughConductor(GGX.isotropic(0.5), np.full(3, 1.5), np.full(3, 3.0), bands)
+    write_bsdf(tmp_path / "far_spec.bsdf", goniometer.measure(metal, "far", resolution=4, n_theta_i=3))
+    with pytest.warns(InvisibleBandsWarning, match="no colour"):
+        read_material(tmp_path / "far_spec.bsdf")

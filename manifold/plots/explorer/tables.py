@@ -18,7 +18,7 @@ from manifold.brdf.measured import MeasuredBRDF
 from manifold.brdf.pairs import DirectionPairs
 from manifold.brdf.weighted_sums import WeightedSum
 from manifold.colour import ball_colours
-from manifold.colour.conversion import encode_srgb, to_srgb
+from manifold.colour.conversion import VISIBLE_NM, encode_srgb, to_srgb
 from manifold.colour.environments import ENVIRONMENTS, environment
 from manifold.colour.reflectances import srgb_spectra
 from manifold.errors import UsageError
@@ -39,7 +39,6 @@ ILLUMINANTS = ("D65", "A", "F11")
 
 _COMPONENTS = 8  # of the spectral basis, at most
 _NODES = 32  # visible bands that colours are made of, at most
-_VISIBLE_NM = (380.0, 780.0)
 _LEAST_WEIGHT = 0.3  # of a band in the basis, relative to the largest: paths include invisible bands
 _DARK = 0.05  # of a material's median: ratios of components below this are not resolved
 _FILE_NODES_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())  # of spectra that are dropped on an RGB map
@@ -213,7 +212,7 @@ def _node_bands(bands: Bands) -> Indices:
     if bands.wavelengths_nm is None:
         return np.arange(bands.count)
     nm = np.asarray(bands.wavelengths_nm)
-    visible = np.flatnonzero((nm >= _VISIBLE_NM[0]) & (nm <= _VISIBLE_NM[1]))
+    visible = np.flatnonzero((nm >= VISIBLE_NM[0]) & (nm <= VISIBLE_NM[1]))
     if len(visible) < 2:
         raise UsageError(
             f"{len(visible)} bands from {nm[0]:g} to {nm[-1]:g} nm are visible, expected at least 2"

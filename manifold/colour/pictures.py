@@ -53,11 +53,11 @@ class Picture:
     @property
     def notes(self) -> tuple[str, ...]:
         """Assumptions about the file, in sentences."""
-        sentences = (
-            (self.is_encoded, "taken as sRGB; tone curves and colour settings of a camera are not undone"),
-            (self.is_grey, "grey; the colour is not in it"),
+        if not self.is_encoded:
+            return ()
+        return (
+            f"{self.path.name}: taken as sRGB; tone curves and colour settings of a camera are not undone",
         )
-        return tuple(f"{self.path.name}: {sentence}" for applies, sentence in sentences if applies)
 
 
 def read_picture(path: Path) -> Picture:

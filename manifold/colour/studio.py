@@ -58,14 +58,30 @@ def exposed(environment: Array) -> Array:
     Args:
         environment: linear RGB radiance, shape (H, W, 3), laid out as `studio` does.
     Raises:
-        UsageError: no light comes from above.
+        UsageError: no light comes from above, or a value is not finite or negative.
     """
+    require_light(environment)
     theta = np.pi * (np.arange(len(environment)) + 0.5) / len(environment)
     cosine = np.maximum(np.cos(theta), 0.0) * np.sin(theta)
     total = np.sum(environment.mean(axis=(1, 2)) * cosine) / np.sum(cosine)
     if not total > 0.0:
         raise UsageError("the environment is black above the horizon; expected light from there")
     return np.asarray(environment / total, dtype=np.float32)
+
+
+def require_light(environment: Array) -> None:
+    """Raise UsageError unless an environment (H, W, 3) is finite, nowhere negative, and not black."""
+    if not np.isfinite(environment).all():
+        raise UsageError(
+            "an environment with transparent pixels, or values that are not finite, expected light"
+        )
+    if (least := float(environment.min())) < 0.0:
+        raise UsageError(
+            f"an environment with negative light, down to {least:.3g}, expected 0 or more; set "
+            f"{np.count_nonzero(environment < 0.0)} values to 0"
+        )
+    if not environment.max() > 0.0:
+        raise UsageError("an environment that is black, expected light")
 
 
 def _angles_from(direction: Array, azimuth: float, elevation: float) -> tuple[Array, Array]:

@@ -51,9 +51,10 @@ def blocks_of(photograph: Photograph, circle: Circle) -> Blocks:
         UsageError: the circle is not in the picture, the ball is black, or most of it is clipped or unseen.
     """
     path, (H, W) = photograph.path, photograph.values.shape[:2]
-    if not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and circle.radius >= 8.0):
+    if not (0.0 <= circle.x <= W and 0.0 <= circle.y <= H and 8.0 <= circle.radius <= np.hypot(W, H)):
         raise UsageError(
-            f"{path}: circle {circle} in a picture of {W} x {H}, expected one inside it, of a radius from 8 pixels"
+            f"{path}: circle {circle.x:.6g},{circle.y:.6g},{circle.radius:.6g} in a picture of {W} x {H}, expected one "
+            "inside it, of a radius from 8 pixels to its diagonal"
         )
     factor = max(1, round(2.0 * circle.radius / _DIAMETER))
     values = reduced(photograph.values, factor)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from manifold.colour import studio
 from manifold.errors import UsageError
 from manifold.records import Array, Indices
 
@@ -36,10 +37,9 @@ class Environment:
             raise UsageError(
                 f"an environment of {W} x {H} pixels, expected twice as wide as high: latitude by longitude"
             )
-        if not np.all(np.isfinite(image)) or not image.max() > 0.0:
-            raise UsageError("an environment that is black, or not finite, expected light")
+        studio.require_light(image)
         size = _ROWS * _PARTS
-        resized = _resized(_resized(np.maximum(image, 0.0), size, 0), 2 * size, 1)
+        resized = _resized(_resized(image, size, 0), 2 * size, 1)
         return cls(np.ascontiguousarray(resized))
 
     def at(self, directions: Array) -> tuple[Array, Indices]:

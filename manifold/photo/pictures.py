@@ -46,4 +46,5 @@ def read_photograph(path: Path) -> Photograph:
         )
     seen: Mask = np.isfinite(picture.values).all(axis=2) & picture.is_opaque
     values = np.where(seen[..., None], picture.values, np.float32(np.nan))
-    return Photograph(path, values, picture.is_clipped & seen, picture.notes)
+    grey = (f"{path.name}: grey; the colour is not in it",) * picture.is_grey
+    return Photograph(path, values, picture.is_clipped & seen, picture.notes + grey)

@@ -15,6 +15,7 @@ from manifold import __version__
 from manifold.brdf.plausibility import Plausibility
 from manifold.colour.conversion import encode_srgb
 from manifold.colour.environments import ENVIRONMENTS, environment
+from manifold.colour.pictures import read_picture
 from manifold.completion.atoms import LibraryAtoms
 from manifold.completion.reading_bands import for_library
 from manifold.errors import UsageError
@@ -42,6 +43,7 @@ from manifold.workflows.output_files import require_bsdf_output, write_checked
 
 _MARGIN = 0.05  # around the ball in pictures of residuals
 _SIZE, _SAMPLES = 256, 32  # of predicted pictures
+_BRIGHT = 0.9  # of the largest value of a light: most pixels above it are clipped where the camera did clip
 _SEARCHED = 800  # pixels of the longer side in which a ball is found, at least, where the picture has more
 
 
@@ -78,12 +80,14 @@ class SeenBall:
         circle: of the ball.
         light: linear radiance, shape (H, W, 3).
         sighting: of the ball.
+        notes: assumptions about the files of both, in sentences.
     """
 
     photograph: Photograph
     circle: Circle
     light: Array
     sighting: Sighting
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,7 @@ def complete_photographs(
         notes += ("the residual and expected error are those of the material before it was made physical",)
     if picture is not None:
         stages.begin("rendering")
-        draw_residuals(balls, output, material, picture)
+        draw_residuals(balls, output, material, request.exposure, picture)
     return FromPhotographs(
         balls, material, None, output, written.plausibility, picture, notes, time.perf_counter() - start
     )
@@ -220,7 +224,7 @@ def locate_photographs(
             notes += (*diagnostics.of_prediction(False, plausibility), *written.projection)
         if picture is not None:
             stages.begin("rendering")
-            draw_residuals(balls, shown, material, picture)
+            draw_residuals(balls, shown, material, request.exposure, picture)
     return FromPhotographs(
         balls, material, place, output, plausibility, picture, notes, time.perf_counter() - start
     )
@@ -265,7 +269,12 @@ def _found(
         band_matrix(library, atoms.library.names, responses), exposure=request.exposure, readings=readings,
         library=library,
     )  # fmt: skip
-    notes = [note for ball in balls for note in ball.photograph.notes] + list(material.notes)
+    notes = [note for ball in balls for note in ball.notes] + list(material.notes)
+    if request.exposure is None:
+        notes.append(
+            "the exposure was estimated: lightness may be off by a factor of two and more, which the expected errors "
+            "leave out; photograph a surface of known reflectance in the same light, and give the exposure"
+        )
     if readings is not None:
         notes += readings.notes
     if not library.bands.is_rgb:
@@ -286,6 +295,11 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
         raise UsageError(f"a camera at {request.distance:g} radii of the ball, expected more than 1")
     if request.exposure is not None and not 0.0 < request.exposure < np.inf:
         raise UsageError(f"exposure {request.exposure:g}, expected a number above 0")
+    angles_deg = (*request.turns_deg, request.elevation_deg)
+    if not np.isfinite(angles_deg).all():
+        raise UsageError(
+            f"turns and elevation of {', '.join(f'{a:g}' for a in angles_deg)}, expected finite angles"
+        )
     n = len(request.photographs)
     lights, circles, turns = (
         _for_each(n, values, what)
@@ -300,10 +314,10 @@ def see(request: PhotoRequest) -> tuple[SeenBall, ...]:
     for path, light, text, turn_deg in zip(request.photographs, lights, circles, turns, strict=True):
         photograph = read_photograph(path)
         circle = Circle.parse(text) if text else _circle_of(photograph)
-        image, made = read[light]
+        image, made, notes = read[light]
         camera = Camera(turn_deg, request.elevation_deg, request.distance)
         sighting = Sighting(blocks_of(photograph, circle), camera, made)
-        balls.append(SeenBall(photograph, circle, image, sighting))
+        balls.append(SeenBall(photograph, circle, image, sighting, photograph.notes + notes))
     return tuple(balls)
 
 
@@ -328,23 +342,42 @@ def _for_each(n: int, values: Sequence[Any], what: str) -> list[Any]:
     return list(values) * (n if len(values) == 1 else 1)
 
 
-def _light(name: str) -> tuple[Array, Environment]:
-    """An environment by its file or name, as a picture and for sampling."""
+def _light(name: str) -> tuple[Array, Environment, tuple[str, ...]]:
+    """An environment by its file or name, as a picture and for sampling, and notes."""
+    notes: tuple[str, ...] = ()
     if name in ENVIRONMENTS and not Path(name).is_file():
         image = environment(name, 256).astype(float)
     else:
-        image = read_photograph(Path(name)).values.astype(float)
+        picture = read_picture(Path(name))
+        image = np.where(picture.is_opaque[..., None], picture.values, np.nan).astype(float)
+        notes = picture.notes
+        count = np.count_nonzero(picture.is_clipped)
+        bright = np.count_nonzero(image.max(axis=2) > _BRIGHT * image.max())
+        if count > (
+            0 if picture.is_encoded else 0.5 * bright
+        ):  # lights made by programs have some equal values
+            notes += (
+                f"{Path(name).name}: its {count} brightest pixels have one value; if the camera clipped them, the "
+                "light is brighter than this, and the material comes out too bright",
+            )
     try:
-        return image, Environment.of(image)
+        return image, Environment.of(image), notes
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from error
 
 
-def draw_residuals(balls: Sequence[SeenBall], file: Path, material: PhotoMaterial, picture: Path) -> None:
-    """Draw photographs beside renders of a file, with their differences."""
+def draw_residuals(
+    balls: Sequence[SeenBall], file: Path, material: PhotoMaterial, exposure: float | None, picture: Path
+) -> None:
+    """Draw photographs beside renders of a file, with their differences.
+
+    A known exposure is divided out; with one that was estimated, photographs stay as they are, and renders are exposed
+    alike: else a wrong one would make all white, or black, and differences small.
+    """
+    known = exposure or 1.0
     seen, predicted, errors = [], [], []
     for ball in balls:
-        crop = _cropped(ball.photograph.values, ball.circle) / material.exposure
+        crop = _cropped(ball.photograph.values, ball.circle) / known
         clipped = (
             _cropped(ball.photograph.is_clipped[..., None].astype(np.float32), ball.circle)[..., 0] > 0.0
         )
@@ -352,7 +385,7 @@ def draw_residuals(balls: Sequence[SeenBall], file: Path, material: PhotoMateria
         made = render_floating_ball(
             file, material.bands.is_rgb, ball.light, size=_SIZE, samples=_SAMPLES, margin=_MARGIN,
             turn_deg=camera.turn_deg, elevation_deg=camera.elevation_deg, distance=camera.distance,
-        )  # fmt: skip
+        ) * (material.exposure / known)  # fmt: skip
         shown = [encode_srgb(np.nan_to_num(each)) for each in (crop, made)]
         across = (1.0 + _MARGIN) * (2.0 * (np.arange(_SIZE) + 0.5) / _SIZE - 1.0)
         compared = np.hypot(across, across[:, None]) < 0.97

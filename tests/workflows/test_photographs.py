@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import tifffile
 from helpers.small_library import measured, spectral_files
+from PIL import Image
 
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.colour.conversion import encode_srgb
 from manifold.colour.environments import environment
+from manifold.colour.pictures import read_picture
 from manifold.io_rgl import read_bsdf, write_bsdf
 from manifold.library.importing import import_files
 from manifold.model.comparison import brdf_errors
@@ -20,6 +23,7 @@ from manifold.photo.spectra import read_responses
 from manifold.records import Bands
 from manifold.rendering.images import write_image
 from manifold.rendering.render import render_floating_ball
+from manifold.workflows import photographs
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +37,7 @@ def folder(tmp_path_factory, library):
     )
     write_image(made / "ball.exr", ball)
     write_image(made / "light.exr", light)
+    write_image(made / "negative.exr", light - 0.25 - light.min())
     Manifold.fit(library, Settings()).save(made / "model.h5")
     return made
 
@@ -127,6 +132,11 @@ def test_pictures_without_a_ball_end_in_one_line(run, folder, library, values, w
         (["--photo", "ball.exr", "--light", "nowhere.exr"], "no such file"),
         (["--photo", "ball.exr", "--light", "ball.exr"], "twice as wide"),
         (["--photo", "light.exr", "--light", "studio", "--circle", "900,10,40"], "expected one inside it"),
+        (["--photo", "ball.exr", "--light", "negative.exr"], "negative light, down to -0.25"),
+        (["--photo", "ball.exr", "--light", "studio", "--circle", "64,64,1e300"], "a radius from 8 pixels"),
+        (["--photo", "ball.exr", "--light", "studio", "--turn", "nan"], "expected finite angles"),
+        (["--photo", "ball.exr", "--light", "studio", "--elevation", "nan"], "less than or equal to 89"),
+        (["--photo", "ball.exr", "--light", "studio", "--distance", "nan"], "more than 1"),
         (["--photo", "ball.exr", "--light", "studio", "--exposure", "bright"], "or free"),
         (["--photo", "ball.exr", "--light", "studio", "--turn", 1, "--turn", 2], "2 turns for 1 photographs"),
         (["--photo", "ball.exr", "--light", "studio", "--camera", "curves.csv"], "spectral library"),
@@ -137,3 +147,48 @@ def test_what_cannot_be_used_is_refused_in_one_line(run, folder, library, argume
     assert code in (1, 2)
     assert words in " ".join(err.split())
     assert not (folder / "x.bsdf").exists()
+
+
+@pytest.mark.parametrize("name", ["light.png", "clipped.exr", "light.exr"])
+def test_a_light_of_display_values_and_clipped_lamps_are_said(folder, name):
+    values = environment("studio", 64)
+    clipped = np.minimum(values, 1.0)
+    Image.fromarray(np.round(255 * encode_srgb(clipped)).astype(np.uint8)).save(folder / "light.png")
+    write_image(folder / "clipped.exr", clipped)
+    (ball,) = photographs.see(
+        photographs.PhotoRequest([folder / "ball.exr"], [str(folder / name)], ["64,64,49.2"])
+    )
+    count = np.count_nonzero((clipped == 1.0).any(axis=2))
+    assert count > 100
+    told = {note.split("; ")[0] for note in ball.notes}
+    is_clipped = name != "light.exr"
+    assert (f"{name}: its {count} brightest pixels have one value" in told) == is_clipped
+    assert (f"{name}: taken as sRGB" in told) == (name == "light.png")
+
+
+def test_an_estimated_exposure_is_said_and_does_not_change_the_photograph_that_is_shown(
+    folder, library, tmp_path, monkeypatch
+):
+    shown = []
+
+    def record(names, seen, predicted, errors):
+        shown.append((seen[0], predicted[0]))
+        return figure(names, seen, predicted, errors)
+
+    figure = photographs.plot_photo.residual_figure
+    monkeypatch.setattr(photographs.plot_photo, "residual_figure", record)
+    dark = 0.1 * read_picture(folder / "ball.exr").values
+    write_image(tmp_path / "dark.exr", dark)
+    request = photographs.PhotoRequest([tmp_path / "dark.exr"], ["studio"], ["64,64,49.2"], distance=8.0)
+    for exposure in (None, 0.1):
+        found = photographs.complete_photographs(
+            replace(request, exposure=exposure), library, tmp_path / "x.bsdf", picture=tmp_path / "x.png"
+        )
+        seen, predicted = shown.pop()
+        inside = np.hypot(*np.meshgrid(*[np.linspace(-1.05, 1.05, len(seen))] * 2)) < 0.9
+        expected = dark / (exposure or 1.0)
+        assert np.nanmax(seen) == pytest.approx(expected.max(), rel=1e-3)  # of half floats
+        assert predicted[inside].mean() == pytest.approx(
+            seen[inside].mean(), rel=0.1
+        )  # noise, and the residual
+        assert any("exposure was estimated" in note for note in found.diagnostics) == (exposure is None)

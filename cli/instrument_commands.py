@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -83,7 +82,6 @@ def convert(
     from manifold.workflows import conversion
     from manifold.workflows.conversion_targets import Options
     from manifold.workflows.inputs import is_readings, is_rgl
-    from manifold.workflows.sources import source_file
 
     results = terminal.Results(json)
     sources = options.several_materials(inputs, model, library)
@@ -100,9 +98,9 @@ def convert(
         )  # fmt: skip
         show_batch(results, batch, all_made)
         return
-    with progress.shown("Converting"), ExitStack() as files:
+    with progress.shown("Converting"), conversion.conversion_input(sources) as given:
         made = conversion.convert(
-            [files.enter_context(source_file(source)) for source in sources],
+            given,
             output,
             to=to,
             sample=sample,

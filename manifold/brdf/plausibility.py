@@ -21,6 +21,7 @@ Evaluate = Callable[[Array, Array], Array]
 """Values f in 1/sr of M BRDFs at direction pairs wi, wo (P, 3): shape (M, P, B)."""
 
 _INCIDENCES_DEG = (5.0, 20.0, 35.0, 50.0, 65.0, 80.0)  # for negative values and reciprocity
+_MIRROR_INCIDENCES_DEG = tuple(range(15, 76, 5))
 _ALBEDO_INCIDENCES_DEG = (0.0, 30.0, 60.0, 75.0)
 FILE_INCIDENCES_DEG = tuple(range(0, 86, 5))
 """At which the albedo of a file is measured."""
@@ -135,6 +136,21 @@ def _over_incidences(
     norm, distance = (np.sqrt(np.sum(a, axis=0)) for a in (squared, difference))
     error = np.divide(distance, norm, out=np.zeros_like(norm), where=norm > 0)
     return np.mean(negative, axis=0), error, np.array(albedo)
+
+
+def mirror_difference(brdf: BRDF, other: BRDF) -> float:
+    """Difference of another BRDF within five degrees of mirror directions, at incidences of 15, 20, ... 75 degrees.
+
+    It is `sum |f* - f| / sum f` over directions and bands at each incidence (and azimuth), the largest of these;
+    negative values count as 0.
+    """
+    wi = incident_directions(_MIRROR_INCIDENCES_DEG, brdf.is_isotropic and other.is_isotropic)
+    m = from_spherical(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])[:, None], np.deg2rad(range(0, 360, 45)))
+    m, wi = m.reshape(1, -1, 3), wi[:, None]
+    wo = 2.0 * np.sum(m * wi, axis=-1, keepdims=True) * m - wi  # within twice the angle of m
+    f, other_f = (np.maximum(each.eval(wi, wo), 0.0) for each in (brdf, other))
+    apart, total = np.abs(other_f - f).sum(axis=(1, 2)), f.sum(axis=(1, 2))
+    return float(np.max(np.divide(apart, total, out=np.zeros_like(total), where=total > 0.0)))
 
 
 def quadrature_albedo(brdf: BRDF, wi: Array, resolution: int) -> Array:

@@ -52,6 +52,7 @@ class Prediction:
         path: of the file that was written; None where none was.
         is_physical: whether that was projected to be non-negative, reciprocal and energy-conserving.
         clipped_share: share of the predicted values that were negative, and are zero in the file.
+        mirror_difference: of the file from the prediction near mirror directions, see `plausibility.mirror_difference`.
         seconds: evaluating, checking and writing, without loading the library.
     """
 
@@ -71,6 +72,7 @@ class Prediction:
     path: Path | None = None
     is_physical: bool = False
     clipped_share: float = 0.0
+    mirror_difference: float = 0.0
     seconds: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
@@ -78,7 +80,7 @@ class Prediction:
         content = vars(self) | {"latent": self.latent.tolist(), "plausibility": vars(self.plausibility)}
         dropped = {"brdf", "expected"} | ({"attributes"} if self.attributes is None else set())
         if self.path is None:
-            dropped |= {"path", "is_physical", "clipped_share", "seconds"}
+            dropped |= {"path", "is_physical", "clipped_share", "mirror_difference", "seconds"}
         else:
             content |= {"program": f"manifold {__version__}", "path": str(self.path)}
         return {key: value for key, value in content.items() if key not in dropped} | expected_json(

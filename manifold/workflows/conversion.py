@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.measured import BRDF, MeasuredBRDF
 from manifold.colour.correction import read_correction
 from manifold.errors import UsageError
 from manifold.formats.readings import Readings
+from manifold.io_rgl import read_bsdf
 from manifold.metrics import cosine_weight, cube_root_error, relative_error
-from manifold.records import Array, Bands
+from manifold.records import Array, Bands, BsdfFile
 from manifold.system import atomic
 from manifold.workflows.conversion_source import (
     LEAST_COSINE,
     Source,
     in_luminance,
     open_source,
+    source_of_prediction,
     with_estimated_spectra,
 )
 from manifold.workflows.conversion_targets import TARGETS, Options, target_of
+from manifold.workflows.prediction import predict
+from manifold.workflows.sources import MaterialSource, PlaceSource, source_file
 
 _SAME_PAIR = 1e-6  # between unit vectors of pairs written with nine digits
 _DARK = 1e-3  # of the brightest value: darker ones are compared with this
@@ -85,7 +92,7 @@ class Conversion:
 
 
 def convert(
-    paths: Sequence[Path],
+    paths: Sequence[Path] | PlaceSource,
     output: Path,
     *,
     to: str | None = None,
@@ -97,7 +104,7 @@ def convert(
     """Convert a file of a BRDF or of readings into another format.
 
     Args:
-        paths: one file, or the files of one sample.
+        paths: one file, or the files of one sample; or a place, whose prediction is converted itself.
         output: what to write; its suffix chooses the format.
         to: one of `TARGETS`, where the suffix does not tell.
         sample: which of a file's samples.
@@ -112,24 +119,31 @@ def convert(
     """
     target = target_of(output, to)
     atomic.require_writable(output)
-    if any(path.exists() and output.exists() and path.samefile(output) for path in paths):
+    name = str(paths) if isinstance(paths, PlaceSource) else str(paths[0])
+    files = () if isinstance(paths, PlaceSource) else paths
+    if any(path.exists() and output.exists() and path.samefile(output) for path in files):
         raise UsageError(f"{output}: is the file to be converted; name another output")
     learned = None if correction is None else read_correction(correction)
-    source, notes = open_source(paths, sample, learned, merge=merge), list[str]()
+    opened: Callable[..., Source] = partial(open_source, files, sample, learned, merge=merge)
+    if isinstance(paths, PlaceSource):
+        if sample is not None or learned is not None:
+            raise UsageError(
+                f"{paths}: a prediction, expected an instrument's readings to correct or to choose from"
+            )
+        opened = partial(source_of_prediction, *_predicted(paths))
+    source, notes = opened(), list[str]()
     is_single, is_rgb = source.nodes.bands.count == 1, source.nodes.bands.is_rgb
     if target.holds == "wavelengths" and is_rgb:
         raise UsageError(
-            f"{paths[0]}: linear sRGB, but {target.title} has wavelengths; convert a file with spectral bands"
+            f"{name}: linear sRGB, but {target.title} has wavelengths; convert a file with spectral bands"
         )
     if target.holds.startswith("RGB") and not is_rgb and not (target.holds == "RGB or one" and is_single):
         if is_single:
             notes.append(f"{source.nodes.bands} is written to all three channels")
-        source = open_source(paths, sample, learned, rgb=True, merge=merge)
+        source = opened(rgb=True)
     elif target.holds == "one" and not is_single:
         notes.append(f"luminance (CIE Y under D65) is written: {target.title} holds one band")
-        source = in_luminance(
-            source if is_rgb else open_source(paths, sample, learned, rgb=True, merge=merge)
-        )
+        source = in_luminance(source if is_rgb else opened(rgb=True))
     elif target is TARGETS["rgl"]:
         source = with_estimated_spectra(source)
     notes += target.write(output, source, options or Options())
@@ -140,6 +154,24 @@ def convert(
     return Conversion(
         nodes.name, nodes.instrument, target.title, back.nodes.bands, error, (*nodes.notes, *notes)
     )
+
+
+@contextmanager
+def conversion_input(sources: Sequence[MaterialSource]) -> Iterator[Sequence[Path] | PlaceSource]:
+    """What `convert` takes of what a user names; files written for it are there during the block."""
+    if len(sources) == 1 and isinstance(sources[0], PlaceSource):
+        yield sources[0]
+        return
+    with ExitStack() as files:
+        yield [files.enter_context(source_file(source)) for source in sources]
+
+
+def _predicted(place: PlaceSource) -> tuple[BRDF, BsdfFile]:
+    """The prediction at a place, and its file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{place.name}.bsdf"
+        made = predict(place.model, place.place, path, library=place.library, colour=place.colour)
+        return made.brdf, read_bsdf(path)
 
 
 def _gaps(source: Source) -> list[str]:

@@ -23,6 +23,7 @@ from manifold.formats.dense import DenseTable
 from manifold.formats.readings import Readings
 from manifold.formats.tensor_file import MAGIC
 from manifold.io_rgl import read_bsdf
+from manifold.model.prediction import ClippedBRDF
 from manifold.records import Array, Bands, BsdfFile, evenly_spaced
 from manifold.system.names import first_few
 from manifold.system.reading import begins_with
@@ -148,6 +149,15 @@ def open_source(
     else:
         source = _of_readings(record if correction is None else correct_colours(record, correction))
     return _in_srgb(source) if rgb else source
+
+
+def source_of_prediction(brdf: BRDF, file: BsdfFile, *, rgb: bool = False) -> Source:
+    """What a model predicts, to be converted itself; at the nodes of a file that was measured from it."""
+    of_file = _of_rgl(file)
+    clipped = ClippedBRDF(brdf)
+    nodes = replace(of_file.nodes, values=clipped.eval(of_file.nodes.wi, of_file.nodes.wo))
+    source = replace(of_file, nodes=nodes, interpolated=clipped)
+    return replace(_in_srgb(source), file=file_to_srgb(file)) if rgb else source
 
 
 def in_luminance(source: Source) -> Source:

@@ -23,7 +23,6 @@ from manifold.workflows.batch import APPEARANCE, Batch, Outcome, Task, appearanc
 from manifold.workflows.conversion_source import open_source
 from manifold.workflows.conversion_targets import TARGETS, Options
 from manifold.workflows.inputs import Input, Sample
-from manifold.workflows.sources import source_file
 
 _ERRORS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "CIEDE2000": lambda content: content["ball"],
@@ -208,9 +207,9 @@ def convert_all(
 def _convert(
     source: Input, path: Path, *, to: str, correction: Path | None, options: Options
 ) -> dict[str, Any]:
-    with source_file(source.source) as file:
+    with conversion.conversion_input([source.source]) as given:
         made = conversion.convert(
-            [file], path, to=to, sample=source.sample, correction=correction, options=options
+            given, path, to=to, sample=source.sample, correction=correction, options=options
         )
     brdf = open_source([path]).interpolated
     return made.to_json() | ({} if isinstance(brdf, UsageError) else appearance(path, brdf))

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from manifold import __version__
+from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import mirror_difference
 from manifold.completion.attributes import Attributes, adjust
 from manifold.model.colours import NEAREST, ChosenColour, ColourChoice, choose_colour
 from manifold.model.diagnostics import Prediction, diagnose
@@ -64,6 +66,8 @@ def predict(
     description = _describe(model, place.latent, chosen.words, options.physical)
     remedy = "make it physical, write more incidences"
     written = write_checked(output, clipped, options, description=description, remedy=remedy)
+    assert written.file is not None  # a refusal is an error
+    difference = mirror_difference(brdf, MeasuredBRDF(written.file))
     seconds = time.perf_counter() - start
     made = diagnose(model, place, brdf, chosen, written.plausibility, clipped.clipped_share)
     if made.expected is not None and written.change is not None:
@@ -83,6 +87,7 @@ def predict(
         path=output,
         is_physical=options.physical,
         clipped_share=clipped.clipped_share,
+        mirror_difference=difference,
         seconds=seconds,
     )
 

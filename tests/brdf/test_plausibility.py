@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from manifold.brdf.plausibility import plausibilities
+from manifold.brdf.analytic.base import Lambert
+from manifold.brdf.plausibility import mirror_difference, plausibilities
+from manifold.records import Bands
 
 
 def _highlight(wi, wo, hole):
@@ -36,3 +38,14 @@ def test_a_hole_at_one_azimuth_of_an_anisotropic_brdf_is_found():
 
     assert plausibilities(at_90_degrees)[0].highlight_valley == 0.0
     assert plausibilities(at_90_degrees, is_isotropic=False)[0].highlight_valley > 0.4
+
+
+def test_difference_near_mirror_directions_is_relative_and_that_of_the_worst_incidence():
+    class Brighter(Lambert):
+        def eval(self, wi, wo):
+            wi, wo = np.broadcast_arrays(wi, wo)
+            return super().eval(wi, wo) * np.where(wi[..., 2:] < np.cos(np.deg2rad(72.0)), 1.2, 1.1)
+
+    albedo, bands = np.array([0.4, 0.2]), Bands((500.0, 600.0))
+    assert mirror_difference(Lambert(albedo, bands), Lambert(albedo, bands)) == 0.0
+    assert mirror_difference(Lambert(albedo, bands), Brighter(albedo, bands)) == pytest.approx(0.2)

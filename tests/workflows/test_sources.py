@@ -13,9 +13,11 @@ from manifold.brdf import physical
 from manifold.brdf.analytic.base import Lambert
 from manifold.brdf.analytic.instruments import MA_T12_BANDS, write_ma_t12
 from manifold.brdf.measured import MeasuredBRDF
+from manifold.brdf.plausibility import mirror_difference
 from manifold.brdf.unmeasured import fill_unmeasured
 from manifold.completion.gloss import gloss_units
 from manifold.errors import MissingFileError, UnknownNameError
+from manifold.formats import registry
 from manifold.io_rgl import read_bsdf
 from manifold.library.store import Library
 from manifold.model import diagnostics
@@ -23,7 +25,7 @@ from manifold.model.comparison import brdf_errors
 from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.plots import plot_latents
-from manifold.workflows import completions, reconstruction
+from manifold.workflows import completions, prediction, reconstruction
 from manifold.workflows.sources import (
     FileSource,
     LibrarySource,
@@ -207,6 +209,22 @@ def test_errors_of_a_projected_file_are_those_of_what_was_written(folder, monkey
     np.testing.assert_array_equal(found.predicted, written.eval(found.readings.wi, found.readings.wo))
     assert found.gloss == gloss_units(written, [60.0])
     assert completed.residual == pytest.approx(float(np.sqrt(np.mean(found.misfits**2))))
+
+
+def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run, folder):
+    status, out, err = run("convert", "0.1,0.2", "-o", "place.csv", cwd=folder)
+    assert (status, err) == (0, "")
+    read = registry.read_readings(folder / "place.csv", None)
+    predicted = Manifold.load(folder / "model.h5").predict(np.array([0.1, 0.2]))
+    expected = np.maximum(predicted.eval(read.wi, read.wo), 0.0)
+    np.testing.assert_allclose(read.values, expected, rtol=1e-4, atol=1e-7)  # digits of angles and values
+    made = prediction.predict(folder / "model.h5", "0.1,0.2", folder / "place.bsdf")
+    file = MeasuredBRDF(read_bsdf(folder / "place.bsdf"))
+    assert np.abs(file.eval(read.wi, read.wo) / expected - 1.0).max() > 0.01
+    assert made.mirror_difference == pytest.approx(mirror_difference(predicted, file))
+    out = run("predict", "0.1,0.2", "-o", "place.bsdf", cwd=folder)[1]
+    words = f"at most {made.mirror_difference:.1%} from the prediction within 5 degrees of mirror directions"
+    assert words in " ".join(out.split())
 
 
 def test_files_that_were_not_measured_are_not_called_measured(run, folder):

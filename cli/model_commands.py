@@ -345,7 +345,6 @@ def show_prediction(results: terminal.Results, made: Prediction) -> None:
         rows["largest weights"] = [f"{name} ({weight:+.2f})" for name, weight in made.weights]
     rows |= {
         "negative values": f"{made.clipped_share:.2%}, zero in the file" if made.clipped_share else "none",
-        "file": f"at most {made.mirror_difference:.1%} from the prediction within 5 degrees of mirror directions",
         "time": f"{made.seconds:.2f} s after loading",
     } | made.rows
     results.rows(f"Predicted {made.path}", rows)

@@ -96,6 +96,9 @@ class Prediction:
             "reciprocity error": f"{self.plausibility.reciprocity_error:.2%}",
             "largest albedo": f"{self.plausibility.max_albedo:.3f}",
         }
+        if self.path is not None:
+            off = f"at most {self.mirror_difference:.1%} from the prediction"
+            rows["file"] = f"{off} within 5 degrees of mirror directions"
         return rows | ({"diagnostics": self.diagnostics} if self.diagnostics else {})
 
 

@@ -34,6 +34,9 @@ class OutputOptions:
 
 
 DEFAULT_OPTIONS = OutputOptions()
+FINE_OPTIONS = OutputOptions(resolution=48, incidences=24)
+"""Of temporary files in place of a prediction: near mirror directions of 20 real files they differ by 0.2 to 7 %
+(median 1.3 %), where the default differs by 3 to 18 % (median 6 %); see `plausibility.mirror_difference`."""
 
 
 class OutputFile(NamedTuple):

@@ -147,6 +147,7 @@ def latent_material(
         UsageError: `direct` without LLVM; and what `prediction.predict` raises.
     """
     from manifold.model import diagnostics
+    from manifold.model.output_file import FINE_OPTIONS
     from manifold.rendering.plugin.bsdf import load_model
     from manifold.workflows import prediction
 
@@ -154,9 +155,8 @@ def latent_material(
     if not direct:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "predicted.bsdf"
-            made = prediction.predict(
-                load_model(model, library), latent, path, colour=colour,
-            )  # fmt: skip
+            loaded = load_model(model, library)
+            made = prediction.predict(loaded, latent, path, colour=colour, options=FINE_OPTIONS)
             file = read_material(path)
             yield BallMaterial(f"latent {at}", file.bsdf, file.is_rgb, "predicted file"), made
         return

@@ -187,10 +187,11 @@ def source_file(source: MaterialSource) -> Iterator[Path]:
         if isinstance(source, LibrarySource):
             write_bsdf(path, read_source(source))
         else:
+            from manifold.model.output_file import FINE_OPTIONS
             from manifold.workflows.prediction import predict
 
             predict(
-                source.model, source.place, path, library=source.library, colour=source.colour,
+                source.model, source.place, path, library=source.library, colour=source.colour, options=FINE_OPTIONS,
             )  # fmt: skip
         yield path
 

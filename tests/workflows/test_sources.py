@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from manifold.model.manifold import Manifold
 from manifold.model.output_file import OutputOptions
 from manifold.plots import plot_latents
 from manifold.workflows import completions, prediction, reconstruction
+from manifold.workflows.renders import ball_material
 from manifold.workflows.sources import (
     FileSource,
     LibrarySource,
@@ -225,6 +227,10 @@ def test_a_place_is_converted_as_it_is_predicted_not_as_its_file_resolves_it(run
     out = run("predict", "0.1,0.2", "-o", "place.bsdf", cwd=folder)[1]
     words = f"at most {made.mirror_difference:.1%} from the prediction within 5 degrees of mirror directions"
     assert words in " ".join(out.split())
+    for made_for_it in (source_file, ball_material):  # of other commands, and of renders
+        with made_for_it(PlaceSource(folder / "model.h5", "0.1,0.2")) as found:
+            path = found if made_for_it is source_file else Path(found[0].bsdf["filename"])
+            assert mirror_difference(predicted, MeasuredBRDF(read_bsdf(path))) < 0.5 * made.mirror_difference
 
 
 def test_files_that_were_not_measured_are_not_called_measured(run, folder):
